@@ -1,0 +1,403 @@
+"""Try every effect of the catalogue in every place against what a model leaves over."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize, stats
+
+from rx90b_flex.effects import Effect, Sites, catalogue
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.coloured import residual_spectrum, scatter
+from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, NormalEquations, solve_weighted
+from rx90b_flex.identify.regression import Regression
+
+SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
+SMALLEST_GAIN = 0.02  # of the squared error of the joints that an effect touches; less is not worth a name
+GAIN_T = 2.0  # held-out gain over its standard error
+AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
+SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
+REFINED = 16  # trials whose shape parameters are refined
+BATCH_BYTES = 64e6
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One effect, tried in one place.
+
+    Attributes
+    ----------
+    effect : Effect
+        With the values that fit best beside the present model.
+    gain : float
+        Drop of the weighted squared error on held-out blocks, in units of residual variance.
+    block_gains : array, shape (blocks,)
+    p_value : float
+        That nothing is there, corrected for the number of trials.
+    size : int
+        Parameters that it adds to the model.
+    share : float
+        Gain over the squared error of the joints that it touches.
+    lawful : bool
+        Whether its coefficients lie within their physical bounds.
+    """
+
+    effect: Effect
+    gain: float
+    block_gains: Array
+    p_value: float
+    size: int
+    share: float
+    lawful: bool
+
+    @property
+    def gain_t(self) -> float:
+        """Gain over its standard error between blocks."""
+        blocks = len(self.block_gains)
+        spread = self.block_gains.std(ddof=1) * np.sqrt(blocks)
+        return float(self.gain / spread) if spread > 0 else np.inf
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
+        return (
+            self.p_value < SIGNIFICANCE and self.gain_t > GAIN_T and self.share > SMALLEST_GAIN and self.lawful
+        )
+
+    def no_better_than(self, other: Trial) -> bool:
+        """Whether held-out blocks cannot tell that this one explains more than the other."""
+        if other.gain < AS_GOOD * self.gain:
+            return False
+        difference = self.block_gains - other.block_gains
+        spread = difference.std(ddof=1) * np.sqrt(len(difference))
+        return bool(difference.sum() <= GAIN_T * spread or difference.sum() <= 1e-6 * self.gain)
+
+
+@dataclass(frozen=True, eq=False)
+class _Base:
+    """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
+
+    columns: Array
+    target: Array
+    weight: Array
+    blocks: tuple[slice, ...]
+    prior: Array
+
+    @cached_property
+    def normal(self) -> NormalEquations:
+        return NormalEquations.of(self.columns, self.target, self.blocks)
+
+    @cached_property
+    def grams(self) -> Array:
+        """Weighted Gram matrices, shape (blocks, p, p)."""
+        return np.einsum("j,bjpq->bpq", self.weight, self.normal.gram)
+
+    @cached_property
+    def crosses(self) -> Array:
+        return np.einsum("j,bjp->bp", self.weight, self.normal.cross)
+
+    @cached_property
+    def powers(self) -> Array:
+        return self.normal.power @ self.weight
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array]:
+        """Coefficients and pseudo-inverse on all blocks."""
+        theta, inverse, _, _ = solve_weighted(self.grams.sum(axis=0), self.crosses.sum(axis=0), self.prior)
+        return theta, inverse
+
+    @cached_property
+    def without(self) -> list[tuple[Array, Array]]:
+        """Coefficients and pseudo-inverse with each block held out."""
+        gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
+        out = []
+        for g, c in zip(self.grams, self.crosses, strict=True):
+            theta, inverse, _, _ = solve_weighted(gram - g, cross - c, self.prior)
+            out.append((theta, inverse))
+        return out
+
+    @cached_property
+    def held_out(self) -> Array:
+        """Weighted squared error on each block when it is held out, shape (blocks,)."""
+        return np.array(
+            [
+                power - 2 * cross @ theta + theta @ gram @ theta
+                for power, cross, gram, (theta, _) in zip(self.powers, self.crosses, self.grams, self.without, strict=True)
+            ]
+        )
+
+    @cached_property
+    def residual(self) -> Array:
+        return self.target - self.columns @ self.whole[0]
+
+    @cached_property
+    def squares(self) -> Array:
+        """Weighted squared error of each joint on all blocks."""
+        return self.weight * (self.residual**2).sum(axis=0)
+
+    def products(self, rows: Array, columns: Array, block: slice) -> tuple[Array, Array, Array]:
+        """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
+        weight = self.weight[rows]
+        c = columns[block]
+        x = self.columns[block][:, rows]
+        y = self.target[block][:, rows]
+        return (
+            np.einsum("j,njp,njk->pk", weight, x, c, optimize=True),
+            np.einsum("j,nj,njk->k", weight, y, c, optimize=True),
+            np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
+        )
+
+    def gains(self, rows: Array, columns: Array, k: int) -> Array:
+        """Drop of the weighted squared error for many candidates of k columns each; columns (N, rows, M * k) -> (M,)."""
+        _, inverse = self.whole
+        weight = self.weight[rows]
+        many = columns.shape[2] // k
+        with_base = sum(w * self.columns[:, j].T @ columns[:, i] for i, (j, w) in enumerate(zip(rows, weight, strict=True)))
+        score = sum(w * self.residual[:, j] @ columns[:, i] for i, (j, w) in enumerate(zip(rows, weight, strict=True)))
+        shaped = columns.reshape(len(columns), len(rows), many, k)
+        own = np.einsum("j,njmk,njml->mkl", weight, shaped, shaped, optimize=True)
+        with_base = np.asarray(with_base).reshape(-1, many, k)
+        left = own - np.einsum("pmk,pq,qml->mkl", with_base, inverse, with_base, optimize=True)
+        score = np.asarray(score).reshape(many, k)
+        return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
+
+
+def _solve(left: Array, own: Array, score: Array) -> Array:
+    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+    kept = values > 1e-5
+    basis = vectors[:, kept]
+    return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Everything that could be missing from an identified model.
+
+    Attributes
+    ----------
+    model : Identification
+    sites : Sites
+    """
+
+    model: Identification
+    sites: Sites
+
+    @property
+    def regression(self) -> Regression:
+        """The data, seen by the identified links."""
+        return self.model.regression
+
+    @cached_property
+    def blocks(self) -> tuple[slice, ...]:
+        """Blocks to hold out in turn."""
+        return self.regression.blocks()
+
+    @cached_property
+    def target(self) -> Array:
+        if self.model.links_fitted:
+            return self.regression.torque
+        return self.regression.torque - self.regression.link_columns @ self.model.link_parameters
+
+    def base(self, replaced: Effect | None = None) -> _Base:
+        """The present model without `replaced`."""
+        kept = np.ones(len(self.model.theta), dtype=bool)
+        if replaced is not None:
+            index = self.model.effects.index(replaced)
+            first = self.model.first_column(index)
+            kept[first : first + len(replaced.coefficients)] = False
+        return _Base(
+            self.model.columns[:, :, kept],
+            self.target,
+            self.model.solution.sigma**-2.0,
+            self.blocks,
+            self.model.theta[kept],
+        )
+
+    def candidates(self) -> list[tuple[Effect, Effect | None]]:
+        """Effects to try, each with the declared effect that it would replace."""
+        out: list[tuple[Effect, Effect | None]] = []
+        for cls in catalogue().values():
+            if cls.virtual:
+                continue
+            for effect in cls.everywhere(self.sites):
+                here = [e for e in self.model.effects if e.place == effect.place]
+                if any(type(e) is cls and not cls.repeats for e in here):
+                    continue
+                if any(cls.type_name() in e.replaces for e in here):
+                    continue
+                replaced = next((e for e in here if e.type_name() in cls.replaces), None)
+                out.append((effect, replaced))
+        return out
+
+    def run(self, progress: Callable[[float], None] | None = None) -> list[Trial]:
+        """Try all candidates.
+
+        Returns
+        -------
+        list of Trial
+            By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
+        """
+        candidates = self.candidates()
+        bases: dict[Effect | None, _Base] = {None: self.base()}
+        rough: list[tuple[float, Effect, _Base]] = []
+        tests = 0
+        motion = max((s.motion for s in self.regression.stretches), key=len)
+        for i, (effect, replaced) in enumerate(candidates):
+            base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
+            starts = effect.shape_starts(motion) if effect.shape_names() else np.zeros((1, 0))
+            tests += effect.independent_shapes(motion)
+            best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
+            # an effect that replaces another starts from a worse base: count only what it adds to the present model
+            lost = float(base.squares.sum() - bases[None].squares.sum())
+            rough.append((best[0] - lost, best[1], base))
+            if progress:
+                progress((i + 1) / (len(candidates) + 4))
+        rough.sort(key=lambda item: -item[0])
+        trials = [self._trial(effect, base, bases[None], tests) for _, effect, base in rough[:REFINED]]
+        return sorted(trials, key=lambda t: -t.gain)
+
+    def _rows(self, effect: Effect) -> tuple[Array, Array]:
+        columns = self.regression.columns(effect)
+        rows = np.flatnonzero(columns.any(axis=(0, 2)))
+        return rows, columns[:, rows]
+
+    def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
+        shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
+        k = len(effect.coefficients)
+        per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches) * len(self.regression.joints)
+        batch = max(1, int(BATCH_BYTES / per_effect))
+        for at in range(0, len(shaped), batch):
+            part = shaped[at : at + batch]
+            rows, columns = self._rows_of_many(part)
+            if len(rows) == 0:
+                yield 0.0, part[0]
+                continue
+            yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
+
+    def _rows_of_many(self, effects: Sequence[Effect]) -> tuple[Array, Array]:
+        stacked = self.regression.columns_of(effects)
+        rows = np.flatnonzero(stacked.any(axis=(0, 2)))
+        return rows, stacked[:, rows]
+
+    def _refined(self, effect: Effect, base: _Base) -> Effect:
+        if not effect.shape_names():
+            return effect
+        bounds = effect.shape_bounds()
+        logs = (bounds[0] > 0).all()
+        to = np.log if logs else np.asarray
+        back = np.exp if logs else np.asarray
+
+        def cost(x: Array) -> float:
+            shape = np.clip(back(x), *bounds)
+            rows, columns = self._rows(effect.with_shape(shape))
+            return -float(base.gains(rows, columns, columns.shape[2])[0]) if len(rows) else 0.0
+
+        motion = max((s.motion for s in self.regression.stretches), key=len)
+        spread = effect.shape_spread(motion)
+        start = to(effect.shape)
+        simplex = np.vstack([start, start + np.diag(spread / effect.shape if logs else spread)])
+        found = optimize.minimize(
+            cost, start, method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 60, "xatol": 1e-4, "fatol": 1e-3}
+        )
+        return effect.with_shape(np.clip(back(found.x), *bounds))
+
+    def _trial(self, effect: Effect, base: _Base, present: _Base, tests: int) -> Trial:
+        effect = self._refined(effect, base)
+        rows, columns = self._rows(effect)
+        k, s = len(effect.coefficients), len(effect.shape)
+        size = k + s - (present.columns.shape[2] - base.columns.shape[2])
+        if len(rows) == 0:
+            return Trial(effect, 0.0, np.zeros(len(self.blocks)), 1.0, size, 0.0, False)
+        per_block = [base.products(rows, columns, block) for block in self.blocks]
+        b, y, d = (np.array(part) for part in zip(*per_block, strict=True))
+        theta, inverse = base.whole
+        left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
+        beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
+        block_gains = present.held_out - self._held_out(base, b, y, d)
+        p_value, lawful = self._evidence(effect, base, rows, columns, b.sum(axis=0), left, d.sum(axis=0), beta, s)
+        touched = present.squares[rows].sum()
+        gain = float(block_gains.sum())
+        return Trial(
+            effect.with_coefficients(beta),
+            gain,
+            block_gains,
+            min(1.0, p_value * tests),
+            size,
+            gain / touched if touched > 0 else 0.0,
+            lawful,
+        )
+
+    def _held_out(self, base: _Base, b: Array, y: Array, d: Array) -> Array:
+        """Weighted squared error of base and candidate on each block, both fitted to the others."""
+        out = np.empty(len(self.blocks))
+        for i, (theta, inverse) in enumerate(base.without):
+            bb, yy, dd = b.sum(axis=0) - b[i], y.sum(axis=0) - y[i], d.sum(axis=0) - d[i]
+            beta = _solve(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
+            new = theta - inverse @ (bb @ beta)
+            out[i] = (
+                base.powers[i]
+                - 2 * (base.crosses[i] @ new + y[i] @ beta)
+                + new @ base.grams[i] @ new
+                + 2 * new @ b[i] @ beta
+                + beta @ d[i] @ beta
+            )
+        return out
+
+    def _evidence(
+        self,
+        effect: Effect,
+        base: _Base,
+        rows: Array,
+        columns: Array,
+        b: Array,
+        left: Array,
+        own: Array,
+        beta: Array,
+        shapes: int,
+    ) -> tuple[float, bool]:
+        """Wald test of the coefficients under coloured residuals, and whether they respect their bounds."""
+        _, inverse = base.whole
+        apart = -(base.columns @ (inverse @ b))
+        apart[:, rows] += columns
+        residual = base.residual - apart @ beta
+        spans = self.regression.spans
+        longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
+        share = base.columns.shape[2] / residual.shape[1]
+        spectra = [residual_spectrum(r, spans, share, longest) for r in residual.T]
+        meat = scatter(apart, base.weight, spectra, spans)
+        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+        kept = values > 1e-5
+        if not kept.any():
+            return 1.0, False
+        basis = vectors[:, kept] / scale[:, None]
+        bread = (basis / values[kept]) @ basis.T
+        covariance = bread @ meat @ bread
+        along = vectors[:, kept] * scale[:, None]
+        wald = (along.T @ beta) @ np.linalg.lstsq(along.T @ covariance @ along, along.T @ beta, rcond=None)[0]
+        free = int(kept.sum()) + shapes
+        p_value = float(stats.f.sf(wald / free, free, min(s.degrees_of_freedom for s in spectra)))
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return p_value, bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
+
+
+def choose(trials: Sequence[Trial]) -> Trial | None:
+    """The trial to add: the largest held-out gain, or a simpler one that the data cannot tell from it."""
+    accepted = [t for t in trials if t.accepted]
+    if not accepted:
+        return None
+    best = max(accepted, key=lambda t: t.gain)
+    as_good = [t for t in accepted if t is best or (t.size < best.size and best.no_better_than(t))]
+    return min(as_good, key=lambda t: (t.size, -t.gain))
+
+
+def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:
+    """The list of effects with a new one, which takes the place of what it replaces."""
+    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.replaces)]
+    return (*kept, dataclasses.replace(new))

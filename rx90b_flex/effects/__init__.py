@@ -1,0 +1,26 @@
+"""Effects: what a robot has beyond its rigid tree. One class is one effect type; the catalogue finds them by itself."""
+
+from rx90b_flex.effects.effect import (
+    Effect,
+    Parameter,
+    Sites,
+    catalogue,
+    close_match,
+    effect_from_table,
+    effect_to_table,
+)
+from rx90b_flex.effects.motion import Coordinates, JointMotion, Motion, TreeMotion
+
+__all__ = [
+    "Coordinates",
+    "Effect",
+    "JointMotion",
+    "Motion",
+    "Parameter",
+    "Sites",
+    "TreeMotion",
+    "catalogue",
+    "close_match",
+    "effect_from_table",
+    "effect_to_table",
+]

@@ -1,0 +1,46 @@
+"""Two joints that share a motor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, linear
+from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.reversal import reversal, reversal_slope
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCoupling(PairEffect):
+    """Motor b also turns with joint a, as in a wrist whose last motor sits behind the joint before.
+
+    The motor's angle is q_a + q_b (joint side of b), so its rotor's inertia, its viscous and its dry friction
+    act on that sum, and load both joints alike:
+    ``inertia*(a_a + a_b) + viscous*(v_a + v_b) + coulomb*sign(v_a + v_b)`` in both rows.
+    """
+
+    adds_inertia: ClassVar[bool] = True
+
+    inertia: float | None = linear("kg m^2", rank=INERTIA)
+    viscous: float | None = linear("N m s/rad", rank=FRICTION)
+    coulomb: float | None = linear("N m", rank=FRICTION)
+
+    def _port(self, motion: Motion) -> Array:
+        a, b = self.joint_pair
+        return motion.coordinates.port(a, "drive") + motion.coordinates.port(b, "drive")
+
+    def columns(self, motion: Motion) -> Array:
+        port = self._port(motion)
+        v = motion.v @ port
+        basis = np.stack([motion.a @ port, v, reversal(v)], axis=1)
+        return port[None, :, None] * basis[:, None, :]
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        port = self._port(motion)
+        inertia, viscous, coulomb = self.known_coefficients()
+        outer = np.outer(port, port)[None]
+        slope = viscous + coulomb * reversal_slope(motion.v @ port)
+        zero = np.zeros((len(motion), 1, 1)) * outer
+        return zero, slope[:, None, None] * outer, zero + inertia * outer

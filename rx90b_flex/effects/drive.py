@@ -1,0 +1,44 @@
+"""What sits on the drive: the rotor's inertia and a constant torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, linear
+from rx90b_flex.effects.motion import Array, JointMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveInertia(JointEffect):
+    """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.1, after Spong)."""
+
+    side: ClassVar[str] = "drive"
+    adds_inertia: ClassVar[bool] = True
+
+    inertia: float | None = linear("kg m^2", lower=0.0, rank=INERTIA)
+
+    def basis(self, at: JointMotion) -> Array:
+        return at.a[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.a), 1))
+        return zero, zero, zero + 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueOffset(JointEffect):
+    """A constant torque: an offset of the current sensor, or friction that never changes sign."""
+
+    side: ClassVar[str] = "drive"
+
+    torque: float | None = linear("N m", rank=FRICTION)
+
+    def basis(self, at: JointMotion) -> Array:
+        return np.ones((len(at.q), 1))
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), 1))
+        return zero, zero, zero

@@ -1,0 +1,454 @@
+"""The base class of effects, their parameters, and the catalogue of all effect types."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import importlib
+import pkgutil
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+
+# Rank of a parameter in a robot's parameter vector: the order of table D.1.
+INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Places of a robot where a search may try an effect: its joints in tree order and its tip frame."""
+
+    joints: tuple[str, ...]
+    tip_frame: str
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect type.
+
+    Attributes
+    ----------
+    unit : str
+    kind : str
+        ``linear``: the force is proportional to it. ``shape``: the force depends on it in another way.
+        ``derived``: made from the coefficients by the effect's own class (amplitude, phase, rest angle).
+        ``given``: geometry that is stated and never estimated.
+    lower, upper : float
+        Physical bounds. A linear parameter estimated beyond them says that another effect is at work.
+    start : float
+        Where a search for a shape parameter begins.
+    size : int
+        Number of values.
+    rank : int
+        Place in the parameter vector.
+    """
+
+    unit: str
+    kind: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    start: float = np.nan
+    size: int = 1
+    rank: int = OTHER
+
+
+def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER) -> Any:
+    """Field of an effect: a parameter that the force is proportional to."""
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "linear", lower, size=size, rank=rank)})
+
+
+def shape(unit: str, *, start: float, lower: float, upper: float) -> Any:
+    """Field of an effect: a parameter that gives the force its shape."""
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "shape", lower, upper, start)})
+
+
+def derived(unit: str, *, lower: float = -np.inf) -> Any:
+    """Field of an effect: a parameter that its class makes from the coefficients, such as an amplitude."""
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "derived", lower)})
+
+
+def given(unit: str, *, size: int = 1) -> Any:
+    """Field of an effect: stated geometry."""
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "given", size=size)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect(ABC):
+    """Something a robot has beyond its rigid tree.
+
+    A subclass is one effect type: its name in files is the class name in snake case, its fields are its
+    parameters. None as a value means: not known, to be identified.
+
+    The force is linear in the *coefficients*: ``force = columns @ coefficients``. They are the linear
+    parameters unless a subclass says otherwise (an amplitude and a phase are a sine and a cosine).
+    """
+
+    on: ClassVar[str] = "joint"  # "joint", "joints", "robot", "frame"
+    acts_on: ClassVar[str] = "forces"  # "forces", "coordinates", "signals"
+    repeats: ClassVar[bool] = False  # may stand twice in the same place
+    replaces: ClassVar[tuple[str, ...]] = ()  # effect types that it stands in for at the same place
+    needs_load: ClassVar[bool] = False  # its columns depend on the torque through the transmission
+    adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
+    virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
+    part: ClassVar[str] = "friction"  # where its derivatives stand in a linearisation
+
+    # ---- description ------------------------------------------------------------------------------------
+
+    @classmethod
+    def type_name(cls) -> str:
+        """Name in robot files and reports: the class name in snake case."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
+    @classmethod
+    def parameters(cls) -> dict[str, Parameter]:
+        """Parameters by name, in the order in which they are declared."""
+        return {f.name: f.metadata["parameter"] for f in dataclasses.fields(cls) if "parameter" in f.metadata}
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints it sits on; empty for an effect on the robot or a frame."""
+        return ()
+
+    @property
+    def label(self) -> str:
+        """Place and type, as in ``joint_2.viscous_friction``."""
+        return ".".join(("_".join(self.joints) or "robot", self.type_name()))
+
+    @property
+    def place(self) -> tuple[str, ...]:
+        """What tells two effects of one type apart."""
+        return self.joints
+
+    # ---- values -----------------------------------------------------------------------------------------
+
+    @classmethod
+    def _named(cls, kind: str) -> Iterator[tuple[str, Parameter]]:
+        return ((n, p) for n, p in cls.parameters().items() if p.kind == kind)
+
+    @classmethod
+    def _flat(cls, kind: str) -> tuple[tuple[str, Parameter], ...]:
+        flat: list[tuple[str, Parameter]] = []
+        for name, p in cls._named(kind):
+            flat += [(name, p)] if p.size == 1 else [(f"{name}_{i + 1}", p) for i in range(p.size)]
+        return tuple(flat)
+
+    def _values(self, kind: str) -> Array:
+        out: list[float] = []
+        for name, p in self._named(kind):
+            value = getattr(self, name)
+            out += [np.nan] * p.size if value is None else list(np.atleast_1d(np.asarray(value, dtype=float)))
+        return np.array(out)
+
+    def _with_values(self, kind: str, values: Sequence[float] | Array) -> Self:
+        change: dict[str, Any] = {}
+        at = 0
+        for name, p in self._named(kind):
+            part = [None if np.isnan(x) else float(x) for x in values[at : at + p.size]]
+            change[name] = part[0] if p.size == 1 else (None if None in part else tuple(part))
+            at += p.size
+        return dataclasses.replace(self, **change)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Names of the coefficients that the force is linear in."""
+        return tuple(name for name, _ in self._flat("linear"))
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        """Unit of each coefficient."""
+        return tuple(p.unit for _, p in self._flat("linear"))
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        """Rank of each coefficient in a robot's parameter vector."""
+        return tuple(p.rank for _, p in self._flat("linear"))
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        """Smallest physical value of each coefficient, shape (k,)."""
+        return np.array([p.lower for _, p in self._flat("linear")])
+
+    @property
+    def coefficients(self) -> Array:
+        """Values of the coefficients, NaN where not known; shape (k,)."""
+        return self._values("linear")
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        """The same effect with other coefficients; NaN becomes unknown."""
+        return self._with_values("linear", values)
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        """Names of the shape parameters."""
+        return tuple(name for name, _ in cls._flat("shape"))
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        """Lower and upper bounds of the shape parameters; (2, s)."""
+        return np.array([[p.lower, p.upper] for _, p in cls._flat("shape")]).reshape(-1, 2).T
+
+    @property
+    def shape(self) -> Array:
+        """Values of the shape parameters, NaN where not known; shape (s,)."""
+        return self._values("shape")
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        """The same effect with other shape parameters."""
+        return self._with_values("shape", values)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
+        return np.array([[p.start for _, p in self._flat("shape")]])
+
+    def shape_spread(self, motion: Motion) -> Array:
+        """How far the best shape may lie from the best start, shape (s,)."""
+        return 0.3 * self.shape
+
+    def independent_shapes(self, motion: Motion) -> int:
+        """How many independent shapes a search tries, for the correction of its significance."""
+        return 1
+
+    def public_values(self) -> list[tuple[str, str, float]]:
+        """Name, unit and value (NaN where not known) of each parameter that can be estimated."""
+        out: list[tuple[str, str, float]] = []
+        for name, p in self.parameters().items():
+            if p.kind == "given":
+                continue
+            value = getattr(self, name)
+            values = np.full(p.size, np.nan) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
+            names = [name] if p.size == 1 else [f"{name}_{i + 1}" for i in range(p.size)]
+            out += [(n, p.unit, float(x)) for n, x in zip(names, values, strict=True)]
+        return out
+
+    # ---- physics ----------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def columns(self, motion: Motion) -> Array:
+        """Generalised force per unit of each coefficient; shape (N, n, k)."""
+
+    def force(self, motion: Motion) -> Array:
+        """Generalised force on the inverse-dynamics side, shape (N, n), N m."""
+        return self.columns(motion) @ self.known_coefficients()
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        """Derivatives of the force by q, v and a; each (N, n, n)."""
+        raise TypeError(f"{self.type_name()} has no derivatives")
+
+    def known_coefficients(self) -> Array:
+        """Coefficients, with an error that names the first one without a value."""
+        values = self.coefficients
+        for name, value in zip(self.coefficient_names, values, strict=True):
+            if np.isnan(value):
+                raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
+        return values
+
+    def known_shape(self) -> Array:
+        """Shape parameters, with an error that names the first one without a value."""
+        values = self.shape
+        for name, value in zip(self.shape_names(), values, strict=True):
+            if np.isnan(value):
+                raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
+        return values
+
+    # ---- search -----------------------------------------------------------------------------------------
+
+    @classmethod
+    @abstractmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        """This effect, without values, in every place where a search may try it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointEffect(Effect):
+    """An effect on one joint: a torque that depends on that joint's own motion."""
+
+    joint: str
+    side: ClassVar[str] = "joint"  # acts on the joint angle theta, or on the "drive" angle alone
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return (self.joint,)
+
+    @abstractmethod
+    def basis(self, at: JointMotion) -> Array:
+        """Torque per unit of each coefficient, shape (N, k)."""
+
+    @abstractmethod
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        """Derivatives of the basis by position, velocity and acceleration; each (N, k)."""
+
+    def columns(self, motion: Motion) -> Array:
+        at = motion.joint(self.joint, self.side)
+        return at.port[None, :, None] * self.basis(at)[:, None, :]
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        at = motion.joint(self.joint, self.side)
+        outer = np.outer(at.port, at.port)[None]
+        c = self.known_coefficients()
+        by_q, by_v, by_a = (outer * (slope @ c)[:, None, None] for slope in self.slopes(at))
+        return by_q, by_v, by_a
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls(joint=j) for j in sites.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairEffect(Effect):
+    """An effect on two joints [a, b]."""
+
+    on: ClassVar[str] = "joints"
+    joint_pair: tuple[str, str]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.joint_pair
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls(joint_pair=(a, b)) for i, a in enumerate(sites.joints) for b in sites.joints[i + 1 :]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameEffect(Effect):
+    """An effect on a frame of the robot."""
+
+    on: ClassVar[str] = "frame"
+    frame: str
+
+    @property
+    def place(self) -> tuple[str, ...]:
+        return (self.frame,)
+
+    @property
+    def label(self) -> str:
+        return f"{self.frame}.{self.type_name()}"
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls(frame=sites.tip_frame)]
+
+
+def catalogue() -> dict[str, type[Effect]]:
+    """All effect types by name: every concrete subclass of `Effect` in the modules of this folder."""
+    package = importlib.import_module("rx90b_flex.effects")
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"rx90b_flex.effects.{module.name}")
+
+    found: dict[str, type[Effect]] = {}
+
+    def visit(cls: type[Effect]) -> None:
+        for sub in cls.__subclasses__():
+            visit(sub)
+            if not getattr(sub, "__abstractmethods__", None):
+                found[sub.type_name()] = sub
+
+    visit(Effect)
+    return dict(sorted(found.items()))
+
+
+def close_match(name: str, allowed: Sequence[str]) -> str:
+    """A hint for an error message: the nearest allowed name, else the list of them."""
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return f"did you mean {near[0]!r}?" if near else "expected one of: " + ", ".join(allowed)
+
+
+def effect_from_table(table: Mapping[str, Any], where: str, joints: Sequence[str], frames: Sequence[str] = ()) -> Effect:
+    """Make an effect from a table of a robot file.
+
+    Parameters
+    ----------
+    table : mapping
+        ``type``, the place, and parameter values.
+    where : str
+        Named in errors: the file and the entry.
+    joints, frames : sequence of str
+        Names that exist.
+
+    Raises
+    ------
+    ValueError
+        Unknown type, key, joint or frame; a value of the wrong kind or number.
+    """
+    types = catalogue()
+    if "type" not in table:
+        raise ValueError(f"{where}: key 'type' is missing")
+    if table["type"] not in types:
+        raise ValueError(f"{where}: unknown effect type {table['type']!r}; {close_match(str(table['type']), list(types))}")
+    cls = types[table["type"]]
+    where = f"{where} ({cls.type_name()})"
+    key = {"joint": "joint", "joints": "joints", "frame": "frame"}.get(cls.on)
+    allowed = ["type", *([key] if key else []), *cls.parameters()]
+    for name in table:
+        if name not in allowed:
+            raise ValueError(f"{where}: unknown key {name!r}; {close_match(name, allowed)}")
+    values: dict[str, Any] = {}
+    if key:
+        if key not in table:
+            raise ValueError(f"{where}: key {key!r} is missing")
+        values |= _read_place(cls, key, table[key], where, joints, frames)
+    for name, parameter in cls.parameters().items():
+        if name in table:
+            values[name] = _read_value(table[name], parameter, f"{where}: {name}")
+    return cls(**values)
+
+
+def _read_place(
+    cls: type[Effect], key: str, found: Any, where: str, joints: Sequence[str], frames: Sequence[str]
+) -> dict[str, Any]:
+    if key == "joint":
+        if found not in joints:
+            raise ValueError(f"{where}: unknown joint {found!r}; {close_match(str(found), joints)}")
+        return {"joint": found}
+    if key == "frame":
+        if found not in frames:
+            raise ValueError(f"{where}: unknown frame {found!r}; {close_match(str(found), frames)}")
+        return {"frame": found}
+    if not isinstance(found, list) or len(found) != 2 or found[0] == found[1]:
+        raise ValueError(f"{where}: joints is {found!r}; expected two different joints [a, b]")
+    for name in found:
+        if name not in joints:
+            raise ValueError(f"{where}: unknown joint {name!r}; {close_match(str(name), joints)}")
+    return {"joint_pair": tuple(found)}
+
+
+def _read_value(found: Any, parameter: Parameter, where: str) -> Any:
+    if parameter.size == 1:
+        if isinstance(found, bool) or not isinstance(found, int | float) or not np.isfinite(found):
+            raise ValueError(f"{where} is {found!r}; expected one finite number in {parameter.unit}")
+        if parameter.kind == "shape" and not parameter.lower <= found <= parameter.upper:
+            raise ValueError(f"{where} is {found!r}; expected {parameter.lower:g} to {parameter.upper:g} {parameter.unit}")
+        if found < parameter.lower:
+            raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g} {parameter.unit}")
+        return float(found)
+    try:
+        values = np.asarray(found, dtype=float)
+    except (TypeError, ValueError):
+        values = np.array([])
+    if values.size != parameter.size or not np.isfinite(values).all():
+        raise ValueError(f"{where} is {found!r}; expected {parameter.size} finite numbers in {parameter.unit}")
+    if (values < parameter.lower).any():
+        raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g} {parameter.unit}")
+    return tuple(float(x) for x in values.ravel())
+
+
+def effect_to_table(effect: Effect) -> dict[str, Any]:
+    """The table of a robot file that `effect_from_table` turns into this effect; values that are not known are left out."""
+    table: dict[str, Any] = {"type": effect.type_name()}
+    if effect.on == "joint":
+        table["joint"] = effect.joints[0]
+    elif effect.on == "joints":
+        table["joints"] = list(effect.joints)
+    elif isinstance(effect, FrameEffect):
+        table["frame"] = effect.frame
+    for name in effect.parameters():
+        value = getattr(effect, name)
+        if value is not None:
+            table[name] = list(value) if isinstance(value, tuple) else float(value)
+    return table

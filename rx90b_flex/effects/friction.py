@@ -1,0 +1,133 @@
+"""Friction of one joint that depends on its velocity alone (equations 3.53 and 3.54, and their special cases)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import FRICTION, JointEffect, linear, shape
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.reversal import reversal, reversal_slope
+
+
+class VelocityFriction(JointEffect):
+    """Friction whose one column is a function of velocity."""
+
+    @abstractmethod
+    def column(self, v: Array) -> Array:
+        """Torque per unit of the coefficient, shape (N,)."""
+
+    @abstractmethod
+    def column_slope(self, v: Array) -> Array:
+        """Derivative of `column` by velocity, shape (N,)."""
+
+    def basis(self, at: JointMotion) -> Array:
+        return self.column(at.v)[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        slope = self.column_slope(at.v)[:, None]
+        zero = np.zeros_like(slope)
+        return zero, slope, zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoulombFriction(VelocityFriction):
+    """Dry friction, ``torque * sign(v)``, smoothed at reversal."""
+
+    torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
+
+    def column(self, v: Array) -> Array:
+        return reversal(v)
+
+    def column_slope(self, v: Array) -> Array:
+        return reversal_slope(v)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViscousFriction(VelocityFriction):
+    """Friction linear in velocity, ``coefficient * v``."""
+
+    coefficient: float | None = linear("N m s/rad", lower=0.0, rank=FRICTION)
+
+    def column(self, v: Array) -> Array:
+        return v
+
+    def column_slope(self, v: Array) -> Array:
+        return np.ones_like(v)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AsymmetricFriction(VelocityFriction):
+    """Viscous friction that differs by direction, ``coefficient * |v|``."""
+
+    coefficient: float | None = linear("N m s/rad", rank=FRICTION)
+
+    def column(self, v: Array) -> Array:
+        return np.abs(v)
+
+    def column_slope(self, v: Array) -> Array:
+        return np.sign(v)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViscousPowerFriction(VelocityFriction):
+    """Viscous part of equation 3.53, ``coefficient * sign(v) * |v|^power``, power = 1 - delta_v.
+
+    It stands in for `viscous_friction` at the same joint.
+    """
+
+    replaces: ClassVar[tuple[str, ...]] = ("viscous_friction",)
+
+    coefficient: float | None = linear("N m (s/rad)^power", lower=0.0, rank=FRICTION)
+    power: float | None = shape("-", start=0.7, lower=0.1, upper=3.0)
+
+    def column(self, v: Array) -> Array:
+        (power,) = self.known_shape()
+        return reversal(v) * np.abs(v) ** power
+
+    def column_slope(self, v: Array) -> Array:
+        (power,) = self.known_shape()
+        size = np.abs(v)
+        # reversal(v)/|v| is finite at rest, so the two terms are put together before the power is taken
+        ratio = np.where(size > 0, np.abs(reversal(v)) / np.where(size > 0, size, 1.0), reversal_slope(v))
+        return size**power * (reversal_slope(v) + power * ratio)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        return np.array([[0.2], [0.4], [0.6], [0.8], [1.3], [1.8], [2.4]])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class StribeckFriction(VelocityFriction):
+    """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed."""
+
+    torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
+    velocity: float | None = shape("rad/s", start=0.1, lower=1e-3, upper=20.0)
+    power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0)
+
+    def _fade(self, v: Array) -> Array:
+        velocity, power = self.known_shape()
+        return np.exp(-((np.abs(v) / velocity) ** power))
+
+    def column(self, v: Array) -> Array:
+        return reversal(v) * self._fade(v)
+
+    def column_slope(self, v: Array) -> Array:
+        velocity, power = self.known_shape()
+        size = np.abs(v) / velocity
+        ratio = np.where(v != 0, np.abs(reversal(v)) / np.where(v != 0, np.abs(v), 1.0), reversal_slope(v))
+        return self._fade(v) * (reversal_slope(v) - power * size**power * ratio)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        fast = float(np.percentile(np.abs(motion.joint(self.joint).v), 95))
+        low, high = self.shape_bounds()[:, 0]
+        velocities = np.clip(fast * np.geomspace(0.02, 0.7, 7), low, high)
+        return np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 5

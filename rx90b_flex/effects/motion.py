@@ -1,0 +1,141 @@
+"""What an effect is shown: the coordinates of a robot and a stretch of its motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Names and places of a robot's generalised coordinates.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One name a degree of freedom, in tree order: ``joint_1:drive``, ``joint_1:torsion``,
+        ``joint_1:bend_1``, ``joint_1:bend_2``, ``base:bend_1``.
+    """
+
+    names: tuple[str, ...]
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Joints with a drive, in tree order."""
+        return tuple(name[: -len(":drive")] for name in self.names if name.endswith(":drive"))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, joint: str, kind: str = "drive") -> int | None:
+        """Place of a joint's ``drive``, ``torsion``, ``bend_1`` or ``bend_2``; None where it has none."""
+        return self._index.get(f"{joint}:{kind}")
+
+    def port(self, joint: str, kind: str = "joint") -> Array:
+        """Row that picks a joint's motion out of the coordinates, and puts its force into them; shape (n,).
+
+        ``drive`` is e, ``joint`` is the joint angle theta = e + eps1 (equation 3.4), any other
+        kind is a virtual joint of that name.
+        """
+        row = np.zeros(len(self.names))
+        kinds = ("drive", "torsion") if kind == "joint" else (kind,)
+        for k in kinds:
+            i = self.index(joint, k)
+            if i is not None:
+                row[i] = 1.0
+        if not row.any():
+            raise ValueError(f"joint {joint!r} has no coordinate {kind!r} in this robot")
+        return row
+
+
+class TreeMotion(Protocol):
+    """What the rigid-body tree can tell an effect about a stretch of motion."""
+
+    def link_regressor(self) -> Array:
+        """Regressor of the links; shape (N, n, 10 * bodies)."""
+        ...
+
+    def load(self) -> Array:
+        """Torque that the links ask of each coordinate; shape (N, n), N m."""
+        ...
+
+    def gravity_torque(self, direction: Array) -> Array:
+        """Generalised force that gravity along ``direction`` (unit, base frame) needs; shape (N, n), N m."""
+        ...
+
+    def body_columns(self, frame: str) -> Array:
+        """Regressor of a body fixed to ``frame``; shape (N, n, 10), columns m, s (3), J (xx yy zz xy xz yz)."""
+        ...
+
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        """Derivatives of the links' generalised force by q, v and a; each (N, n, n)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Motion:
+    """N samples of a robot's motion.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+    q, v, a : array, shape (N, n)
+        Positions, velocities, accelerations; rad, rad/s, rad/s^2 (m for prismatic joints).
+    time : array, shape (N,)
+        Seconds.
+    tree : callable
+        Gives the tree's view of this motion when an effect asks for it.
+    """
+
+    coordinates: Coordinates
+    q: Array
+    v: Array
+    a: Array
+    time: Array
+    tree: Callable[[Motion], TreeMotion] = field(repr=False)
+
+    def __len__(self) -> int:
+        return self.q.shape[0]
+
+    @cached_property
+    def on_tree(self) -> TreeMotion:
+        """The tree's view of this motion, made once."""
+        return self.tree(self)
+
+    def joint(self, name: str, kind: str = "joint") -> JointMotion:
+        """Motion of one joint (its angle theta) or of one of its coordinates."""
+        port = self.coordinates.port(name, kind)
+        places = np.flatnonzero(port)
+        if len(places) == 1:
+            i = int(places[0])
+            return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port)
+        return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port)
+
+
+@dataclass(frozen=True)
+class JointMotion:
+    """Motion of one angle: position, velocity, acceleration and time, each (N,)."""
+
+    q: Array
+    v: Array
+    a: Array
+    time: Array
+    motion: Motion = field(repr=False)
+    port: Array = field(repr=False)
+
+    @property
+    def load(self) -> Array:
+        """Torque through this joint's transmission, shape (N,), N m."""
+        place = int(np.flatnonzero(self.port)[-1])
+        return self.motion.on_tree.load()[:, place]

@@ -1,0 +1,88 @@
+"""Torque that repeats with the angle of a joint."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from rx90b_flex.effects.effect import OTHER, JointEffect, derived, shape
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+
+
+def sine_and_cosine(amplitude: float | None, phase: float | None) -> Array:
+    """Coefficients of sin and cos in ``amplitude * sin(x + phase)``; shape (2,), NaN where not known."""
+    a = np.nan if amplitude is None else amplitude
+    p = np.nan if phase is None else phase
+    return np.array([a * np.cos(p), a * np.sin(p)])
+
+
+def amplitude_and_phase(values: Sequence[float] | Array) -> tuple[float | None, float | None]:
+    """The inverse of `sine_and_cosine`; phase in (-pi, pi]."""
+    sine, cosine = (float(x) for x in values)
+    if np.isnan(sine) or np.isnan(cosine):
+        return None, None
+    return float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearRipple(JointEffect):
+    """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
+
+    repeats: ClassVar[bool] = True
+    HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
+
+    order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
+    amplitude: float | None = derived("N m", lower=0.0)
+    phase: float | None = derived("rad")
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return ("sine", "cosine")
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return ("N m", "N m")
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (OTHER, OTHER)
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.full(2, -np.inf)
+
+    @property
+    def coefficients(self) -> Array:
+        return sine_and_cosine(self.amplitude, self.phase)
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        amplitude, phase = amplitude_and_phase(values)
+        return dataclasses.replace(self, amplitude=amplitude, phase=phase)
+
+    def basis(self, at: JointMotion) -> Array:
+        (order,) = self.known_shape()
+        return np.stack([np.sin(order * at.q), np.cos(order * at.q)], axis=1)
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        (order,) = self.known_shape()
+        slope = order * np.stack([np.cos(order * at.q), -np.sin(order * at.q)], axis=1)
+        return slope, np.zeros_like(slope), np.zeros_like(slope)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        # two starts a lobe of the periodogram over the range that the joint covers
+        low, high = self.shape_bounds()[:, 0]
+        step = np.pi / max(self._range(motion), 1e-2)
+        return np.arange(max(low, 2 * step), high, max(step, (high - low) / 600))[:, None]
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return max(1, len(self.shape_starts(motion)) // 2)
+
+    def _range(self, motion: Motion) -> float:
+        return float(np.ptp(motion.joint(self.joint).q))

@@ -1,0 +1,63 @@
+"""Springs across one joint."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from rx90b_flex.effects.effect import SPRING, JointEffect, derived, linear
+from rx90b_flex.effects.motion import Array, JointMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSpring(JointEffect):
+    """A hose or cable, ``stiffness * (q - rest_angle)``.
+
+    Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
+    the same joint, the preload cannot be told from it and the rest angle stays unknown.
+    """
+
+    stiffness: float | None = linear("N m/rad", lower=0.0, rank=SPRING)
+    rest_angle: float | None = derived("rad")
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return ("stiffness", "preload")
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return ("N m/rad", "N m")
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (SPRING, SPRING)
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.array([0.0, -np.inf])
+
+    @property
+    def coefficients(self) -> Array:
+        stiffness = np.nan if self.stiffness is None else self.stiffness
+        rest = np.nan if self.rest_angle is None else self.rest_angle
+        return np.array([stiffness, stiffness * rest])
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        stiffness, preload = (float(x) for x in values)
+        rest = preload / stiffness if stiffness != 0 else np.nan
+        return dataclasses.replace(
+            self,
+            stiffness=None if np.isnan(stiffness) else stiffness,
+            rest_angle=None if np.isnan(rest) else rest,
+        )
+
+    def basis(self, at: JointMotion) -> Array:
+        return np.stack([at.q, -np.ones_like(at.q)], axis=1)
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), 2))
+        return zero + [1.0, 0.0], zero, zero

@@ -1,0 +1,803 @@
+"""A rigid URDF and a list of flexible joints become a URDF with virtual joints.
+
+The one place where URDFs are read, checked, changed and written. A flexible joint of the source (Hardeman 2008,
+chapter 3) is a driving hinge and a flexible hinge in series at the same point; as a tree of one-coordinate joints it is
+
+``parent -> J (drive) -> J_torsion -> J_bend_1 -> J_bend_2 -> child``
+
+with massless links between. The drive keeps the name, origin, axis and limits of the rigid joint ``J``, so that limits,
+branch order and everything else that refers to ``J`` stay valid.
+
+Files are parsed and written by yourdfpy; what it loses (exact angles, mimic and safety tags, `package://` names) is put
+right here. Units are the URDF's: m, rad, kg, N, N m.
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import io
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yourdfpy  # type: ignore[import-untyped, unused-ignore]
+from lxml import etree  # type: ignore[import-untyped, unused-ignore]
+from yourdfpy.urdf import Joint, Limit, Link  # type: ignore[import-untyped, unused-ignore]
+
+__all__ = [
+    "BASE_JOINTS",
+    "CONTINUOUS_LIMIT",
+    "EXAMPLE_ROBOT_PREFIX",
+    "GROUND_LINK",
+    "UNLIMITED",
+    "VIRTUAL_LIMIT",
+    "bending_axes",
+    "coordinate_name",
+    "flexify",
+    "lock",
+    "moving_joints",
+    "neutral_position",
+    "normalisation_notes",
+    "normalise",
+    "read_urdf",
+    "read_xml",
+    "to_xml",
+    "urdf_path",
+    "virtual_joint_names",
+    "write_urdf",
+]
+
+Vector = npt.NDArray[np.float64]
+
+EXAMPLE_ROBOT_PREFIX = "example-robot-data:"
+"""A source that starts with this names a robot of the package example-robot-data instead of a file."""
+
+CONTINUOUS_LIMIT = 2000.0 * math.pi
+"""Position limit (rad) of what was a continuous joint: a thousand turns. urdfdom, and so Pinocchio, reads no `inf`."""
+
+UNLIMITED = 1e9
+"""Effort (N m, N) and velocity (rad/s, m/s) limit written where the URDF states none; finite for the same reason."""
+
+VIRTUAL_LIMIT = 0.1
+"""Position limit (rad, m) of a virtual joint, for display and sampling: Pinocchio's dynamics does not know it."""
+
+GROUND_LINK = "base_ground"
+"""Root link of a robot on a flexible base."""
+
+BASE_JOINTS = ("base_bend_1", "base_bend_2")
+"""The two hinges of a flexible base, about the x and then the y axis of the original root link."""
+
+_MOVING_TYPES = ("revolute", "continuous", "prismatic")
+_JOINT_TYPES = (*_MOVING_TYPES, "fixed", "floating", "planar")
+_TORSION, _BEND_1, _BEND_2 = "torsion", "bend_1", "bend_2"
+
+# Tag -> attribute -> how many numbers it may hold.
+_NUMBERS: Mapping[str, Mapping[str, tuple[int, ...]]] = {
+    "origin": {"xyz": (3,), "rpy": (3,)},
+    "axis": {"xyz": (3,)},
+    "mass": {"value": (1,)},
+    "inertia": {key: (1,) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")},
+    "limit": {key: (1,) for key in ("lower", "upper", "effort", "velocity")},
+    "mimic": {"multiplier": (1,), "offset": (1,)},
+    "safety_controller": {key: (1,) for key in ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")},
+    "calibration": {"rising": (1,), "falling": (1,)},
+    "dynamics": {"damping": (1,), "friction": (1,)},
+    "box": {"size": (3,)},
+    "cylinder": {"radius": (1,), "length": (1,)},
+    "sphere": {"radius": (1,)},
+    "mesh": {"scale": (1, 3)},
+    "color": {"rgba": (4,)},
+}
+# yourdfpy fills an absent inertia entry with 1 or 0 and an absent size with an unnamed error: both are refused before.
+_REQUIRED: Mapping[str, tuple[str, ...]] = {
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename",),
+    "mimic": ("joint",),
+}
+
+
+# ----------------------------------------------------------------------------------------------- names
+
+
+def virtual_joint_names(joint: str, torsion: bool = True, bending: bool = True) -> tuple[str, ...]:
+    """Names of the virtual joints that follow the driving joint `joint`, in tree order.
+
+    Parameters
+    ----------
+    joint
+        Name of the driving joint.
+    torsion, bending
+        Whether the drive twists (one joint) and whether the joint bends (two joints).
+    """
+    kinds = (_TORSION,) * torsion + (_BEND_1, _BEND_2) * bending
+    return tuple(f"{joint}_{kind}" for kind in kinds)
+
+
+def coordinate_name(joint_name: str, driving_joints: Iterable[str]) -> str:
+    """Name of the coordinate that a joint of the flexible tree carries; the inverse of `virtual_joint_names`.
+
+    Parameters
+    ----------
+    joint_name
+        Joint of the flexible URDF, for instance ``"joint_1_bend_2"``.
+    driving_joints
+        The moving joints of the rigid URDF. They decide, so a driving joint may itself be called ``"arm_torsion"``.
+
+    Returns
+    -------
+    str
+        ``"joint_1:drive"``, ``"joint_1:torsion"``, ``"joint_1:bend_1"``, ``"joint_1:bend_2"``, ``"base:bend_1"``,
+        ``"base:bend_2"``.
+
+    Raises
+    ------
+    ValueError
+        If the joint is neither a driving joint nor a virtual one of theirs or of the base.
+    """
+    drives = set(driving_joints)
+    if joint_name in drives:
+        return f"{joint_name}:drive"
+    for kind in (_TORSION, _BEND_1, _BEND_2):
+        joint = joint_name.removesuffix(f"_{kind}")
+        if joint != joint_name and (joint in drives or joint_name in BASE_JOINTS):
+            return f"{joint}:{kind}"
+    raise ValueError(f"joint '{joint_name}' is no driving joint and no virtual joint of one; {_list(sorted(drives))}")
+
+
+# --------------------------------------------------------------------------------------------- reading
+
+
+def urdf_path(source: str | Path) -> Path:
+    """Path of the URDF file that `source` means; only names of example-robot-data are looked up, no file is opened.
+
+    Parameters
+    ----------
+    source
+        A path, or ``"example-robot-data:NAME"`` with NAME as in `example_robot_data.load`, for instance ``ur10``.
+
+    Raises
+    ------
+    ValueError
+        If example-robot-data has no such robot (the message lists near names), or has it only as SDF.
+    """
+    if not str(source).startswith(EXAMPLE_ROBOT_PREFIX):
+        return Path(source)
+    name = str(source).removeprefix(EXAMPLE_ROBOT_PREFIX)
+    try:  # here, not at the top: it needs Pinocchio, and a robot given by its file needs neither
+        from example_robot_data.robots_loader import (  # type: ignore[import-not-found, import-untyped, unused-ignore]
+            ROBOTS,
+            getModelPath,
+        )
+    except ImportError as error:
+        raise ValueError(f"{source}: needs the package example-robot-data-loaders, which does not import") from error
+    if name not in ROBOTS:
+        near = difflib.get_close_matches(name.lower(), ROBOTS, n=5, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else f"it has {', '.join(sorted(ROBOTS))}"
+        raise ValueError(f"{source}: example-robot-data has no robot '{name}'; {hint}")
+    loader = ROBOTS[name]  # the class says where the file is; an instance would load meshes and build models
+    if not loader.urdf_filename:
+        raise ValueError(f"{source}: example-robot-data has '{name}' as SDF only; a URDF is needed")
+    relative = os.path.join(loader.path, loader.urdf_subpath, loader.urdf_filename)
+    try:
+        return Path(loader.model_path or getModelPath(relative), relative)
+    except OSError as error:
+        raise ValueError(f"{source}: its file {relative} is not installed (package example-robot-data)") from error
+
+
+def read_urdf(source: str | Path) -> yourdfpy.URDF:
+    """Read and check a URDF: one tree, every reference resolved, every number finite.
+
+    Meshes are not loaded. Comments, transmissions and elements of other vocabularies (gazebo) are left out, as are
+    shapes other than box, cylinder, sphere and mesh, for which yourdfpy has no place.
+
+    Parameters
+    ----------
+    source
+        Path of a URDF file, or ``"example-robot-data:NAME"``.
+
+    Returns
+    -------
+    yourdfpy.URDF
+        As in the file; `normalise` makes it ready for models.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and what is wrong: missing, empty, not XML, not a URDF, no links or joints, a name
+        used twice, an unknown link or joint, more than one root, a loop, an unusable number, missing joint limits.
+    """
+    path = urdf_path(source).resolve()
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such URDF file") from None
+    except IsADirectoryError:
+        raise ValueError(f"{path}: is a directory, expected a URDF file") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        return _read(data, str(path.parent))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def read_xml(text: str) -> yourdfpy.URDF:
+    """Read and check a URDF given as text, as `to_xml` gives it; else as `read_urdf`.
+
+    Raises
+    ------
+    ValueError
+        As `read_urdf`, but without the name of a file.
+    """
+    return _read(text.encode(), "")
+
+
+def _read(data: bytes, mesh_dir: str) -> yourdfpy.URDF:
+    root = _parse_xml(data)
+    _check_document(root)
+    urdf = yourdfpy.URDF.load(
+        io.BytesIO(etree.tostring(root)), build_scene_graph=False, load_meshes=False, mesh_dir=mesh_dir
+    )
+    _check_tree(urdf)
+    return urdf
+
+
+def _parse_xml(data: bytes) -> Any:
+    """Root element without comments and without elements of other vocabularies (`gazebo:...`)."""
+    if not data.strip():
+        raise ValueError("is empty, expected a URDF")
+    parser = etree.XMLParser(recover=True, remove_blank_text=True, remove_comments=True, resolve_entities=False)
+    root = etree.fromstring(data, parser=parser)
+    # Undeclared name spaces are common in URDFs and harmless; every other error means that recovery guessed.
+    errors = [e for e in parser.error_log if e.domain != etree.ErrorDomains.NAMESPACE]
+    if root is None or errors:
+        where = f"line {errors[0].line}: {errors[0].message.strip()}" if errors else "no element found"
+        raise ValueError(f"is not XML ({where})")
+    for element in list(root.iter(etree.Element)):
+        if ":" not in element.tag and not element.tag.startswith("{"):
+            continue
+        if element.prefix == "xacro" or element.tag.startswith("xacro:"):
+            raise ValueError(f"is a xacro file (line {element.sourceline}); expand it to a URDF first")
+        if element.getparent() is not None:
+            element.getparent().remove(element)
+    _drop_unwritable(root)
+    return root
+
+
+def _drop_unwritable(root: Any) -> None:
+    """Drop what yourdfpy reads and then cannot write: nameless textures and shapes it does not know (capsules)."""
+    for texture in list(root.iter("texture")):
+        if texture.get("filename") is None:
+            texture.getparent().remove(texture)
+    for shape in list(root.iter("visual", "collision")):
+        if not any(shape.find(f"geometry/{kind}") is not None for kind in ("box", "cylinder", "sphere", "mesh")):
+            shape.getparent().remove(shape)
+
+
+def _check_document(root: Any) -> None:
+    """Refuse, by name, everything on which yourdfpy would fail without a name or would fill in a guess."""
+    if root.tag != "robot":
+        raise ValueError(f"is not a URDF (its root element is <{root.tag}>, expected <robot>)")
+    if root.get("name") is None:
+        raise ValueError("<robot> has no name")
+    for kind in ("link", "joint"):
+        elements = root.findall(kind)
+        if not elements:
+            raise ValueError(f"is not a usable URDF (<robot> has no <{kind}>)")
+        seen: set[str] = set()
+        for element in elements:
+            name = element.get("name")
+            if not name:
+                raise ValueError(f"line {element.sourceline}: <{kind}> has no name")
+            if name in seen:
+                raise ValueError(f"{kind} name '{name}' is used twice")
+            seen.add(name)
+            _check_element(element, f"{kind} '{name}'")
+    for material in root.findall("material"):
+        _check_element(material, f"material '{material.get('name')}'")
+    for joint in root.findall("joint"):
+        if joint.get("type") not in _JOINT_TYPES:
+            expected = ", ".join(_JOINT_TYPES)
+            raise ValueError(f"joint '{joint.get('name')}': type is {joint.get('type')!r}, expected one of {expected}")
+        for end in ("parent", "child"):
+            if (element := joint.find(end)) is None or not element.get("link"):
+                raise ValueError(f"joint '{joint.get('name')}': has no {end} link")
+
+
+def _check_element(parent: Any, owner: str) -> None:
+    for element in parent.iter(etree.Element):
+        for key in _REQUIRED.get(element.tag, ()):
+            if element.get(key) is None:
+                raise ValueError(f"{owner}: <{element.tag}> has no {key}")
+        if element.tag == "inertial" and (element.find("mass") is None or element.find("inertia") is None):
+            raise ValueError(f"{owner}: <inertial> needs both <mass> and <inertia>")
+        for key, counts in _NUMBERS.get(element.tag, {}).items():
+            text = element.get(key)
+            if text is None:
+                continue
+            try:
+                numbers = [float(word) for word in text.split()]
+            except ValueError:
+                numbers = []
+            if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
+                expected = " or ".join(f"{n} finite number{'s' * (n > 1)}" for n in counts)
+                raise ValueError(f"{owner}: {key} of <{element.tag}> is {text!r}, expected {expected}")
+
+
+def _check_tree(urdf: yourdfpy.URDF) -> None:
+    links = {link.name for link in urdf.robot.links}
+    names = {joint.name for joint in urdf.robot.joints}
+    parent_joint: dict[str, Any] = {}
+    for joint in urdf.robot.joints:
+        for end in (joint.parent, joint.child):
+            if end not in links:
+                raise ValueError(f"joint '{joint.name}': link '{end}' does not exist")
+        if joint.child in parent_joint:
+            first = parent_joint[joint.child].name
+            raise ValueError(
+                f"link '{joint.child}' is the child of both joint '{first}' and joint '{joint.name}'; a URDF is a tree"
+            )
+        parent_joint[joint.child] = joint
+        if joint.mimic is not None and joint.mimic.joint not in names:
+            raise ValueError(f"joint '{joint.name}': mimics joint '{joint.mimic.joint}', which does not exist")
+        _check_moving(joint)
+    roots = [link.name for link in urdf.robot.links if link.name not in parent_joint]
+    if len(roots) > 1:
+        raise ValueError(f"has {len(roots)} root links ({_list(roots)}), expected one")
+    # With one parent each, a link whose ancestors never end at the root stands in (or below) a loop.
+    for link in links:
+        path: list[str] = []
+        while link in parent_joint and link not in path:
+            path.append(link)
+            link = parent_joint[link].parent
+        if link in parent_joint:
+            loop = [parent_joint[name].name for name in path[path.index(link) :]]
+            raise ValueError(f"joints {', '.join(sorted(loop))} form a loop; a URDF is a tree")
+
+
+def _check_moving(joint: Any) -> None:
+    """What a moving joint needs before anything can turn about its axis."""
+    if joint.type not in _MOVING_TYPES:
+        return
+    if not np.linalg.norm(joint.axis) > 1e-9:
+        raise ValueError(f"joint '{joint.name}': axis is {_text(joint.axis)!r}, expected a direction")
+    if joint.type == "continuous":
+        return
+    if joint.limit is None:
+        advice = ', or type "continuous"' if joint.type == "revolute" else ""
+        raise ValueError(f"joint '{joint.name}' ({joint.type}): has no <limit>; give it one{advice}")
+    lower, upper = _range(joint)
+    if lower > upper:
+        raise ValueError(f"joint '{joint.name}': lower limit {lower} is above upper limit {upper}")
+
+
+# ------------------------------------------------------------------------------ one coordinate a joint
+
+
+def moving_joints(urdf: yourdfpy.URDF) -> tuple[str, ...]:
+    """Names of the joints with one free coordinate, in the file's order: neither fixed nor mimicking."""
+    return tuple(j.name for j in urdf.robot.joints if j.type in _MOVING_TYPES and j.mimic is None)
+
+
+def neutral_position(urdf: yourdfpy.URDF, joint_name: str) -> float:
+    """Position (rad, m) at which a joint is held when it must not move: zero, or the limit nearest to zero.
+
+    A mimic joint follows its leader: multiplier times the leader's neutral position plus offset, whatever its limits.
+
+    Raises
+    ------
+    ValueError
+        If the joint does not exist, or if mimic joints mimic each other in a circle.
+    """
+    position, factor, visited = 0.0, 1.0, [joint_name]
+    joint = _joint(urdf, joint_name)
+    while joint.mimic is not None:
+        position += factor * (joint.mimic.offset or 0.0)
+        factor *= 1.0 if joint.mimic.multiplier is None else joint.mimic.multiplier
+        if joint.mimic.joint in visited:
+            raise ValueError(f"mimic joints {', '.join(visited)} mimic each other in a circle")
+        visited.append(joint.mimic.joint)
+        joint = _joint(urdf, joint.mimic.joint)
+    neutral = 0.0
+    if joint.type in ("revolute", "prismatic") and joint.limit is not None:
+        lower, upper = _range(joint)
+        neutral = min(max(0.0, lower), upper)
+    return position + factor * neutral
+
+
+def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
+    """Copy in which every moving joint has exactly one coordinate and one velocity, as all models here assume.
+
+    - continuous joints become revolute with limits +-`CONTINUOUS_LIMIT` (Pinocchio would give them two coordinates);
+    - mimic joints become fixed at their `neutral_position` (they have no coordinate of their own, and no drive);
+    - axes become unit vectors; absent effort and velocity limits become `UNLIMITED`;
+    - prismatic and fixed joints stay.
+
+    `normalisation_notes` says in words what this changed.
+
+    Raises
+    ------
+    ValueError
+        If a joint is floating or planar: it has several coordinates, none of which one drive moves.
+    """
+    result = _copy(urdf)
+    for joint in result.robot.joints:
+        if joint.type in ("floating", "planar"):
+            count = {"floating": "six", "planar": "three"}[joint.type]
+            raise ValueError(
+                f"joint '{joint.name}' is {joint.type}: it has {count} coordinates and no drive; "
+                "fix it, or write it as revolute and prismatic joints"
+            )
+        if joint.mimic is not None:
+            _fix(joint, neutral_position(urdf, joint.name))
+        elif joint.type in _MOVING_TYPES:
+            joint.axis = _unit(joint.axis)
+            limit = joint.limit if joint.limit is not None else Limit()
+            if joint.type == "continuous":
+                joint.type = "revolute"
+                limit.lower, limit.upper = -CONTINUOUS_LIMIT, CONTINUOUS_LIMIT
+            else:
+                limit.lower, limit.upper = _range(joint)
+            limit.effort = UNLIMITED if limit.effort is None else limit.effort
+            limit.velocity = UNLIMITED if limit.velocity is None else limit.velocity
+            joint.limit = limit
+    return _refresh(result)
+
+
+def normalisation_notes(urdf: yourdfpy.URDF) -> tuple[str, ...]:
+    """What `normalise` changes in `urdf` that a reader of results should know, one sentence a joint."""
+    notes = []
+    for joint in urdf.robot.joints:
+        if joint.mimic is not None and joint.type in _MOVING_TYPES:
+            position = neutral_position(urdf, joint.name)
+            unit = "m" if joint.type == "prismatic" else "rad"
+            notes.append(f"joint '{joint.name}' mimics '{joint.mimic.joint}': held at {position:g} {unit}")
+        elif joint.type == "continuous":
+            limit = f"{CONTINUOUS_LIMIT:.0f} rad"
+            notes.append(f"joint '{joint.name}' is continuous: its angle counts turns, limits are +-{limit}")
+    return tuple(notes)
+
+
+def lock(urdf: yourdfpy.URDF, keep: Sequence[str]) -> yourdfpy.URDF:
+    """Copy in which every moving joint outside `keep` is fixed at its `neutral_position`.
+
+    Parameters
+    ----------
+    urdf
+        Any URDF; mimic joints are fixed too.
+    keep
+        Names of joints that stay as they are. Their order does not matter.
+
+    Raises
+    ------
+    ValueError
+        If a name in `keep` is unknown, or the joint is fixed, mimicking, floating or planar.
+    """
+    for name in _names(keep, "keep"):
+        _drivable(urdf, name, "keep")
+    result = _copy(urdf)
+    for joint in result.robot.joints:
+        if joint.type in _MOVING_TYPES and joint.name not in keep:
+            _fix(joint, neutral_position(urdf, joint.name))
+    return _refresh(result)
+
+
+# -------------------------------------------------------------------------------------- virtual joints
+
+
+def bending_axes(axis: npt.ArrayLike) -> tuple[Vector, Vector]:
+    """The two axes across a joint axis about which the joint bends.
+
+    With a the unit axis and k = (argmax abs(a) + 1) mod 3: b1 is e_k less its part along a, normalised; b2 = a x b1. So
+    (a, b1, b2) is right-handed, and for a joint about z the bendings are about x and y.
+
+    Parameters
+    ----------
+    axis
+        (3,) joint axis, of any length but zero.
+
+    Returns
+    -------
+    tuple
+        b1 and b2, (3,) unit vectors.
+    """
+    a = _unit(axis)
+    k = (int(np.argmax(np.abs(a))) + 1) % 3
+    first = _unit(np.eye(3)[k] - a[k] * a)
+    return first, _unit(np.cross(a, first))
+
+
+def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str], base: bool = False) -> yourdfpy.URDF:
+    """Copy with virtual joints for flexible drives, flexible joints and a flexible base.
+
+    Each named joint J is followed, at its own origin, by ``J_torsion`` (as J: about its axis, or along it if prismatic)
+    and by ``J_bend_1``, ``J_bend_2`` (revolute, `bending_axes`). The last one carries J's child link. The links between
+    (``J_drive_link``, ``J_torsion_link``, ``J_bend_1_link``) have no mass and no shape.
+
+    Parameters
+    ----------
+    urdf
+        Rigid tree, normally from `normalise`.
+    torsion
+        Driving joints with a flexible drive: one coordinate each (rad; m for a prismatic joint).
+    bending
+        Driving joints that bend: two coordinates each (rad).
+    base
+        Whether the robot stands on a flexible floor: `BASE_JOINTS`, revolute about x and y of the original root link,
+        between a new root `GROUND_LINK` and that link, whose inertia then moves too.
+
+    Raises
+    ------
+    ValueError
+        If a joint is unknown, fixed, mimicking, floating or planar, or if a new name is already in use.
+    """
+    for name in _names(torsion, "torsion"):
+        _drivable(urdf, name, "torsion")
+    for name in _names(bending, "bending"):
+        _drivable(urdf, name, "bending")
+    result = _copy(urdf)
+    robot = result.robot
+    joints: list[Any] = []
+    links: list[Any] = []
+    if base:
+        root = _root_link(urdf)
+        between = f"{BASE_JOINTS[0]}_link"
+        links += [Link(name=GROUND_LINK), Link(name=between)]
+        joints.append(_virtual_joint(BASE_JOINTS[0], "revolute", GROUND_LINK, between, np.array([1.0, 0.0, 0.0])))
+        joints.append(_virtual_joint(BASE_JOINTS[1], "revolute", between, root, np.array([0.0, 1.0, 0.0])))
+    links += robot.links
+    for joint in robot.joints:
+        joints.append(joint)
+        virtual: list[tuple[str, str, Vector]] = []
+        if joint.name in torsion:
+            kind = "prismatic" if joint.type == "prismatic" else "revolute"
+            virtual.append((_TORSION, kind, joint.axis))
+        if joint.name in bending:
+            virtual += zip((_BEND_1, _BEND_2), ("revolute", "revolute"), bending_axes(joint.axis), strict=True)
+        if not virtual:
+            continue
+        child = joint.child
+        joint.child = f"{joint.name}_drive_link"
+        links.append(Link(name=joint.child))
+        parent = joint.child
+        for kind, joint_type, axis in virtual:
+            name = f"{joint.name}_{kind}"
+            last = kind == virtual[-1][0]
+            joints.append(_virtual_joint(name, joint_type, parent, child if last else f"{name}_link", axis))
+            if not last:
+                links.append(Link(name=f"{name}_link"))
+            parent = f"{name}_link"
+    robot.links, robot.joints = links, joints
+    for what, names in (("link", [link.name for link in links]), ("joint", [joint.name for joint in joints])):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(
+                f"the flexible model needs the {what} name '{twice[0]}', but the robot already has it "
+                "(is it flexible already?); rename it"
+            )
+    return _refresh(result)
+
+
+def _virtual_joint(name: str, joint_type: str, parent: str, child: str, axis: Vector) -> Any:
+    limit = Limit(effort=UNLIMITED, velocity=UNLIMITED, lower=-VIRTUAL_LIMIT, upper=VIRTUAL_LIMIT)
+    return Joint(name=name, type=joint_type, parent=parent, child=child, axis=np.array(axis), limit=limit)
+
+
+# --------------------------------------------------------------------------------------------- writing
+
+
+def to_xml(urdf: yourdfpy.URDF) -> str:
+    """The URDF as text, as `pinocchio.buildModelFromXML` takes it. Every number reads back as the same double.
+
+    yourdfpy writes it, except what it would change: it resolves mesh names on this disk (here they stay as in the
+    source), leaves out mimic, calibration and safety tags, and rounds the angles of origins (see `_rpy`).
+    """
+    writer = yourdfpy.URDF(
+        robot=urdf.robot,
+        build_scene_graph=False,
+        load_meshes=False,
+        filename_handler=yourdfpy.filename_handler_null,
+    )
+    root = writer.write_xml().getroot()
+    for element, link in zip(root.findall("link"), urdf.robot.links, strict=True):
+        if link.inertial is not None:
+            _write_angles(element.find("inertial"), link.inertial.origin)
+        for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
+            for shape_element, shape in zip(element.findall(tag), shapes, strict=True):
+                _write_angles(shape_element, shape.origin)
+    for element, joint in zip(root.findall("joint"), urdf.robot.joints, strict=True):
+        _write_angles(element, joint.origin)
+        for tag in ("mimic", "calibration", "safety_controller"):
+            if (part := getattr(joint, tag)) is not None:
+                values = {key: _text(value) for key, value in vars(part).items() if value is not None}
+                etree.SubElement(element, tag, attrib=values)
+    text = etree.tostring(root, pretty_print=True, encoding="unicode")
+    return f'<?xml version="1.0"?>\n{text}'
+
+
+def write_urdf(urdf: yourdfpy.URDF, path: str | Path) -> None:
+    """Write `to_xml` to a file (UTF-8), which is replaced as a whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        If the directory does not exist or cannot be written.
+    """
+    path = Path(path)
+    text = to_xml(urdf)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def _write_angles(element: Any, origin: Vector | None) -> None:
+    if origin is not None:
+        element.find("origin").set("rpy", _text(_rpy(origin[:3, :3])))
+
+
+def _rpy(rotation: Vector) -> Vector:
+    """Roll, pitch, yaw (rad) with R = Rz(yaw) Ry(pitch) Rx(roll), so that they give R back to the last bit if they can.
+
+    yourdfpy keeps rotations as matrices. An angle read from a matrix by atan2 is off by a rounding error, and at
+    pitch = 90 degrees only roll -+ yaw is left of the two. But the file's angles are decimals, mostly short, and five
+    entries hold products of their sines and cosines alone; so the shortest decimals that give the same products are
+    the file's angles again.
+    """
+    if np.array_equal(rotation, np.eye(3)):
+        return np.zeros(3)
+    sine, cosine = -rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0])
+    # A pitch beyond 90 degrees has a negative cosine; roll and yaw then are half a turn further.
+    for sign in (1.0, -1.0):
+        for pitch in _decimals(math.atan2(sine, sign * cosine)):
+            scale = math.cos(pitch)
+            if math.sin(pitch) != sine or abs(scale - sign * cosine) > 4 * np.finfo(float).eps * cosine:
+                continue
+            roll = _decimal(scale, rotation[2, 1], rotation[2, 2])
+            yaw = _decimal(scale, rotation[1, 0], rotation[0, 0])
+            if roll is not None and yaw is not None:
+                return np.array([roll, pitch, yaw])
+    pitch = math.atan2(sine, cosine)
+    roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
+    regular = np.array([roll, pitch, yaw])
+    # At pitch = +-90 degrees the four entries used are tiny; noise in them (a product of rotations) makes roll and yaw
+    # meaningless one by one. Then yaw = 0 is chosen and roll carries their sum.
+    singular = np.array([math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
+    errors = [float(np.abs(_rotation(angles) - rotation).max()) for angles in (regular, singular)]
+    return singular if errors[1] < errors[0] else regular
+
+
+def _decimal(scale: float, sine: float, cosine: float) -> float | None:
+    """Shortest decimal angle whose sine and cosine, times `scale`, are exactly these doubles; None if there is none."""
+    for angle in _decimals(math.atan2(math.copysign(1.0, scale) * sine, math.copysign(1.0, scale) * cosine)):
+        if scale * math.sin(angle) == sine and scale * math.cos(angle) == cosine:
+            return angle
+    return None
+
+
+def _decimals(angle: float) -> Iterator[float]:
+    """Round `angle` to ever more digits, then take its neighbours; then the same a turn away, for 3.1416 is past pi."""
+    if angle == 0.0:
+        yield 0.0
+    for turned in (angle, angle - 2.0 * math.pi, angle + 2.0 * math.pi):
+        yield from (float(f"{turned:.{digits}g}") for digits in range(1, 18))
+        below = above = turned
+        for _ in range(3):
+            below, above = math.nextafter(below, -math.inf), math.nextafter(above, math.inf)
+            yield from (below, above)
+
+
+def _rotation(rpy: Vector) -> Vector:
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cp * cy, sp * sr * cy - cr * sy, sp * cr * cy + sr * sy],
+            [cp * sy, sp * sr * sy + cr * cy, sp * cr * sy - sr * cy],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+# --------------------------------------------------------------------------------------------- helpers
+
+
+def _copy(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
+    return _build(copy.deepcopy(urdf.robot), urdf)
+
+
+def _refresh(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
+    """Make yourdfpy's maps and lists of actuated joints anew; it makes them only when it is constructed."""
+    return _build(urdf.robot, urdf)
+
+
+def _build(robot: Any, like: yourdfpy.URDF) -> yourdfpy.URDF:
+    # The handler knows the folder of the source file, by which meshes are found later; there is no public way to it.
+    handler = getattr(like, "_filename_handler", None)
+    return yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False, filename_handler=handler)
+
+
+def _fix(joint: Any, position: float) -> None:
+    """Make a joint fixed where it stands at `position`. At zero the origin stays the same to the last bit."""
+    if position != 0.0:
+        origin = np.eye(4) if joint.origin is None else joint.origin
+        motion = np.eye(4)
+        axis = _unit(joint.axis)
+        if joint.type == "prismatic":
+            motion[:3, 3] = position * axis
+        else:
+            cross = np.cross(np.eye(3), axis)  # row i is e_i x a, that is minus the skew matrix transposed: S(a)
+            motion[:3, :3] += math.sin(position) * cross + (1.0 - math.cos(position)) * cross @ cross
+        joint.origin = origin @ motion
+    joint.type = "fixed"
+    joint.limit = joint.mimic = joint.dynamics = joint.calibration = joint.safety_controller = None
+
+
+def _range(joint: Any) -> tuple[float, float]:
+    """Lower and upper limit (rad, m); absent ones are zero, as the URDF specification says."""
+    return joint.limit.lower or 0.0, joint.limit.upper or 0.0
+
+
+def _joint(urdf: yourdfpy.URDF, name: str) -> Any:
+    for joint in urdf.robot.joints:
+        if joint.name == name:
+            return joint
+    raise ValueError(f"joint '{name}' does not exist; moving joints: {_list(moving_joints(urdf))}")
+
+
+def _drivable(urdf: yourdfpy.URDF, name: str, what: str) -> None:
+    """Refuse a name, given in the argument `what`, that is no joint with one coordinate of its own."""
+    try:
+        joint = _joint(urdf, name)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from None
+    if joint.mimic is not None:
+        reason = f"mimics '{joint.mimic.joint}' and has no drive of its own"
+    elif joint.type not in _MOVING_TYPES:
+        reason = f"is {joint.type}"
+    else:
+        return
+    raise ValueError(f"{what}: joint '{name}' {reason}; moving joints: {_list(moving_joints(urdf))}")
+
+
+def _names(names: Sequence[str], what: str) -> Sequence[str]:
+    if isinstance(names, str):  # its letters would be taken for names
+        raise ValueError(f"{what}: got the text {names!r}, expected a list of joint names")
+    return names
+
+
+def _root_link(urdf: yourdfpy.URDF) -> str:
+    children = {joint.child for joint in urdf.robot.joints}
+    roots: list[str] = [link.name for link in urdf.robot.links if link.name not in children]
+    return roots[0]
+
+
+def _unit(vector: npt.ArrayLike) -> Vector:
+    """Scale to length one; what already has it, to rounding, stays the same to the last bit."""
+    vector = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(vector))
+    if abs(length - 1.0) > 4 * np.finfo(float).eps:
+        vector = vector / length
+    return np.asarray(vector + 0.0)  # + 0.0 turns -0.0 into 0.0
+
+
+def _text(value: str | float | Vector) -> str:
+    """Numbers with as many digits as bring each double back; text as it is."""
+    if isinstance(value, str):
+        return value
+    return " ".join(repr(float(number) + 0.0) for number in np.atleast_1d(value))  # + 0.0: no "-0.0"
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(names) if names else "none"

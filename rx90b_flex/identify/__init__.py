@@ -1,0 +1,1 @@
+"""Identification of robots from measured motion."""

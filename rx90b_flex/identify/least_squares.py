@@ -1,0 +1,461 @@
+"""Weighted least squares over base parameters, with shape parameters by variable projection."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.coloured import Spectrum, residual_spectrum, scatter
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
+
+# A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
+# called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
+RANK_TOLERANCE = 1.0e-6
+CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Products of columns and torque, apart for each block and each joint.
+
+    Attributes
+    ----------
+    gram : array, shape (blocks, joints, p, p)
+    cross : array, shape (blocks, joints, p)
+    power : array, shape (blocks, joints)
+    counts : array, shape (blocks,)
+    """
+
+    gram: Array
+    cross: Array
+    power: Array
+    counts: Array
+
+    @staticmethod
+    def of(columns: Array, torque: Array, blocks: Sequence[slice]) -> NormalEquations:
+        """Sum up ``columns`` (N, joints, p) and ``torque`` (N, joints)."""
+        gram, cross, power = [], [], []
+        for block in blocks:
+            x = np.ascontiguousarray(columns[block].transpose(1, 0, 2))
+            y = torque[block].T
+            gram.append(x.transpose(0, 2, 1) @ x)
+            cross.append((x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0])
+            power.append((y**2).sum(axis=1))
+        return NormalEquations(
+            np.array(gram), np.array(cross), np.array(power), np.array([b.stop - b.start for b in blocks])
+        )
+
+    @cached_property
+    def total(self) -> tuple[Array, Array, Array]:
+        """Sums over blocks of gram, cross and power."""
+        return self.gram.sum(axis=0), self.cross.sum(axis=0), self.power.sum(axis=0)
+
+    def squares(self, theta: Array) -> Array:
+        """Sum of squared errors of each joint, shape (joints,)."""
+        gram, cross, power = self.total
+        return np.maximum(power - 2 * cross @ theta + np.einsum("jpq,p,q->j", gram, theta, theta), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Solution of weighted normal equations.
+
+    Attributes
+    ----------
+    theta : array, shape (p,)
+        Where the data says nothing, as near to the prior as the rest allows.
+    sigma : array, shape (joints,)
+        Residual standard deviation a joint; the weights are ``1 / sigma^2``.
+    inverse : array, shape (p, p)
+        Pseudo-inverse of the weighted Gram matrix.
+    null : array, shape (p, m)
+        Directions that the data does not determine, in scaled parameters (orthonormal).
+    scale : array, shape (p,)
+        Scaled parameter = parameter * scale.
+    """
+
+    theta: Array
+    sigma: Array
+    inverse: Array
+    null: Array
+    scale: Array
+
+    @property
+    def rank(self) -> int:
+        """Number of parameter combinations that the data determines."""
+        return len(self.theta) - self.null.shape[1]
+
+    @property
+    def determined(self) -> np.ndarray:
+        """Whether each parameter is determined by itself, shape (p,), bool."""
+        return np.linalg.norm(self.null, axis=1) < 1e-3
+
+
+def solve_weighted(gram: Array, cross: Array, prior: Array) -> tuple[Array, Array, Array, Array]:
+    """Least squares from normal equations, staying at the prior where they are singular.
+
+    Returns theta, the pseudo-inverse of `gram`, null directions (scaled), and the scale.
+    """
+    diagonal = np.diag(gram)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    largest = values[-1] if len(values) else 0.0
+    kept = values > RANK_TOLERANCE**2 * max(largest, 1e-300)
+    # a column of zeros scales to a zero row: it falls to the null directions by itself
+    basis = vectors[:, kept]
+    inverse = (basis / values[kept]) @ basis.T / np.outer(scale, scale)
+    theta = prior + inverse @ (cross - gram @ prior)
+    return theta, inverse, vectors[:, ~kept], scale
+
+
+def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = None, rounds: int = 12) -> Solution:
+    """Weighted least squares, one weight a joint from its own residual, iterated.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+    prior : array, shape (p,)
+        Values to stay near where the data says nothing.
+    sigma : array, shape (joints,), optional
+        Fixed residual standard deviations; they are iterated where not given.
+    """
+    gram, cross, power = normal.total
+    samples = int(normal.counts.sum())
+    fixed = sigma is not None
+    # noise-free data must not make one joint's weight infinite
+    smallest = 1e-9 * np.sqrt(power / samples) + 1e-12
+    current = np.sqrt(power / samples) + smallest if sigma is None else np.asarray(sigma, dtype=float)
+    for _ in range(1 if fixed else rounds):
+        weight = current**-2.0
+        theta, inverse, null, scale = solve_weighted(
+            np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross), prior
+        )
+        if fixed:
+            break
+        new = np.maximum(np.sqrt(normal.squares(theta) / samples), smallest)
+        done = np.abs(new / current - 1).max() < 1e-4
+        current = new
+        if done:
+            break
+    return Solution(theta, current, inverse, null, scale)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified parameter; value and std are None where the data does not determine it."""
+
+    name: str
+    value: float | None
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """An identified model.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        With their identified values.
+    link_parameters : array, shape (10 * bodies,)
+        Identified, or the known ones.
+    theta : array, shape (p,)
+        Coefficients in the order of the columns: links (if fitted), then effects.
+    covariance : array, shape (p + s, p + s)
+        Of theta and the shape parameters, allowing for coloured residuals.
+    solution : Solution
+    residual : array, shape (N, joints)
+        Torque left over on the data of the fit, N m.
+    spectra : tuple of Spectrum
+        Of the residual, one a joint.
+    regression : Regression
+        The data of the fit, seen by the identified links.
+    """
+
+    effects: tuple[Effect, ...]
+    link_parameters: Array
+    theta: Array
+    covariance: Array
+    solution: Solution
+    residual: Array
+    spectra: tuple[Spectrum, ...]
+    regression: Regression
+    columns: Array
+    links_fitted: bool
+
+    @property
+    def relative_error(self) -> float:
+        """Norm of the residual over the norm of the torque, all joints and samples."""
+        return float(np.linalg.norm(self.residual) / np.linalg.norm(self.regression.torque))
+
+    def first_column(self, index: int) -> int:
+        """Place in theta of the first coefficient of an effect."""
+        links = len(self.link_parameters) if self.links_fitted else 0
+        return links + sum(len(e.coefficients) for e in self.effects[:index])
+
+    def estimates(self, index: int) -> tuple[Estimate, ...]:
+        """Public parameters of one effect with standard deviations (delta method)."""
+        effect = self.effects[index]
+        first = self.first_column(index)
+        k = len(effect.coefficients)
+        shapes_before = sum(len(e.shape) for e in self.effects[:index])
+        places = np.r_[first : first + k, len(self.theta) + shapes_before : len(self.theta) + shapes_before + len(effect.shape)]
+        at = np.concatenate([self.theta[first : first + k], effect.shape])
+        determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
+
+        def public(x: Array) -> Array:
+            shown = effect.with_coefficients(np.where(determined, x, np.nan)[:k]).with_shape(x[k:])
+            return np.array([value for _, _, value in shown.public_values()])
+
+        values = public(at)
+        covariance = self.covariance[np.ix_(places, places)]
+        step = 1e-6 * np.maximum(np.abs(at), np.sqrt(np.maximum(np.diag(covariance), 1e-24)) * 1e-2)
+        jacobian = np.stack(
+            [(public(at + h * e) - public(at - h * e)) / (2 * h) for h, e in zip(step, np.eye(len(at)), strict=True)],
+            axis=1,
+        )
+        free = np.concatenate([determined[:k], np.ones(len(effect.shape), bool)])
+        usable = jacobian[:, free]
+        std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", usable, covariance[np.ix_(free, free)], usable), 0.0))
+        return tuple(
+            Estimate(name, None if np.isnan(value) else float(value), None if np.isnan(value) else float(s), unit)
+            for (name, unit, _), value, s in zip(effect.public_values(), values, std, strict=True)
+        )
+
+    def link_estimates(self) -> tuple[Estimate, ...]:
+        """Link parameters with standard deviations; None where the data does not determine one by itself."""
+        robot = self.regression.robot
+        out = []
+        for b, (link, _) in enumerate(robot.bodies):
+            for c, (name, unit) in enumerate(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)):
+                i = 10 * b + c
+                if self.links_fitted and self.solution.determined[i]:
+                    std = float(np.sqrt(max(self.covariance[i, i], 0.0)))
+                    out.append(Estimate(f"{link}.{name}", float(self.link_parameters[i]), std, unit))
+                else:
+                    out.append(Estimate(f"{link}.{name}", None, None, unit))
+        return tuple(out)
+
+
+def identify(
+    regression: Regression,
+    effects: Sequence[Effect],
+    *,
+    fit_links: bool,
+    start: Identification | None = None,
+    with_covariance: bool = True,
+) -> Identification:
+    """Identify a model: weighted least squares over base parameters, shapes by variable projection.
+
+    Parameters
+    ----------
+    regression : Regression
+        The data, with the rigid robot.
+    effects : sequence of Effect
+        The model beyond the tree. Values that they have are where shape parameters start, and what undetermined
+        coefficients keep.
+    fit_links : bool
+        Whether the links' inertial parameters are fitted or kept.
+    start : Identification, optional
+        Earlier fit of nearly the same model, whose links give the transmission's load.
+
+    Returns
+    -------
+    Identification
+    """
+    effects = tuple(_with_starts(e, regression) for e in effects)
+    links = regression.robot.link_parameters if start is None else start.link_parameters
+    loaded = any(e.needs_load for e in effects)
+    data = regression.with_links(links) if loaded else regression
+    fit = _Fit(data, effects, fit_links)
+    for _ in range(4 if loaded else 1):
+        fit = fit.refined()
+        if loaded:
+            fit = fit.seen_by(regression.with_links(fit.link_parameters))
+    return fit.finished(regression.with_links(fit.link_parameters), with_covariance)
+
+
+def _with_starts(effect: Effect, regression: Regression) -> Effect:
+    shape = effect.shape
+    if not np.isnan(shape).any():
+        return effect
+    starts = effect.shape_starts(regression.stretches[0].motion)
+    middle = starts[len(starts) // 2]
+    return effect.with_shape(np.where(np.isnan(shape), middle, shape))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A model on its data during identification."""
+
+    regression: Regression
+    effects: tuple[Effect, ...]
+    fit_links: bool
+    sigma: Array | None = None
+
+    @cached_property
+    def target(self) -> Array:
+        """Torque that the columns are to explain."""
+        if self.fit_links:
+            return self.regression.torque
+        return self.regression.torque - self.regression.link_columns @ self.regression.robot.link_parameters
+
+    @cached_property
+    def columns(self) -> Array:
+        parts = [self.regression.link_columns] if self.fit_links else []
+        parts += [self.regression.columns(e) for e in self.effects]
+        if not parts:
+            return np.zeros((*self.regression.torque.shape, 0))
+        return np.concatenate(parts, axis=2)
+
+    @cached_property
+    def prior(self) -> Array:
+        links = self.regression.robot.link_parameters if self.fit_links else np.zeros(0)
+        values = np.concatenate([links, *(e.coefficients for e in self.effects)])
+        return np.where(np.isnan(values), 0.0, values)
+
+    @cached_property
+    def whole(self) -> tuple[slice, ...]:
+        return (slice(0, len(self.regression)),)
+
+    @cached_property
+    def solution(self) -> Solution:
+        return fit_weighted(NormalEquations.of(self.columns, self.target, self.whole), self.prior)
+
+    @property
+    def link_parameters(self) -> Array:
+        if not self.fit_links:
+            return self.regression.robot.link_parameters
+        return self.solution.theta[: len(self.regression.robot.link_parameters)]
+
+    def seen_by(self, regression: Regression) -> _Fit:
+        return dataclasses.replace(self, regression=regression)
+
+    @property
+    def _offset(self) -> int:
+        return len(self.regression.robot.link_parameters) if self.fit_links else 0
+
+    @cached_property
+    def shape(self) -> Array:
+        return np.concatenate([np.zeros(0), *(e.shape for e in self.effects)])
+
+    @cached_property
+    def bounds(self) -> Array:
+        return np.concatenate([np.zeros((2, 0)), *(e.shape_bounds() for e in self.effects)], axis=1)
+
+    def with_shape(self, shape: Array) -> _Fit:
+        at, effects = 0, []
+        for e in self.effects:
+            k = len(e.shape)
+            effects.append(e.with_shape(shape[at : at + k]) if k else e)
+            at += k
+        return dataclasses.replace(self, effects=tuple(effects))
+
+    @cached_property
+    def shape_columns(self) -> Array:
+        """Derivative of the predicted torque by each shape parameter; (N, joints, s)."""
+        out, at = [np.zeros((*self.regression.torque.shape, 0))], self._offset
+        for e in self.effects:
+            k = len(e.coefficients)
+            theta = self.solution.theta[at : at + k]
+            at += k
+            for i, value in enumerate(e.shape):
+                low, high = e.shape_bounds()[:, i]
+                step = 1e-4 * max(abs(value), 1e-3)
+                up, down = e.shape.copy(), e.shape.copy()
+                up[i], down[i] = min(value + step, high), max(value - step, low)
+                change = self.regression.columns(e.with_shape(up)) - self.regression.columns(e.with_shape(down))
+                out.append((change @ theta / (up[i] - down[i]))[:, :, None])
+        return np.concatenate(out, axis=2)
+
+    def cost(self, sigma: Array) -> float:
+        """Sum of squares over given variances, at the best coefficients."""
+        normal = NormalEquations.of(self.columns, self.target, self.whole)
+        solution = fit_weighted(normal, self.prior, sigma)
+        return float((normal.squares(solution.theta) / sigma**2).sum())
+
+    def refined(self, rounds: int = 25) -> _Fit:
+        """Gauss-Newton steps in the shape parameters, coefficients projected out (variable projection)."""
+        fit = self
+        if not len(self.shape):
+            return fit
+        damping = 1e-3
+        for _ in range(rounds):
+            sigma = fit.solution.sigma
+            before = fit.cost(sigma)
+            step = fit._shape_step(sigma, damping)
+            moved = np.clip(fit.shape + step, *fit.bounds)
+            trial = fit.with_shape(moved)
+            after = trial.cost(sigma)
+            if after < before:
+                fit, damping = trial, max(damping / 4, 1e-9)
+                if before - after < 1e-7 * before:
+                    break
+            else:
+                damping *= 8
+                if damping > 1e6 or np.abs(step).max() < 1e-9 * (1 + np.abs(fit.shape).max()):
+                    break
+        return fit
+
+    def _shape_step(self, sigma: Array, damping: float) -> Array:
+        residual = self.target - self.columns @ self.solution.theta
+        weight = 1.0 / sigma
+        x = (self.columns * weight[:, None]).reshape(-1, self.columns.shape[2])
+        d = (self.shape_columns * weight[:, None]).reshape(-1, len(self.shape))
+        r = (residual * weight).reshape(-1)
+        weighted_gram = x.T @ x
+        _, inverse, _, _ = solve_weighted(weighted_gram, np.zeros(len(weighted_gram)), np.zeros(len(weighted_gram)))
+        d = d - x @ (inverse @ (x.T @ d))
+        gram = d.T @ d
+        diagonal = np.diag(gram)
+        gram = gram + damping * np.diag(np.where(diagonal > 0, diagonal, 1.0))
+        return np.linalg.lstsq(gram, d.T @ r, rcond=None)[0]
+
+    def finished(self, regression: Regression, with_covariance: bool) -> Identification:
+        solution = self.solution
+        residual = self.target - self.columns @ solution.theta
+        effects, at = [], self._offset
+        for e in self.effects:
+            k = len(e.coefficients)
+            effects.append(e.with_coefficients(solution.theta[at : at + k]))
+            at += k
+        spans = regression.spans
+        rate = regression.stretches[0].rate_hz
+        share = (solution.rank + len(self.shape)) / residual.shape[1]
+        spectra = tuple(residual_spectrum(r, spans, share, int(CORRELATION_S * rate)) for r in residual.T)
+        size = len(solution.theta) + len(self.shape)
+        covariance = np.zeros((size, size))
+        if with_covariance:
+            augmented = np.concatenate([self.columns, self.shape_columns], axis=2)
+            covariance = coloured_covariance(augmented, solution.sigma, spectra, spans)
+        return Identification(
+            tuple(effects),
+            self.link_parameters,
+            solution.theta,
+            covariance,
+            solution,
+            residual,
+            spectra,
+            regression,
+            self.columns,
+            self.fit_links,
+        )
+
+
+def coloured_covariance(columns: Array, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]) -> Array:
+    """Covariance of weighted least-squares estimates under coloured noise: A^-1 S A^-1.
+
+    A is the weighted Gram matrix, S the covariance of the weighted score. Undetermined directions count as zero.
+    """
+    weight = sigma**-2.0
+    gram = sum(w * columns[:, j].T @ columns[:, j] for j, w in enumerate(weight))
+    _, inverse, _, _ = solve_weighted(np.asarray(gram), np.zeros(columns.shape[2]), np.zeros(columns.shape[2]))
+    return inverse @ scatter(columns, weight, spectra, spans) @ inverse

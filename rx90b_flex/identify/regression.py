@@ -1,0 +1,243 @@
+"""From recordings and a robot to the columns of a regression, after one and the same low-pass."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90b_flex.effects import Effect, Motion
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import (
+    Recording,
+    decimation_factor,
+    lowpass,
+    motion,
+    noise_cutoff_hz,
+    periods,
+)
+
+# Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
+# columns are low-passed once, as the torque is, and not twice.
+POSITION_CUTOFF_RATIO = 4.0
+# Columns are worked out at this many times the cutoff at least: products of filtered signals stay free of aliasing.
+WORKING_RATE_RATIO = 20.0
+# Left out of a fit at both ends, in periods of the cutoff: where the filter and the differences lack neighbours.
+EDGE_PERIODS = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """One recording, ready to be fitted.
+
+    Attributes
+    ----------
+    recording : Recording
+        In the order of the campaign's joints.
+    motion : Motion
+        Of the rigid robot, in tree order, at the working rate.
+    time : array, shape (N,)
+        Seconds, at the fit's rate.
+    torque : array, shape (N, joints)
+        Joint side, after the low-pass, at the fit's rate; N m.
+    rate_hz : float
+        The fit's sample rate.
+    cutoff_hz : float or None
+        The low-pass that the torque went through.
+    factor, working_factor : int
+        The fit keeps every `factor`-th sample of the working rate, which keeps every `working_factor`-th of the log.
+    kept : slice
+        Part of the fit's samples that is away from the ends.
+    """
+
+    recording: Recording
+    motion: Motion
+    time: Array
+    torque: Array
+    rate_hz: float
+    cutoff_hz: float | None
+    factor: int
+    working_factor: int
+    kept: slice
+
+    def brought(self, columns: Array) -> Array:
+        """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
+        if self.cutoff_hz is not None:
+            columns = lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
+        return columns[:: self.factor][self.kept]
+
+    def __len__(self) -> int:
+        return len(self.torque)
+
+
+def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None) -> Stretch:
+    """Differentiate, low-pass and thin out one recording.
+
+    Parameters
+    ----------
+    robot : Robot
+        Rigid, with the recording's joints.
+    recording : Recording
+    cutoff_hz : float or None
+        Zero-phase low-pass of every signal; None fits the torque as it was logged.
+
+    Raises
+    ------
+    ValueError
+        The recording is shorter than the filter.
+    """
+    rate = recording.sample_rate_hz
+    try:
+        position_cutoff = _position_cutoff(recording.position, rate, cutoff_hz)
+        moved = motion(recording.position, rate, position_cutoff)
+        torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
+    except ValueError as error:
+        raise ValueError(f"{recording.source or recording.name}: {error}") from None
+    if cutoff_hz is None:
+        working, factor, edge = 1, 1, 4
+    else:
+        working = decimation_factor(cutoff_hz, rate, WORKING_RATE_RATIO / 2)
+        factor = decimation_factor(cutoff_hz, rate / working, 2.0)
+        edge = int(np.ceil(EDGE_PERIODS / cutoff_hz * rate / working / factor))
+    order = [recording.joints.index(j) for j in robot.joints]
+    sampled = [np.ascontiguousarray(x[::working][:, order]) for x in moved]
+    time = recording.time[::working]
+    samples = len(time[::factor])
+    if samples <= 2 * edge + 8:
+        raise ValueError(
+            f"{recording.source or recording.name}: {recording.samples} samples are too few to fit after a "
+            f"low-pass of {cutoff_hz:g} Hz"
+            if cutoff_hz is not None
+            else f"{recording.source or recording.name}: {recording.samples} samples are too few to fit"
+        )
+    kept = slice(edge, samples - edge)
+    thin = working * factor
+    return Stretch(
+        recording,
+        robot.motion(*sampled, time=time - recording.time[0]),
+        time[::factor][kept],
+        torque[::thin][kept],
+        rate / thin,
+        cutoff_hz,
+        factor,
+        working,
+        kept,
+    )
+
+
+def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> float | None:
+    if cutoff_hz is None:
+        return noise_cutoff_hz(position, rate)
+    wide = POSITION_CUTOFF_RATIO * cutoff_hz
+    return wide if wide < 0.4 * rate else None
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """All stretches of one role, with the columns of the links.
+
+    The rows of a column are one array a joint of the campaign; samples of all stretches follow each other.
+    """
+
+    robot: Robot
+    joints: tuple[str, ...]
+    stretches: tuple[Stretch, ...]
+
+    @staticmethod
+    def of(robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None) -> Regression:
+        """Prepare recordings of one robot for a fit; effects that add coordinates are left to the flexible band."""
+        joints = recordings[0].joints
+        rigid = robot.rigid().restricted(joints)
+        return Regression(rigid, joints, tuple(prepare(rigid, r, cutoff_hz) for r in recordings))
+
+    def __len__(self) -> int:
+        return sum(len(s) for s in self.stretches)
+
+    @cached_property
+    def torque(self) -> Array:
+        """Measured torque, shape (N, joints), N m."""
+        return np.concatenate([s.torque for s in self.stretches])
+
+    @cached_property
+    def rows(self) -> Array:
+        """Coordinate of each joint of the campaign, shape (joints,)."""
+        return np.array([self.robot.layout.index(j) for j in self.joints])
+
+    def columns(self, effect: Effect) -> Array:
+        """Columns of an effect, shape (N, joints, k)."""
+        return self.columns_of([effect])
+
+    def columns_of(self, effects: Sequence[Effect]) -> Array:
+        """Columns of several effects side by side, shape (N, joints, sum of k)."""
+        per_stretch = [
+            self._brought(s, np.concatenate([e.columns(s.motion) for e in effects], axis=2)) for s in self.stretches
+        ]
+        return np.concatenate(per_stretch)
+
+    @cached_property
+    def link_columns(self) -> Array:
+        """Columns of the links, shape (N, joints, 10 * bodies)."""
+        return np.concatenate([self._brought(s, s.motion.on_tree.link_regressor()) for s in self.stretches])
+
+    def with_links(self, link_parameters: Array) -> Regression:
+        """The same regression, in which effects see the tree with other link parameters."""
+        stretches = tuple(
+            dataclasses.replace(s, motion=self.robot.on_links(s.motion, link_parameters)) for s in self.stretches
+        )
+        other = dataclasses.replace(self, stretches=stretches)
+        if "link_columns" in self.__dict__:
+            other.__dict__["link_columns"] = self.link_columns
+        return other
+
+    def _brought(self, stretch: Stretch, columns: Array) -> Array:
+        columns = columns[:, self.rows]
+        out = np.zeros((len(stretch), *columns.shape[1:]))
+        # most columns are zero in most rows: only the others are worth a filter
+        used = columns.any(axis=0)
+        if used.any():
+            out[:, used] = stretch.brought(columns[:, used])
+        return out
+
+    @cached_property
+    def spans(self) -> tuple[slice, ...]:
+        """Samples of each stretch."""
+        ends = np.cumsum([0, *(len(s) for s in self.stretches)])
+        return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+
+    def blocks(self, at_least: int = 8, correlation_s: float = 0.5) -> tuple[slice, ...]:
+        """Contiguous blocks for held-out tests: about `at_least` or more in all, each longer than the correlation."""
+        total = sum(len(s) / s.rate_hz for s in self.stretches)
+        length = max(total / at_least, 2 * correlation_s)
+        out: list[slice] = []
+        for span, stretch in zip(self.spans, self.stretches, strict=True):
+            samples = span.stop - span.start
+            parts = max(1, round(samples / stretch.rate_hz / length))
+            edges = np.linspace(span.start, span.stop, parts + 1).astype(int)
+            out += [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return tuple(out)
+
+
+def period_noise(residual: Array, recording: Recording) -> Array | None:
+    """Noise of a repeating experiment, from what differs between its periods.
+
+    Parameters
+    ----------
+    residual : array, shape (N, joints)
+        One row a sample of the recording.
+    recording : Recording
+
+    Returns
+    -------
+    array, shape (joints,), or None where the recording does not hold two whole periods
+        Root mean square, N m.
+    """
+    if recording.period_s is None:
+        return None
+    samples = round(recording.period_s * recording.sample_rate_hz)
+    if samples < 1 or len(residual) < 2 * samples:
+        return None
+    return np.sqrt(periods(residual, samples).var(axis=0, ddof=1).mean(axis=0))

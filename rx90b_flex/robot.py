@@ -1,0 +1,517 @@
+"""A robot: a rigid tree plus a list of effects, and the dynamics that follow from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from rx90b_flex import flexify as virtual
+from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
+from rx90b_flex.effects.motion import Array
+
+LINK_PARAMETERS = ("mass", "s_x", "s_y", "s_z", "J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")
+LINK_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
+# pinocchio's order is m, s, then J as xx xy yy xz yz zz
+_TO_TABLE_ORDER = np.array([0, 1, 2, 3, 4, 6, 9, 5, 7, 8])
+
+ROBOT_KEYS = ("name", "urdf", "tip_frame", "inertial_parameters", "effects")
+
+
+@dataclass(frozen=True)
+class ParameterEntry:
+    """One entry of a robot's parameter vector: its name, its unit, and where it comes from."""
+
+    name: str
+    unit: str
+    source: int  # index of the effect, or -1 for a link
+    column: int  # coefficient of that effect, or column of the links' regressor
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A rigid tree and its effects.
+
+    Attributes
+    ----------
+    name : str
+    urdf : str
+        XML of the rigid tree; every moving joint has one coordinate.
+    tip_frame : str
+    inertial_parameters : str
+        ``fitted`` or ``known``: whether identification may change the links.
+    effects : tuple of Effect
+    """
+
+    name: str
+    urdf: str
+    tip_frame: str
+    inertial_parameters: str
+    effects: tuple[Effect, ...]
+
+    # ---- structure --------------------------------------------------------------------------------------
+
+    @cached_property
+    def tree(self) -> pin.Model:
+        """The rigid tree."""
+        return pin.buildModelFromXML(self.urdf)
+
+    @cached_property
+    def flexible_urdf(self) -> str:
+        """XML of the tree with a virtual joint for every flexibility; the same as `urdf` where there is none."""
+        torsion, bending, base = self._flexible_places()
+        if not (torsion or bending or base):
+            return self.urdf
+        rigid = virtual.read_xml(self.urdf)
+        return virtual.to_xml(virtual.flexify(rigid, torsion, bending, base))
+
+    def _flexible_places(self) -> tuple[list[str], list[str], bool]:
+        torsion = [e.joints[0] for e in self.effects if "torsion" in e.virtual]
+        bending = [e.joints[0] for e in self.effects if "bend_1" in e.virtual and e.joints]
+        base = any("bend_1" in e.virtual and not e.joints for e in self.effects)
+        return torsion, bending, base
+
+    @cached_property
+    def model(self) -> pin.Model:
+        """Pinocchio model of the flexible tree (of the rigid one where nothing is flexible)."""
+        return pin.buildModelFromXML(self.flexible_urdf)
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self.model.createData()
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Driven joints in tree order."""
+        return tuple(self.tree.names)[1:]
+
+    @cached_property
+    def layout(self) -> Coordinates:
+        """Names and places of the generalised coordinates."""
+        names = tuple(virtual.coordinate_name(name, self.joints) for name in tuple(self.model.names)[1:])
+        return Coordinates(names)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the generalised coordinates, one a degree of freedom, in tree order."""
+        return self.layout.names
+
+    @cached_property
+    def input_matrix(self) -> Array:
+        """B of equation 3.65: puts the drive torques into the drives' rows; shape (n, joints)."""
+        return np.stack([self.layout.port(j, "drive") for j in self.joints], axis=1)
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[str, int], ...]:
+        """Moving bodies with mass: name of the link and index of the joint that carries it, in tree order."""
+        found: dict[int, str] = {}
+        for frame in self.model.frames:
+            if frame.type == pin.FrameType.BODY and frame.parentJoint not in found and frame.parentJoint > 0:
+                found[frame.parentJoint] = frame.name
+        virtual_links = set()
+        for joint in range(1, self.model.njoints):
+            if _is_intermediate(self.layout.names, joint - 1):
+                virtual_links.add(joint)
+        return tuple((found[j], j) for j in range(1, self.model.njoints) if j not in virtual_links)
+
+    # ---- parameters -------------------------------------------------------------------------------------
+
+    @cached_property
+    def parameter_entries(self) -> tuple[ParameterEntry, ...]:
+        """Entries of the parameter vector: links first, then effects in the order of table D.1."""
+        keyed: list[tuple[tuple[int, int, int, int], ParameterEntry]] = []
+        for b, (link, _) in enumerate(self.bodies):
+            for c, (name, unit) in enumerate(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)):
+                keyed.append(((0, b, 0, c), ParameterEntry(f"{link}.{name}", unit, -1, 10 * b + c)))
+        order = {joint: i for i, joint in enumerate(self.joints)}
+        labels: dict[str, int] = {}
+        for e, effect in enumerate(self.effects):
+            seen = labels[effect.label] = labels.get(effect.label, 0) + 1
+            label = effect.label if seen == 1 else f"{effect.label}_{seen}"
+            units = effect.coefficient_units
+            at = order.get(effect.joints[-1], -1) if effect.joints else -1
+            for c, (name, rank) in enumerate(zip(effect.coefficient_names, effect.coefficient_ranks, strict=True)):
+                keyed.append(((rank, at, e, c), ParameterEntry(f"{label}.{name}", units[c], e, c)))
+        return tuple(entry for _, entry in sorted(keyed, key=lambda pair: pair[0]))
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the linear parameters, in the order of the regressor's columns."""
+        return tuple(entry.name for entry in self.parameter_entries)
+
+    @cached_property
+    def link_parameters(self) -> Array:
+        """Inertial parameters of the moving bodies about their joints, ten a body in table D.1's order."""
+        return np.concatenate(
+            [self.model.inertias[joint].toDynamicParameters()[_TO_TABLE_ORDER] for _, joint in self.bodies]
+        )
+
+    @cached_property
+    def link_parameter_places(self) -> Array:
+        """Where each link parameter stands in pinocchio's vector of ten a joint, shape (10 * bodies,)."""
+        return np.concatenate([10 * (joint - 1) + _TO_TABLE_ORDER for _, joint in self.bodies])
+
+    @cached_property
+    def parameters(self) -> Array:
+        """Values of the linear parameters, shape (p,); NaN where a robot file leaves one out."""
+        per_effect = [effect.coefficients for effect in self.effects]
+        return np.array(
+            [
+                self.link_parameters[e.column] if e.source < 0 else per_effect[e.source][e.column]
+                for e in self.parameter_entries
+            ]
+        )
+
+    # ---- dynamics ---------------------------------------------------------------------------------------
+
+    def motion(self, q: Array, v: Array, a: Array, time: Array | None = None) -> Motion:
+        """Put samples of motion, each (n,) or (N, n), into the form that effects read."""
+        n = self.model.nv
+        arrays = [np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, v, a)]
+        samples = max(x.shape[0] for x in arrays)
+        for name, x in zip(("q", "v", "a"), arrays, strict=True):
+            if x.ndim != 2 or x.shape[1] != n or x.shape[0] not in (1, samples):
+                raise ValueError(f"{name} has shape {np.shape(x)}; expected ({n},) or (N, {n}) for {self.name}")
+        arrays = [np.ascontiguousarray(np.broadcast_to(x, (samples, n))) for x in arrays]
+        t = np.zeros(samples) if time is None else np.asarray(time, dtype=float)
+        return Motion(self.layout, *arrays, t, self._tree_motion)
+
+    def _tree_motion(self, motion: Motion) -> _RobotTreeMotion:
+        return _RobotTreeMotion(self, motion)
+
+    def on_links(self, motion: Motion, link_parameters: Array) -> Motion:
+        """The same motion of the same tree with other link parameters, as an identification finds them."""
+        regressor = motion.on_tree.link_regressor()
+
+        def tree(moved: Motion) -> _RobotTreeMotion:
+            return _RobotTreeMotion(self, moved, link_parameters, regressor)
+
+        return dataclasses.replace(motion, tree=tree)
+
+    def link_regressor(self, motion: Motion) -> Array:
+        """Regressor of the links alone, shape (N, n, 10 * bodies)."""
+        n = self.model.nv
+        columns = self.link_parameter_places
+        everything = np.array_equal(np.sort(columns), np.arange(10 * n))
+        out = np.empty((len(motion), n, 10 * n if everything else len(columns)))
+        model, data = self.model, self._data
+        regressor = pin.computeJointTorqueRegressor
+        for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
+            full = regressor(model, data, q, v, a)
+            out[k] = full if everything else full[:, columns]
+        return out[:, :, columns] if everything else out
+
+    def regressor(self, q: Array, v: Array, a: Array) -> Array:
+        """Inverse dynamics per unit of each parameter (equations 3.85-3.87).
+
+        Parameters
+        ----------
+        q, v, a : array, shape (n,) or (N, n)
+
+        Returns
+        -------
+        array, shape (n, p) or (N, n, p)
+            ``regressor @ parameters == inverse_dynamics``; columns are `parameter_names`.
+        """
+        motion = self.motion(q, v, a)
+        links = self.link_regressor(motion)
+        per_effect = [effect.columns(motion) for effect in self.effects]
+        out = np.empty((len(motion), self.model.nv, len(self.parameter_entries)))
+        for i, e in enumerate(self.parameter_entries):
+            out[:, :, i] = (links if e.source < 0 else per_effect[e.source])[:, :, e.column]
+        return out if np.ndim(q) == 2 else out[0]
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+        """Generalised forces for a motion, every declared effect included (left side of equation 3.65).
+
+        Parameters
+        ----------
+        q, v, a : array, shape (n,) or (N, n)
+            Coordinates in the order of `coordinates`; rad, rad/s, rad/s^2.
+
+        Returns
+        -------
+        array, shape (n,) or (N, n)
+            N m; for a consistent motion the rows of flexible coordinates are zero.
+        """
+        motion = self.motion(q, v, a)
+        force = self.link_torque(motion)
+        for effect in self.effects:
+            force = force + effect.force(motion)
+        return force if np.ndim(q) == 2 else force[0]
+
+    def link_torque(self, motion: Motion) -> Array:
+        """Inverse dynamics of the links alone, shape (N, n), N m."""
+        out = np.empty_like(motion.q)
+        model, data, rnea = self.model, self._data, pin.rnea
+        for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
+            out[k] = rnea(model, data, q, v, a)
+        return out
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Mass matrix of links and drives, shape (n, n), kg m^2."""
+        q = np.asarray(q, dtype=float)
+        mass = pin.crba(self.model, self._data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        motion = self.motion(q, np.zeros_like(q), np.zeros_like(q))
+        for effect in self.effects:
+            if effect.adds_inertia:
+                mass = mass + effect.derivatives(motion)[2][0]
+        return mass
+
+    def forward_dynamics(self, q: Array, v: Array, drive_torque: Array) -> Array:
+        """Accelerations under given drive torques (equation 3.65 solved for the accelerations).
+
+        Parameters
+        ----------
+        q, v : array, shape (n,)
+        drive_torque : array, shape (joints,)
+            N m, joint side, in the order of `joints`.
+
+        Returns
+        -------
+        array, shape (n,), rad/s^2
+        """
+        torque = np.asarray(drive_torque, dtype=float)
+        if torque.shape != (len(self.joints),):
+            raise ValueError(f"drive_torque has shape {torque.shape}; expected ({len(self.joints)},) for {self.name}")
+        force = self.input_matrix @ torque
+        a = np.zeros(self.model.nv)
+        mass = self.mass_matrix(q)
+        loaded = [effect for effect in self.effects if effect.needs_load]
+        for _ in range(50):
+            short = force - self.inverse_dynamics(q, v, a)
+            if not loaded:
+                return a + np.linalg.solve(mass, short)
+            # friction that grows with the load holds the acceleration too: Newton steps, exact between sign changes
+            motion = self.motion(q, v, a)
+            slope = mass + sum(effect.derivatives(motion)[2][0] for effect in loaded)
+            step = np.linalg.solve(slope, short)
+            a = a + step
+            if np.abs(step).max() <= 1e-12 * (1.0 + np.abs(a).max()):
+                return a
+        raise ValueError(f"{self.name}: forward dynamics found no acceleration consistent with the load friction")
+
+    # ---- other robots from this one ---------------------------------------------------------------------
+
+    def with_effects(self, effects: Sequence[Effect]) -> Robot:
+        """The same tree with other effects."""
+        return dataclasses.replace(self, effects=tuple(effects))
+
+    def rigid(self) -> Robot:
+        """The robot without the effects that add coordinates."""
+        return self.with_effects([e for e in self.effects if not e.virtual])
+
+    def restricted(self, joints: Sequence[str]) -> Robot:
+        """The robot with all joints but these held at their neutral position; effects on held joints go with them."""
+        for joint in joints:
+            if joint not in self.joints:
+                raise ValueError(f"unknown joint {joint!r} for robot {self.name}; {close_match(joint, self.joints)}")
+        if set(joints) == set(self.joints):
+            return self
+        urdf = virtual.to_xml(virtual.lock(virtual.read_xml(self.urdf), joints))
+        kept = [e for e in self.effects if set(e.joints) <= set(joints)]
+        return dataclasses.replace(self, urdf=urdf, effects=tuple(kept))
+
+
+def _is_intermediate(names: Sequence[str], place: int) -> bool:
+    """Whether the body behind this coordinate is massless: the next coordinate belongs to the same joint."""
+    joint, kind = names[place].rsplit(":", 1)
+    last = place + 1 >= len(names) or names[place + 1].rsplit(":", 1)[0] != joint
+    return not last and kind in ("drive", "torsion", "bend_1")
+
+
+@dataclass(frozen=True)
+class _RobotTreeMotion:
+    """The tree's view of a motion, for effects (`rx90b_flex.effects.TreeMotion`).
+
+    With `link_parameters` the links are those, whether or not a body could have them.
+    """
+
+    robot: Robot
+    motion: Motion
+    link_parameters: Array | None = None
+    regressor: Array | None = None
+
+    def link_regressor(self) -> Array:
+        return self._regressor
+
+    @cached_property
+    def _regressor(self) -> Array:
+        return self.robot.link_regressor(self.motion) if self.regressor is None else self.regressor
+
+    def load(self) -> Array:
+        return self._load
+
+    @cached_property
+    def _load(self) -> Array:
+        if self.link_parameters is None:
+            return self.robot.link_torque(self.motion)
+        return self._regressor @ self.link_parameters
+
+    def gravity_torque(self, direction: Array) -> Array:
+        robot, motion = self.robot, self.motion
+        model = robot.model.copy()
+        model.gravity.linear = np.linalg.norm(robot.model.gravity.linear) * np.asarray(direction, dtype=float)
+        data = model.createData()
+        if self.link_parameters is None:
+            return np.array([pin.computeGeneralizedGravity(model, data, q) for q in motion.q])
+        rest = np.zeros(model.nv)
+        parameters = np.zeros(10 * model.nv)
+        parameters[robot.link_parameter_places] = self.link_parameters
+        return np.array([pin.computeJointTorqueRegressor(model, data, q, rest, rest) @ parameters for q in motion.q])
+
+    def body_columns(self, frame: str) -> Array:
+        robot, motion = self.robot, self.motion
+        model, data = robot.model, robot._data
+        frame_id = model.getFrameId(frame)
+        out = np.empty((len(motion), model.nv, 10))
+        for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
+            pin.forwardKinematics(model, data, q, v, a)
+            pin.updateFramePlacements(model, data)
+            jacobian = pin.computeFrameJacobian(model, data, q, frame_id, pin.LOCAL)
+            out[k] = jacobian.T @ pin.frameBodyRegressor(model, data, frame_id)
+        return out[:, :, _TO_TABLE_ORDER]
+
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        return self._derivatives
+
+    @cached_property
+    def _derivatives(self) -> tuple[Array, Array, Array]:
+        robot, motion = self.robot, self.motion
+        n = robot.model.nv
+        by_q, by_v, by_a = (np.empty((len(motion), n, n)) for _ in range(3))
+        for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
+            dq, dv, da = pin.computeRNEADerivatives(robot.model, robot._data, q, v, a)
+            by_q[k], by_v[k] = dq, dv
+            by_a[k] = np.triu(da) + np.triu(da, 1).T
+        return by_q, by_v, by_a
+
+
+# ---- robot files --------------------------------------------------------------------------------------------
+
+
+def robots_folder() -> Path:
+    """Folder of the robots that come with the package."""
+    here = Path(__file__).resolve().parent
+    installed = here / "urdf"
+    return installed if installed.is_dir() else here.parent / "urdf"
+
+
+def robot_names() -> tuple[str, ...]:
+    """Names that `load_robot` knows."""
+    return tuple(sorted(p.stem for p in robots_folder().glob("*.toml")))
+
+
+def load_robot(source: str | os.PathLike[str]) -> Robot:
+    """Load a robot.
+
+    Parameters
+    ----------
+    source : str or path
+        A name in `robots_folder()` (``rx90b``), a robot file (``.toml``), a URDF (no effects), or
+        ``example-robot-data:NAME``.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and the key, joint or effect type that is wrong.
+    """
+    text = str(source)
+    if text.startswith("example-robot-data:"):
+        return _from_urdf(text, text.split(":", 1)[1], None, "fitted")
+    path = Path(source)
+    if path.suffix == ".toml":
+        return _from_file(path)
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; expected a robot file or a URDF")
+    if path.suffix or path.exists():
+        return _from_urdf(path, path.stem, None, "fitted")
+    if text in robot_names():
+        return _from_file(robots_folder() / f"{text}.toml")
+    raise ValueError(f"unknown robot {text!r}: no such file, and {close_match(text, robot_names())}")
+
+
+def _from_urdf(source: str | Path, name: str, tip_frame: str | None, inertial_parameters: str) -> Robot:
+    urdf = virtual.to_xml(virtual.normalise(virtual.read_urdf(source)))
+    robot = Robot(name, urdf, "", inertial_parameters, ())
+    if robot.tree.nv == 0:
+        raise ValueError(f"{source}: the URDF has no moving joint")
+    tip = _default_tip(robot.tree) if tip_frame is None else tip_frame
+    return dataclasses.replace(robot, tip_frame=tip)
+
+
+def _default_tip(tree: pin.Model) -> str:
+    """The last body frame of the longest chain of joints."""
+
+    def depth(joint: int) -> int:
+        return 0 if joint == 0 else 1 + depth(int(tree.parents[joint]))
+
+    bodies = [f for f in tree.frames if f.type == pin.FrameType.BODY]
+    deepest = max(depth(f.parentJoint) for f in bodies)
+    return [f.name for f in bodies if depth(f.parentJoint) == deepest][-1]
+
+
+def _from_file(path: Path) -> Robot:
+    table = _read_toml(path)
+    for key in table:
+        if key not in ROBOT_KEYS:
+            raise ValueError(f"{path}: unknown key {key!r}; {close_match(key, ROBOT_KEYS)}")
+    if "urdf" not in table:
+        raise ValueError(f"{path}: key 'urdf' is missing")
+    for key in ("name", "urdf", "tip_frame", "inertial_parameters"):
+        if key in table and not isinstance(table[key], str):
+            raise ValueError(f"{path}: {key} is {table[key]!r}; expected a string")
+    inertial = table.get("inertial_parameters", "fitted")
+    if inertial not in ("fitted", "known"):
+        raise ValueError(f"{path}: inertial_parameters is {inertial!r}; expected 'fitted' or 'known'")
+    named = table["urdf"].startswith("example-robot-data:")
+    urdf: str | Path = table["urdf"] if named else path.parent / table["urdf"]
+    try:
+        robot = _from_urdf(urdf, table.get("name", path.stem), table.get("tip_frame"), inertial)
+    except ValueError as error:
+        raise ValueError(f"{path}: urdf: {error}") from None
+    frames = [f.name for f in robot.tree.frames]
+    if robot.tip_frame not in frames:
+        raise ValueError(f"{path}: unknown tip_frame {robot.tip_frame!r}; {close_match(robot.tip_frame, frames)}")
+    return robot.with_effects(_read_effects(table.get("effects", []), path, robot.joints, frames))
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such robot file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: not a TOML file: {error}") from None
+
+
+def _read_effects(tables: Any, path: Path, joints: Sequence[str], frames: Sequence[str]) -> list[Effect]:
+    if not isinstance(tables, list):
+        raise ValueError(f"{path}: effects is {type(tables).__name__}; expected [[effects]] tables")
+    effects: list[Effect] = []
+    for i, table in enumerate(tables, start=1):
+        where = f"{path}: effect {i}"
+        if not isinstance(table, dict):
+            raise ValueError(f"{where} is {table!r}; expected a table")
+        effect = effect_from_table(table, where, joints, frames)
+        for other in effects:
+            if other.place != effect.place:
+                continue
+            if other.type_name() == effect.type_name() and not effect.repeats:
+                raise ValueError(f"{where}: {effect.label} is declared twice")
+            if effect.type_name() in other.replaces or other.type_name() in effect.replaces:
+                raise ValueError(f"{where}: {effect.type_name()} and {other.type_name()} exclude each other on one joint")
+        effects.append(effect)
+    return effects

@@ -1,0 +1,764 @@
+"""Campaign files and recordings: logged signals of one robot, on the joint side, in SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90b_flex.signals import tables
+
+Array = NDArray[np.float64]
+Role = Literal["identification", "validation"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """How one signal is called in a campaign file, in a `Recording` and in written tables."""
+
+    key: str
+    field: str
+    prefix: str
+    kind: Literal["angle", "velocity", "torque"]
+    always_joint_side: bool = False
+
+
+_SIGNALS = (
+    _Signal("motor_position", "position", "q", "angle"),
+    _Signal("torque", "torque", "tau", "torque"),
+    _Signal("motor_velocity", "velocity", "v", "velocity"),
+    _Signal("link_position", "link_position", "link", "angle", always_joint_side=True),
+    _Signal("reference_position", "reference_position", "ref", "angle"),
+    _Signal("reference_velocity", "reference_velocity", "refv", "velocity"),
+    _Signal("feedforward_torque", "feedforward_torque", "ff", "torque"),
+)
+_REQUIRED = ("motor_position", "torque")
+# No robot joint turns further in a recording; degrees and motor angles do.
+_LARGEST_ANGLE = 100.0
+_OTHER_UNIT = re.compile(
+    r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording (or part of one), N samples of n joints, on the joint side of the gears.
+
+    Attributes
+    ----------
+    name : name of the file without extension, unique among the recordings of one role of a campaign.
+    role : "identification" or "validation".
+    time : (N,) s, as in the file; from the sample rate where the file has no such column.
+    sample_rate_hz : Hz.
+    joints : n names, the order of the columns.
+    position : (N, n) rad, measured motor angle seen through the gears (`drive_angle`).
+    torque : (N, n) N m, measured motor torque seen through the gears (`drive_torque`).
+    velocity : (N, n) rad/s, measured, or None.
+    link_position : (N, n) rad, measured behind the gears (`joint_angle`), or None.
+    reference_position, reference_velocity : (N, n) rad and rad/s, what the controller was asked for, or None.
+    feedforward_torque : (N, n) N m, added to the controller's torque, or None.
+    period_s : s, the excitation's period, a whole number of samples; None where it does not repeat.
+    source : the file it came from.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit together, an unknown role, a sample rate or period that cannot be.
+    """
+
+    name: str
+    role: Role
+    time: Array
+    sample_rate_hz: float
+    joints: tuple[str, ...]
+    position: Array
+    torque: Array
+    velocity: Array | None = None
+    link_position: Array | None = None
+    reference_position: Array | None = None
+    reference_velocity: Array | None = None
+    feedforward_torque: Array | None = None
+    period_s: float | None = None
+    source: Path | None = None
+
+    def __post_init__(self) -> None:
+        where = f"recording {self.name!r}"
+        if self.role not in ROLES:
+            raise ValueError(f"{where}: role {self.role!r} is not one of {', '.join(ROLES)}")
+        if not (math.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0.0):
+            raise ValueError(f"{where}: sample_rate_hz = {self.sample_rate_hz!r}, a number above 0 is expected")
+        object.__setattr__(self, "joints", tuple(self.joints))
+        object.__setattr__(self, "time", np.asarray(self.time, dtype=np.float64))
+        if self.time.ndim != 1:
+            raise ValueError(f"{where}: time has shape {self.time.shape}, (samples,) is expected")
+        expected = (len(self.time), len(self.joints))
+        for item in _SIGNALS:
+            value = getattr(self, item.field)
+            if value is None and item.key not in _REQUIRED:
+                continue
+            array = np.asarray(value, dtype=np.float64)
+            if array.shape != expected:
+                raise ValueError(f"{where}: {item.field} has shape {array.shape}, {expected} is expected")
+            object.__setattr__(self, item.field, array)
+        if self.period_s is not None:
+            problem = _period_problem(self.period_s, self.sample_rate_hz, self.samples)
+            if problem:
+                raise ValueError(f"{where}: period_s = {self.period_s!r} {problem}")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples N."""
+        return len(self.time)
+
+    @property
+    def duration_s(self) -> float:
+        """N sample periods, s."""
+        return self.samples / self.sample_rate_hz
+
+    @property
+    def period_samples(self) -> int | None:
+        """Samples of one period of the excitation, or None."""
+        return None if self.period_s is None else round(self.period_s * self.sample_rate_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Recordings of one robot and what is stated about them.
+
+    Attributes
+    ----------
+    path : the campaign file.
+    robot : as given in the file.
+    robot_source : path of the robot file where `robot` names a file beside the campaign file, else the same string.
+    sample_rate_hz : Hz, of every recording.
+    joints : names, in the order of the columns of every recording.
+    recordings : in the order of the file.
+    cutoff_hz : Hz, zero-phase low-pass that the user asks for on every signal, or None. Not yet applied.
+    noise_torque : n values, N m, joint side, 0 or more: stated RMS of the torque sensors' noise (`[noise] torque_rms`),
+        or None.
+    """
+
+    path: Path
+    robot: str
+    robot_source: Path | str
+    sample_rate_hz: float
+    joints: tuple[str, ...]
+    recordings: tuple[Recording, ...]
+    cutoff_hz: float | None = None
+    noise_torque: tuple[float, ...] | None = None
+
+    @property
+    def identification(self) -> tuple[Recording, ...]:
+        """Recordings that parameters are identified on."""
+        return tuple(recording for recording in self.recordings if recording.role == "identification")
+
+    @property
+    def validation(self) -> tuple[Recording, ...]:
+        """Recordings that predictions are judged on; may be empty."""
+        return tuple(recording for recording in self.recordings if recording.role == "validation")
+
+
+def load_campaign(path: str | os.PathLike[str]) -> Campaign:
+    """Read a campaign file (TOML) and its recordings; angles and torques are brought to the joint side.
+
+    With a `[motor]` table: motor angle = gear_matrix @ (joint angle - offset), joint torque = gear_matrix.T @ motor
+    torque; velocities likewise without the offset. References and feed-forward torque are motor side as well then;
+    `link_position` never is. A data file used by several recordings is read once, only the columns needed.
+
+    Raises
+    ------
+    ValueError
+        One line that names the campaign file and the key, or the data file, column and row (data rows count from 1),
+        what was found and what is expected.
+    """
+    path = Path(path)
+    text = _read_text(path)
+    try:
+        root = _Section(str(path), "", tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path}: not a TOML file: {tables.one_line(error)}") from error
+    layout = _read_layout(root)
+    entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
+    if not any(entry.role == "identification" for entry in entries):
+        raise root.problem("recording", 'none has role = "identification"; at least one is needed')
+
+    columns = list(dict.fromkeys(name for names in layout.columns.values() for name in names))
+    files: dict[Path, tables.Table] = {}
+    recordings: list[Recording] = []
+    names: set[tuple[Role, str]] = set()
+    for entry in entries:
+        try:
+            if entry.file not in files:
+                files[entry.file] = tables.read_table(entry.file, columns, optional=("time",))
+            recording = _cut(files[entry.file], entry, layout)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        name, count = recording.name, 1
+        while (entry.role, name) in names:
+            count += 1
+            name = f"{recording.name}_{count}"
+        names.add((entry.role, name))
+        recordings.append(dataclasses.replace(recording, name=name))
+
+    beside = path.parent / layout.robot
+    return Campaign(
+        path=path,
+        robot=layout.robot,
+        robot_source=beside if beside.is_file() else layout.robot,
+        sample_rate_hz=layout.sample_rate_hz,
+        joints=layout.joints,
+        recordings=tuple(recordings),
+        cutoff_hz=layout.cutoff_hz,
+        noise_torque=layout.noise_torque,
+    )
+
+
+def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Write one recording as .parquet, .csv or .csv.gz: `time` and joint-side columns named `q_<joint>`, `tau_<joint>`,
+    and, for the optional signals there are, `v_`, `link_`, `ref_`, `refv_` and `ff_<joint>`.
+
+    Every format reads back the same numbers. The file appears whole or not at all.
+    """
+    names = ["time"]
+    blocks = [recording.time[:, None]]
+    for item in _SIGNALS:
+        value = getattr(recording, item.field)
+        if value is not None:
+            names += [f"{item.prefix}_{joint}" for joint in recording.joints]
+            blocks.append(value)
+    tables.write_table(Path(path), names, np.hstack(blocks))
+
+
+def write_campaign(
+    directory: str | os.PathLike[str],
+    robot: str | Path,
+    recordings: Sequence[Recording],
+    *,
+    cutoff_hz: float | None = None,
+    noise_torque: Sequence[float] | None = None,
+    file_format: Literal["parquet", "csv", "csv.gz"] = "parquet",
+) -> Path:
+    """Write recordings and a `campaign.toml` that `load_campaign` reads back as the same recordings.
+
+    Parameters
+    ----------
+    directory : made where missing.
+    robot : written as it is (a name, or relative to `directory`); a `Path` is written relative to `directory`.
+    recordings : of one robot: same joints, sample rate and signals. Files take the recordings' names, in a folder named
+        for the role where both roles have a recording of that name.
+    cutoff_hz, noise_torque : as in `Campaign`.
+
+    Returns
+    -------
+    Path of the campaign file, written last.
+
+    Raises
+    ------
+    ValueError
+        Recordings that do not fit in one campaign, or a name that cannot be a file's.
+    """
+    directory = Path(directory)
+    if file_format not in ("parquet", "csv", "csv.gz"):
+        raise ValueError(f"file_format {file_format!r}: parquet, csv or csv.gz is expected")
+    fields = _common_signals(recordings)
+    first = recordings[0]
+    robot_text = robot if isinstance(robot, str) else Path(os.path.relpath(robot, directory)).as_posix()
+    lines = [
+        f"robot = {_toml(robot_text)}",
+        f"sample_rate_hz = {_toml(first.sample_rate_hz)}",
+        f"joints = {_toml(first.joints)}",
+        "",
+        "[signals]",
+    ]
+    lines += [f"{item.key} = {_toml([f'{item.prefix}_{joint}' for joint in first.joints])}" for item in fields]
+    if cutoff_hz is not None:
+        lines += ["", "[preprocessing]", f"cutoff_hz = {_toml(cutoff_hz)}"]
+    if noise_torque is not None:
+        if len(noise_torque) != len(first.joints):
+            raise ValueError(f"noise_torque has {len(noise_torque)} values for {len(first.joints)} joints")
+        lines += ["", "[noise]", f"torque_rms = {_toml(noise_torque)}"]
+    files = _file_names(recordings, file_format)
+    for recording, file in zip(recordings, files, strict=True):
+        target = directory / file
+        target.parent.mkdir(parents=True, exist_ok=True)
+        save_recording(recording, target)
+        lines += ["", "[[recording]]", f"file = {_toml(file)}", f"role = {_toml(recording.role)}"]
+        if recording.period_s is not None:
+            lines.append(f"period_s = {_toml(recording.period_s)}")
+    campaign = directory / "campaign.toml"
+    tables.write_whole(campaign, lambda temporary: _write_text(temporary, "\n".join(lines) + "\n"))
+    return campaign
+
+
+# --- the campaign file -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Section:
+    """A table of the campaign file whose values are asked for by key and type; every error names file and key."""
+
+    file: str
+    name: str
+    values: Mapping[str, Any]
+
+    def problem(self, key: str, what: str) -> ValueError:
+        where = f"{self.name} {key}" if self.name else key
+        return ValueError(f"{self.file}: {where}: {what}")
+
+    def allow(self, *keys: str) -> None:
+        for key in self.values:
+            if key not in keys:
+                hint = tables.suggestion(key, keys)
+                raise self.problem(repr(key), f"unknown key{hint}; allowed here: {', '.join(keys)}")
+
+    def has(self, key: str) -> bool:
+        return key in self.values
+
+    def _get(self, key: str) -> Any:
+        if key not in self.values:
+            raise self.problem(key, "missing")
+        return self.values[key]
+
+    def text(self, key: str) -> str:
+        value = self._get(key)
+        if not isinstance(value, str) or not value.strip():
+            raise self.problem(key, f"found {_shown(value)}, a text is expected")
+        return value
+
+    def number(self, key: str) -> float:
+        return self._number(key, self._get(key))
+
+    def positive(self, key: str) -> float:
+        value = self.number(key)
+        if value <= 0.0:
+            raise self.problem(key, f"found {value:g}, a number above 0 is expected")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        value = self._get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
+            raise self.problem(key, f"found {_shown(value)}, a list of texts is expected")
+        return tuple(value)
+
+    def numbers(self, key: str, count: int) -> Array:
+        value = self._get(key)
+        if not isinstance(value, list):
+            raise self.problem(key, f"found {_shown(value)}, a list of {count} numbers is expected")
+        if len(value) != count:
+            raise self.problem(key, f"lists {len(value)} values, joints lists {count}")
+        return np.array([self._number(key, item) for item in value])
+
+    def square(self, key: str, count: int) -> Array:
+        value = self._get(key)
+        expected = f"{count} rows of {count} numbers, one a joint, are expected"
+        if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+            raise self.problem(key, f"found {_shown(value)}, {expected}")
+        lengths = [len(row) for row in value]
+        if lengths != [count] * count:
+            found = "/".join(str(length) for length in sorted(set(lengths)))
+            raise self.problem(key, f"has {len(value)} rows of {found} numbers, {expected}")
+        return np.array([[self._number(key, item) for item in row] for row in value])
+
+    def section(self, key: str) -> _Section:
+        value = self._get(key)
+        if not isinstance(value, dict):
+            raise self.problem(key, f"found {_shown(value)}, a table [{key}] is expected")
+        return _Section(self.file, f"[{key}]", value)
+
+    def sections(self, key: str) -> list[_Section]:
+        value = self._get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
+            raise self.problem(key, f"found {_shown(value)}, tables [[{key}]] are expected")
+        return [_Section(self.file, f"[[{key}]] {index + 1}", item) for index, item in enumerate(value)]
+
+    def _number(self, key: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.problem(key, f"found {_shown(value)}, a finite number is expected")
+        return float(value)
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """The campaign file apart from its recordings."""
+
+    robot: str
+    sample_rate_hz: float
+    joints: tuple[str, ...]
+    columns: dict[str, tuple[str, ...]]
+    gear_matrix: Array | None
+    offset: Array
+    cutoff_hz: float | None
+    noise_torque: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One [[recording]]."""
+
+    where: _Section
+    file: Path
+    role: Role
+    start_s: float | None
+    end_s: float | None
+    period_s: float | None
+
+
+def _read_layout(root: _Section) -> _Layout:
+    root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "recording")
+    rate = root.positive("sample_rate_hz")
+    joints = root.texts("joints")
+    _refuse_repeats(root, "joints", joints)
+    count = len(joints)
+
+    signals = root.section("signals")
+    signals.allow(*(item.key for item in _SIGNALS))
+    columns: dict[str, tuple[str, ...]] = {}
+    used: dict[str, str] = {}
+    for item in _SIGNALS:
+        if item.key not in _REQUIRED and not signals.has(item.key):
+            continue
+        names = signals.texts(item.key)
+        if len(names) != count:
+            raise signals.problem(item.key, f"lists {len(names)} columns, joints lists {count}")
+        for name in names:
+            unit = _OTHER_UNIT.search(name)
+            if unit:
+                raise signals.problem(
+                    item.key, f"column {name!r} seems to be in {unit[1]}; SI units (rad, rad/s, N m) are expected"
+                )
+            if name in used:
+                raise signals.problem(item.key, f"column {name!r} is already used by {used[name]}")
+            used[name] = item.key
+        columns[item.key] = names
+
+    gear_matrix, offset = None, np.zeros(count)
+    if root.has("motor"):
+        motor = root.section("motor")
+        motor.allow("gear_matrix", "offset")
+        gear_matrix = motor.square("gear_matrix", count)
+        # rows are scaled first, for ratios of very different size are no trouble
+        sizes = np.linalg.norm(gear_matrix, axis=1, keepdims=True)
+        if np.any(sizes == 0.0) or np.linalg.cond(gear_matrix / sizes) > 1e10:
+            raise motor.problem("gear_matrix", "is singular; joint angles cannot be found from motor angles")
+        if motor.has("offset"):
+            offset = motor.numbers("offset", count)
+
+    cutoff = None
+    if root.has("preprocessing"):
+        preprocessing = root.section("preprocessing")
+        preprocessing.allow("cutoff_hz")
+        if preprocessing.has("cutoff_hz"):
+            cutoff = preprocessing.positive("cutoff_hz")
+            if cutoff >= 0.5 * rate:
+                raise preprocessing.problem(
+                    "cutoff_hz", f"found {cutoff:g}, below half of sample_rate_hz ({0.5 * rate:g}) is expected"
+                )
+    noise = None
+    if root.has("noise"):
+        section = root.section("noise")
+        section.allow("torque_rms")
+        values = section.numbers("torque_rms", count)
+        if np.any(values < 0.0):
+            raise section.problem("torque_rms", f"found {float(values.min()):g}, numbers of 0 or more are expected")
+        noise = tuple(float(value) for value in values)
+    return _Layout(root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise)
+
+
+def _read_entry(section: _Section, campaign: Path, layout: _Layout) -> _Entry:
+    section.allow("file", "role", "start_s", "end_s", "period_s")
+    file = campaign.parent / section.text("file")
+    try:
+        tables.extension_of(file)
+    except ValueError as error:
+        raise section.problem("file", str(error)) from error
+    text = section.text("role")
+    role = next((known for known in ROLES if known == text), None)
+    if role is None:
+        hint = tables.suggestion(text, ROLES)
+        raise section.problem("role", f'found {text!r}{hint}, "identification" or "validation" is expected')
+    start = section.number("start_s") if section.has("start_s") else None
+    end = section.number("end_s") if section.has("end_s") else None
+    if start is not None and end is not None and start >= end:
+        raise section.problem("end_s", f"found {end:g}, more than start_s = {start:g} is expected")
+    period = section.positive("period_s") if section.has("period_s") else None
+    if period is not None:
+        problem = _period_problem(period, layout.sample_rate_hz, None)
+        if problem:
+            raise section.problem("period_s", f"{period!r} {problem}")
+    return _Entry(section, file, role, start, end, period)
+
+
+def _period_problem(period_s: float, rate: float, samples: int | None) -> str | None:
+    """What is wrong with a period, or None. `samples` None: the length is not known yet."""
+    if not (math.isfinite(period_s) and period_s > 0.0):
+        return "is no time above 0"
+    count = period_s * rate
+    if round(count) < 2 or abs(count - round(count)) > 1e-6 * count:
+        return f"is {count:.6g} sample periods at {rate:g} Hz, a whole number of 2 or more is expected"
+    if samples is not None and round(count) > samples:
+        return f"is {round(count)} samples, more than the recording's {samples}"
+    return None
+
+
+def _refuse_repeats(section: _Section, key: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise section.problem(key, f"{name!r} is listed {names.count(name)} times")
+
+
+def _shown(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _read_text(path: Path) -> str:
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise ValueError(f"{path}: {found}; a campaign file (TOML) is expected")
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read: {tables.one_line(error)}") from error
+
+
+# --- one recording ---------------------------------------------------------------------------------------------------
+
+
+def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
+    """The part of a table that one [[recording]] asks for, checked and brought to the joint side."""
+    rate = layout.sample_rate_hz
+    rows = len(table.values)
+    if "time" in table.names:
+        time = table.columns(["time"])[:, 0]
+        _check_finite(table.path, ["time"], time[:, None], 0)
+        resolution = _printed_resolution(time, table.single_precision[table.names.index("time")])
+        _check_increasing(table.path, time, rate, resolution)
+    else:
+        time = np.arange(rows) / rate
+        resolution = np.zeros(rows)
+    first, last = _select(table.path, time, entry, rate)
+    part = slice(first, last)
+    if last - first < 2:
+        raise ValueError(
+            f"{table.path}: {last - first} data row(s) in the part that {entry.where.name} asks for, 2 are needed"
+        )
+    _check_uniform(table.path, time[part], rate, resolution[part], first)
+
+    values: dict[str, Array] = {}
+    for item in _SIGNALS:
+        names = layout.columns.get(item.key)
+        if names is None:
+            continue
+        measured = table.columns(names)[part]
+        _check_finite(table.path, names, measured, first)
+        joint_side = _to_joint_side(measured, item, layout)
+        if item.kind == "angle":
+            _check_angles(table.path, names, joint_side, item, layout)
+        values[item.field] = joint_side
+    if entry.period_s is not None:
+        problem = _period_problem(entry.period_s, rate, last - first)
+        if problem:
+            raise ValueError(f"{table.path}: {entry.where.name} period_s: {entry.period_s!r} {problem}")
+    return Recording(
+        name=tables.stem_of(table.path),
+        role=entry.role,
+        time=time[part].copy(),
+        sample_rate_hz=rate,
+        joints=layout.joints,
+        position=values["position"],
+        torque=values["torque"],
+        velocity=values.get("velocity"),
+        link_position=values.get("link_position"),
+        reference_position=values.get("reference_position"),
+        reference_velocity=values.get("reference_velocity"),
+        feedforward_torque=values.get("feedforward_torque"),
+        period_s=entry.period_s,
+        source=table.path,
+    )
+
+
+def _to_joint_side(measured: Array, item: _Signal, layout: _Layout) -> Array:
+    gear = layout.gear_matrix
+    if gear is None or item.always_joint_side:
+        return measured
+    if item.kind == "torque":
+        return measured @ gear  # rows are samples: (gear.T @ torque).T
+    joint_side = np.ascontiguousarray(np.linalg.solve(gear, measured.T).T)
+    return joint_side + layout.offset if item.kind == "angle" else joint_side
+
+
+def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -> None:
+    bad = ~np.isfinite(values)
+    if not np.any(bad):
+        return
+    column = int(np.argmax(np.any(bad, axis=0)))
+    row = int(np.argmax(bad[:, column]))
+    found = "missing or NaN" if np.isnan(values[row, column]) else f"{values[row, column]:g}"
+    count = int(np.count_nonzero(bad[:, column]))
+    raise ValueError(
+        f"{file}: column {names[column]!r}, row {first + row + 1}: {found}"
+        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected"
+    )
+
+
+def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal, layout: _Layout) -> None:
+    largest = np.max(np.abs(angles), axis=0)
+    joint = int(np.argmax(largest))
+    if largest[joint] > _LARGEST_ANGLE:
+        cause = (
+            "probably degrees, or motor side without a [motor] gear_matrix"
+            if layout.gear_matrix is None or item.always_joint_side
+            else "probably degrees, or joint side although [motor] gives a gear_matrix, or a wrong gear_matrix"
+        )
+        raise ValueError(
+            f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} rad"
+            f" on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
+        )
+
+
+def _select(file: Path, time: Array, entry: _Entry, rate: float) -> tuple[int, int]:
+    """First row and one past the last row of start_s <= time < end_s."""
+    # A time meant to be on the edge may be off by the rounding of its print.
+    slack = 1e-3 / rate
+    first, last = float(time[0]), float(time[-1])
+    for key, edge in (("start_s", entry.start_s), ("end_s", entry.end_s)):
+        # one sample period is allowed beyond either end: logs start at 0 or after one period, an end is exclusive
+        if edge is not None and not first - 1.0 / rate - slack <= edge <= last + 1.0 / rate + slack:
+            raise ValueError(
+                f"{file}: {entry.where.name} {key}: {edge:g} s is outside the file's {first:g} ... {last:g} s"
+            )
+    begin = 0 if entry.start_s is None else int(np.searchsorted(time, entry.start_s - slack))
+    end = len(time) if entry.end_s is None else int(np.searchsorted(time, entry.end_s - slack))
+    return begin, end
+
+
+def _printed_resolution(time: Array, single_precision: bool) -> Array:
+    """(N,) s: by how much each time may differ from the true one because of the digits it was logged with.
+
+    The step of the last decimal, or of the last significant digit, that the column as a whole uses, whichever is
+    coarser: logs print with a fixed number of either.
+    """
+    representation = 4.0 * np.spacing(np.abs(time))
+    # zero shows no digits: as small as the smallest other time
+    sizes = np.abs(time)
+    smallest = float(np.min(sizes[sizes > 0.0], initial=1.0))
+    magnitude = np.floor(np.log10(np.maximum(sizes, smallest) * (1.0 + 1e-15)))
+
+    def fits(step: Array) -> bool:
+        return bool(np.all(np.abs(np.round(time / step) * step - time) <= representation))
+
+    decimals = next((10.0**-d for d in range(16) if fits(np.full_like(time, 10.0**-d))), 0.0)
+    digits = next((d for d in range(1, 17) if fits(10.0 ** (magnitude + 1.0 - d))), 17)
+    resolution = np.maximum(np.maximum(10.0 ** (magnitude + 1.0 - digits), decimals), representation)
+    single = sizes.astype(np.float32)
+    if single_precision or digits <= 9 or np.array_equal(single, sizes):
+        # nine digits or fewer hold what 32-bit floats hold, so the clock may have been one
+        resolution = np.maximum(resolution, np.spacing(single).astype(np.float64))
+    return np.asarray(resolution)
+
+
+def _check_increasing(file: Path, time: Array, rate: float, resolution: Array) -> None:
+    steps = np.diff(time)
+    # equal times are only a matter of print where the print is coarser than the sample period
+    coarse = np.maximum(resolution[1:], resolution[:-1]) > 1.01 / rate
+    bad = (steps < 0.0) | ((steps == 0.0) & ~coarse)
+    if np.any(bad):
+        row = int(np.argmax(bad)) + 1
+        raise ValueError(
+            f"{file}: column 'time', row {row + 1}: {time[row]:.10g} s after {time[row - 1]:.10g} s;"
+            f" increasing times are expected"
+        )
+
+
+def _check_uniform(file: Path, time: Array, rate: float, resolution: Array, first: int) -> None:
+    """Times must step by 1/rate to 1 %, apart from the rounding of their print."""
+    period = 1.0 / rate
+    steps = np.diff(time)
+    rounding = np.maximum(resolution[1:], resolution[:-1])
+    fine = bool(np.max(rounding) <= 0.6 * period)
+    typical = float(np.median(steps)) if fine else float(np.mean(steps))
+    if fine:
+        contradicts = abs(typical - period) > 0.01 * period + float(np.median(rounding))
+    else:
+        contradicts = abs(typical - period) > 0.05 * period + float(np.max(rounding)) / len(steps)
+    if contradicts:
+        raise ValueError(
+            f"{file}: column 'time': steps of {typical:.6g} s ({1.0 / typical:.6g} Hz) contradict"
+            f" sample_rate_hz = {rate:g} ({period:.6g} s)"
+        )
+    if fine:
+        bad = np.abs(steps - period) > 0.01 * period + rounding
+    else:
+        # Steps of such a print say nothing singly. All deviations from the grid must fit in one rounding interval;
+        # a lost sample shifts them by a period, which is more.
+        deviation = time - time[0] - np.arange(len(time)) * period
+        spread = np.maximum.accumulate(deviation) - np.minimum.accumulate(deviation)
+        widest = np.maximum.accumulate(resolution)
+        bad = (spread > np.minimum(0.01 * period + widest, 0.999 * np.maximum(widest, period)))[1:]
+    if np.any(bad):
+        row = int(np.argmax(bad)) + 1
+        raise ValueError(
+            f"{file}: column 'time', row {first + row + 1}: a step of {steps[row - 1]:.6g} s, {period:.6g} s is"
+            f" expected: samples must be uniform in time"
+        )
+    mean = float(time[-1] - time[0]) / len(steps)
+    if abs(mean - period) > 1e-3 * period + float(np.max(rounding)) / len(steps):
+        raise ValueError(
+            f"{file}: column 'time': {len(steps)} steps of {mean:.8g} s on average ({1.0 / mean:.8g} Hz) contradict"
+            f" sample_rate_hz = {rate:g}"
+        )
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+def _common_signals(recordings: Sequence[Recording]) -> list[_Signal]:
+    if not recordings:
+        raise ValueError("a campaign needs at least one recording")
+    first = recordings[0]
+    present = [item for item in _SIGNALS if getattr(first, item.field) is not None]
+    for other in recordings[1:]:
+        if other.joints != first.joints or other.sample_rate_hz != first.sample_rate_hz:
+            raise ValueError(f"recordings {first.name!r} and {other.name!r} differ in joints or sample rate")
+        if [item for item in _SIGNALS if getattr(other, item.field) is not None] != present:
+            raise ValueError(f"recordings {first.name!r} and {other.name!r} differ in the signals they have")
+    return present
+
+
+def _file_names(recordings: Sequence[Recording], file_format: str) -> list[str]:
+    keys = [(recording.role, recording.name) for recording in recordings]
+    names = [recording.name for recording in recordings]
+    files = []
+    for role, name in keys:
+        if not name or name != Path(name).name or "\\" in name or name.lower().endswith(tables.EXTENSIONS):
+            raise ValueError(f"recording name {name!r}: a file name without folder or extension is expected")
+        if keys.count((role, name)) > 1:
+            raise ValueError(f"two {role} recordings are called {name!r}")
+        folder = f"{role}/" if names.count(name) > 1 else ""
+        files.append(f"{folder}{name}.{file_format}")
+    return files
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _toml(value: str | float | Sequence[str] | Sequence[float]) -> str:
+    if isinstance(value, str):
+        # a TOML basic string takes JSON's escapes; DEL alone is escaped by TOML only
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, Sequence):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    return repr(float(value))

@@ -1,0 +1,237 @@
+"""Read and write the numeric tables that recordings are kept in: .csv, .csv.gz and .parquet."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import gzip
+import os
+import secrets
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pa_parquet
+from numpy.typing import NDArray
+
+EXTENSIONS = (".csv", ".csv.gz", ".parquet")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Numeric columns of one file.
+
+    Attributes
+    ----------
+    path : the file.
+    names : names of the columns that were read.
+    values : (rows, columns) float64, in the order of `names`; empty cells are NaN.
+    single_precision : one flag a column, true where the file stores 32-bit floats.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+    single_precision: tuple[bool, ...]
+
+    def columns(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """(rows, len(names)) values of the named columns."""
+        return self.values[:, [self.names.index(name) for name in names]]
+
+
+def extension_of(path: Path) -> str:
+    """The table extension of `path`, in lower case; ValueError where it is none of `EXTENSIONS`."""
+    for extension in sorted(EXTENSIONS, key=len, reverse=True):
+        if path.name.lower().endswith(extension):
+            return extension
+    raise ValueError(f"{path}: unknown kind of file; expected {', '.join(EXTENSIONS)}")
+
+
+def stem_of(path: Path) -> str:
+    """File name without its table extension: `run_1.csv.gz` gives `run_1`."""
+    return path.name[: -len(extension_of(path))]
+
+
+def suggestion(word: str, candidates: Sequence[str]) -> str:
+    """`" (did you mean 'x'?)"` for the nearest candidates, or nothing."""
+    folded = {candidate.lower(): candidate for candidate in candidates}
+    close = [folded[match] for match in difflib.get_close_matches(word.lower(), list(folded), n=3, cutoff=0.6)]
+    return f" (did you mean {' or '.join(repr(name) for name in close)}?)" if close else ""
+
+
+def one_line(error: Exception) -> str:
+    """The message of an error without line breaks; its kind where it has no message."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> Table:
+    """Read only the named columns of a table, as float64.
+
+    Parameters
+    ----------
+    path : .csv, .csv.gz (one header line, commas, UTF-8) or .parquet.
+    columns : columns that must be there.
+    optional : columns read where they are there.
+
+    Raises
+    ------
+    ValueError
+        One line naming the file and, where it applies, column and data row (counted from 1): file missing,
+        unreadable or empty, no data rows, a column missing or there twice, a cell that is not a number.
+    """
+    extension = extension_of(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file")
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path}: the file is empty")
+    try:
+        header = _parquet_header(path) if extension == ".parquet" else _csv_header(path)
+        wanted = _choose(path, header, columns, optional)
+        positions = [header.index(name) for name in wanted]
+        read = _read_parquet if extension == ".parquet" else _read_csv
+        arrow = read(path, header, positions)
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
+        if isinstance(error, pa.ArrowInvalid) and "Empty CSV" in str(error):
+            raise ValueError(f"{path}: a header but no data rows") from error
+        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from error
+    if arrow.num_rows == 0:
+        raise ValueError(f"{path}: a header but no data rows")
+    values = np.empty((arrow.num_rows, len(wanted)))
+    for index, name in enumerate(wanted):
+        values[:, index] = _numbers(path, name, arrow.column(index))
+    single = tuple(arrow.column(index).type == pa.float32() for index in range(len(wanted)))
+    return Table(path, tuple(wanted), values, single)
+
+
+def write_table(path: Path, names: Sequence[str], values: NDArray[np.float64]) -> None:
+    """Write (rows, columns) float64 `values` under `names`; the file appears whole or not at all.
+
+    CSV is written with the shortest digits that read back as the same number, so that every format is exact.
+    """
+    extension = extension_of(path)
+    table = pa.table([pa.array(np.ascontiguousarray(column)) for column in values.T], names=list(names))
+
+    def write(temporary: Path) -> None:
+        if extension == ".parquet":
+            pa_parquet.write_table(table, temporary)
+        elif extension == ".csv":
+            pa_csv.write_csv(table, temporary, pa_csv.WriteOptions(quoting_style="needed"))
+        else:
+            # mtime=0 keeps the bytes the same for the same data
+            with open(temporary, "wb") as raw, gzip.GzipFile("", "wb", mtime=0, fileobj=raw) as stream:
+                pa_csv.write_csv(table, stream, pa_csv.WriteOptions(quoting_style="needed"))
+
+    write_whole(path, write)
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Call `write` with a temporary name beside `path`, then rename: readers never see half a file."""
+    temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _choose(path: Path, header: Sequence[str], columns: Sequence[str], optional: Sequence[str]) -> list[str]:
+    wanted = list(dict.fromkeys([*[name for name in optional if name in header], *columns]))
+    for name in wanted:
+        count = header.count(name)
+        if count > 1:
+            raise ValueError(f"{path}: column {name!r} is there {count} times")
+        if count == 0:
+            raise ValueError(f"{path}: no column {name!r}{_why_missing(name, header)}")
+    return wanted
+
+
+def _why_missing(name: str, header: Sequence[str]) -> str:
+    if len(header) == 1:
+        for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+            if separator in header[0]:
+                return f"; columns seem separated by {word}, commas are expected"
+    if header and all(_number(cell) is not None for cell in header):
+        return "; the first line holds numbers, a line of column names is expected"
+    hint = suggestion(name, header)
+    if hint:
+        return hint
+    shown = ", ".join(repr(found) for found in header[:12])
+    return f"; the file has {shown}{' and others' if len(header) > 12 else ''}"
+
+
+def _csv_header(path: Path) -> list[str]:
+    def first_line(stream: TextIO) -> list[str]:
+        return next(csv.reader(stream), [])
+
+    if extension_of(path) == ".csv.gz":
+        with gzip.open(path, "rt", encoding="utf-8-sig", newline="") as stream:
+            header = first_line(stream)
+    else:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            header = first_line(stream)
+    if not header:
+        raise ValueError(f"{path}: the file is empty or its first line is blank; a line of column names is expected")
+    return [name.strip() for name in header]
+
+
+def _read_csv(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa.Table:
+    invalid: list[str] = []
+
+    def on_invalid_row(row: pa_csv.InvalidRow) -> str:
+        # the number counts lines of the file, the header is line 1
+        at = "a row" if row.number is None else f"data row {row.number - 1}"
+        invalid.append(f"{at} has {row.actual_columns} cells, the header has {row.expected_columns}")
+        return "error"
+
+    # Columns go by position here, so that names may hold blanks and unused columns may share a name.
+    keys = [str(index) for index in range(len(header))]
+    try:
+        return pa_csv.read_csv(
+            path,
+            pa_csv.ReadOptions(column_names=keys, skip_rows=1, use_threads=False),
+            pa_csv.ParseOptions(invalid_row_handler=on_invalid_row),
+            pa_csv.ConvertOptions(include_columns=[keys[position] for position in positions]),
+        )
+    except pa.ArrowException as error:
+        if invalid:
+            raise ValueError(f"{path}: {invalid[0]}") from error
+        raise
+
+
+def _parquet_header(path: Path) -> list[str]:
+    return list(pa_parquet.read_schema(path).names)
+
+
+def _read_parquet(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa.Table:
+    names = [header[position] for position in positions]
+    return pa_parquet.read_table(path, columns=names).select(names)
+
+
+def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float64]:
+    kind = column.type
+    if pa.types.is_floating(kind) or pa.types.is_integer(kind):
+        return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+    if pa.types.is_null(kind):
+        return np.full(len(column), np.nan)
+    numbers = np.empty(len(column))
+    for row, cell in enumerate(column.to_pylist()):
+        number = np.nan if cell is None or cell == "" else _number(cell)
+        if number is None:
+            found = " ".join(str(cell).split())
+            raise ValueError(f"{path}: column {name!r}, row {row + 1}: {found[:40]!r} is not a number")
+        numbers[row] = number
+    return numbers
+
+
+def _number(cell: object) -> float | None:
+    if isinstance(cell, bool):
+        return None
+    try:
+        return float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return None
