@@ -187,9 +187,10 @@ class Robot:
     def _tree_motion(self, motion: Motion) -> _RobotTreeMotion:
         return _RobotTreeMotion(self, motion)
 
-    def on_links(self, motion: Motion, link_parameters: Array) -> Motion:
+    def on_links(self, motion: Motion, link_parameters: Array, regressor: Array | None = None) -> Motion:
         """The same motion of the same tree with other link parameters, as an identification finds them."""
-        regressor = motion.on_tree.link_regressor()
+        if regressor is None:
+            regressor = motion.on_tree.link_regressor()
 
         def tree(moved: Motion) -> _RobotTreeMotion:
             return _RobotTreeMotion(self, moved, link_parameters, regressor)

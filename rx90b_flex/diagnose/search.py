@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +10,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from rx90b_flex.effects import Effect, Sites, catalogue
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
 from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, NormalEquations, solve_weighted
 from rx90b_flex.identify.regression import Regression
@@ -22,6 +21,7 @@ GAIN_T = 2.0  # held-out gain over its standard error
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
 REFINED = 16  # trials whose shape parameters are refined
+DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
 BATCH_BYTES = 64e6
 
 
@@ -60,6 +60,11 @@ class Trial:
         blocks = len(self.block_gains)
         spread = self.block_gains.std(ddof=1) * np.sqrt(blocks)
         return float(self.gain / spread) if spread > 0 else np.inf
+
+    @property
+    def sure_gain(self) -> float:
+        """Gain less twice its standard error: what it explains beyond the luck of a few blocks."""
+        return self.gain * (1.0 - GAIN_T / max(self.gain_t, 1e-9)) if self.gain > 0 else self.gain
 
     @property
     def accepted(self) -> bool:
@@ -151,6 +156,14 @@ class _Base:
             np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
         )
 
+    def apart(self, rows: Array, columns: Array) -> Array:
+        """What of candidate columns (N, rows, k) the base does not explain, shape (N, joints, k)."""
+        _, inverse = self.whole
+        with_base = np.einsum("j,njp,njk->pk", self.weight[rows], self.columns[:, rows], columns, optimize=True)
+        out = -(self.columns @ (inverse @ with_base))
+        out[:, rows] += columns
+        return out
+
     def gains(self, rows: Array, columns: Array, k: int) -> Array:
         """Drop of the weighted squared error for many candidates of k columns each; columns (N, rows, M * k) -> (M,)."""
         _, inverse = self.whole
@@ -170,7 +183,7 @@ def _solve(left: Array, own: Array, score: Array) -> Array:
     """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
     values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
-    kept = values > 1e-5
+    kept = values > DETERMINED
     basis = vectors[:, kept]
     return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
 
@@ -246,12 +259,9 @@ class Search:
         candidates = self.candidates()
         bases: dict[Effect | None, _Base] = {None: self.base()}
         rough: list[tuple[float, Effect, _Base]] = []
-        tests = 0
-        motion = max((s.motion for s in self.regression.stretches), key=len)
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
-            starts = effect.shape_starts(motion) if effect.shape_names() else np.zeros((1, 0))
-            tests += effect.independent_shapes(motion)
+            starts = effect.shape_starts(self.longest) if effect.shape_names() else np.zeros((1, 0))
             best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
             # an effect that replaces another starts from a worse base: count only what it adds to the present model
             lost = float(base.squares.sum() - bases[None].squares.sum())
@@ -259,31 +269,36 @@ class Search:
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
         rough.sort(key=lambda item: -item[0])
-        trials = [self._trial(effect, base, bases[None], tests) for _, effect, base in rough[:REFINED]]
+        trials = [self._trial(effect, base, bases[None], self.tests) for _, effect, base in rough[:REFINED]]
         return sorted(trials, key=lambda t: -t.gain)
 
-    def _rows(self, effect: Effect) -> tuple[Array, Array]:
-        columns = self.regression.columns(effect)
-        rows = np.flatnonzero(columns.any(axis=(0, 2)))
-        return rows, columns[:, rows]
+    def without(self, effect: Effect) -> Trial:
+        """What an effect of the present model is worth: the trial of adding it to the model without it."""
+        base = self.base(effect)
+        return self._trial(effect, base, base, self.tests)
+
+    @cached_property
+    def longest(self) -> Motion:
+        """Motion of the longest recording, from which starts for shapes are taken."""
+        return max((s.motion for s in self.regression.stretches), key=len)
+
+    @cached_property
+    def tests(self) -> int:
+        """How many independent trials a search makes."""
+        return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates())
 
     def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
         shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
-        per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches) * len(self.regression.joints)
+        per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches) 
         batch = max(1, int(BATCH_BYTES / per_effect))
         for at in range(0, len(shaped), batch):
             part = shaped[at : at + batch]
-            rows, columns = self._rows_of_many(part)
+            rows, columns = self.regression.compact(part)
             if len(rows) == 0:
                 yield 0.0, part[0]
                 continue
             yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
-
-    def _rows_of_many(self, effects: Sequence[Effect]) -> tuple[Array, Array]:
-        stacked = self.regression.columns_of(effects)
-        rows = np.flatnonzero(stacked.any(axis=(0, 2)))
-        return rows, stacked[:, rows]
 
     def _refined(self, effect: Effect, base: _Base) -> Effect:
         if not effect.shape_names():
@@ -295,11 +310,10 @@ class Search:
 
         def cost(x: Array) -> float:
             shape = np.clip(back(x), *bounds)
-            rows, columns = self._rows(effect.with_shape(shape))
+            rows, columns = self.regression.compact([effect.with_shape(shape)])
             return -float(base.gains(rows, columns, columns.shape[2])[0]) if len(rows) else 0.0
 
-        motion = max((s.motion for s in self.regression.stretches), key=len)
-        spread = effect.shape_spread(motion)
+        spread = effect.shape_spread(self.longest)
         start = to(effect.shape)
         simplex = np.vstack([start, start + np.diag(spread / effect.shape if logs else spread)])
         found = optimize.minimize(
@@ -309,7 +323,7 @@ class Search:
 
     def _trial(self, effect: Effect, base: _Base, present: _Base, tests: int) -> Trial:
         effect = self._refined(effect, base)
-        rows, columns = self._rows(effect)
+        rows, columns = self.regression.compact([effect])
         k, s = len(effect.coefficients), len(effect.shape)
         size = k + s - (present.columns.shape[2] - base.columns.shape[2])
         if len(rows) == 0:
@@ -320,7 +334,7 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
-        p_value, lawful = self._evidence(effect, base, rows, columns, b.sum(axis=0), left, d.sum(axis=0), beta, s)
+        p_value, lawful = self._evidence(effect, base, rows, columns, beta)
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
         return Trial(
@@ -349,55 +363,71 @@ class Search:
             )
         return out
 
-    def _evidence(
-        self,
-        effect: Effect,
-        base: _Base,
-        rows: Array,
-        columns: Array,
-        b: Array,
-        left: Array,
-        own: Array,
-        beta: Array,
-        shapes: int,
-    ) -> tuple[float, bool]:
-        """Wald test of the coefficients under coloured residuals, and whether they respect their bounds."""
-        _, inverse = base.whole
-        apart = -(base.columns @ (inverse @ b))
-        apart[:, rows] += columns
-        residual = base.residual - apart @ beta
+    def _evidence(self, effect: Effect, base: _Base, rows: Array, columns: Array, beta: Array) -> tuple[float, bool]:
+        """Wald test of the coefficients under coloured residuals, and whether they can be what they claim to be.
+
+        They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
+        effect then plays another one's part), or if with the shapes estimated too nothing of them is certain.
+        """
+        k = len(beta)
+        shapes = self._shape_columns(effect, rows, beta)
+        together = np.concatenate([columns, shapes], axis=2)
+        own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
+        apart = base.apart(rows, together)
+        residual = base.residual - apart[:, :, :k] @ beta
         spans = self.regression.spans
         longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
         share = base.columns.shape[2] / residual.shape[1]
         spectra = [residual_spectrum(r, spans, share, longest) for r in residual.T]
         meat = scatter(apart, base.weight, spectra, spans)
-        scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
-        kept = values > 1e-5
-        if not kept.any():
-            return 1.0, False
-        basis = vectors[:, kept] / scale[:, None]
-        bread = (basis / values[kept]) @ basis.T
-        covariance = bread @ meat @ bread
-        along = vectors[:, kept] * scale[:, None]
-        wald = (along.T @ beta) @ np.linalg.lstsq(along.T @ covariance @ along, along.T @ beta, rcond=None)[0]
-        free = int(kept.sum()) + shapes
-        p_value = float(stats.f.sf(wald / free, free, min(s.degrees_of_freedom for s in spectra)))
-        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return p_value, bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
+        bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
+        wald, free, std = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta)
+        whole, _, _ = _wald(bread, meat, own, np.r_[beta, np.zeros(shapes.shape[2])])
+        tests = free + shapes.shape[2]
+        p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
+        lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all()) and whole > SIGN_T**2 * k
+        low, high = effect.shape_bounds()
+        inside = bool(((effect.shape > 1.01 * low) & (effect.shape < 0.99 * high)).all())
+        return p_value, lawful and inside
+
+    def _shape_columns(self, effect: Effect, rows: Array, beta: Array) -> Array:
+        """Derivative of the effect's torque by its shape parameters, shape (N, rows, s)."""
+        out = [np.zeros((len(self.regression), len(rows), 0))]
+        for step in np.diag(1e-4 * np.abs(effect.shape)):
+            up, down = (self.regression.compact([effect.with_shape(effect.shape + h)])[1] for h in (step, -step))
+            out.append(((up - down) @ beta / (2 * step.sum()))[:, :, None])
+        return np.concatenate(out, axis=2)
+
+
+def _wald(bread: Array, meat: Array, own: Array, beta: Array) -> tuple[float, int, Array]:
+    """Wald statistic of the determined combinations of coefficients, their number, and standard deviations.
+
+    `own` (k,) are the squares of the candidate's columns before the base took its part: what is left of one is judged
+    against that, so that a column which the base explains wholly does not come back as rounding.
+    """
+    scale = np.sqrt(np.maximum(own, 1e-300))
+    values, vectors = np.linalg.eigh(bread / np.outer(scale, scale))
+    kept = values > DETERMINED
+    basis = vectors[:, kept] / scale[:, None]
+    inverse = (basis / values[kept]) @ basis.T
+    covariance = inverse @ meat @ inverse
+    along = vectors[:, kept] * scale[:, None]
+    combined = along.T @ beta
+    statistic = combined @ np.linalg.pinv(along.T @ covariance @ along, rcond=1e-10, hermitian=True) @ combined
+    return float(statistic), int(kept.sum()), np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def choose(trials: Sequence[Trial]) -> Trial | None:
-    """The trial to add: the largest held-out gain, or a simpler one that the data cannot tell from it."""
+    """The trial to add: the largest sure held-out gain, or a simpler one that the data cannot tell from it."""
     accepted = [t for t in trials if t.accepted]
     if not accepted:
         return None
-    best = max(accepted, key=lambda t: t.gain)
+    best = max(accepted, key=lambda t: t.sure_gain)
     as_good = [t for t in accepted if t is best or (t.size < best.size and best.no_better_than(t))]
-    return min(as_good, key=lambda t: (t.size, -t.gain))
+    return min(as_good, key=lambda t: (t.size, -t.sure_gain))
 
 
 def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:
     """The list of effects with a new one, which takes the place of what it replaces."""
     kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.replaces)]
-    return (*kept, dataclasses.replace(new))
+    return (*kept, new)

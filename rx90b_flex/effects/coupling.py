@@ -31,10 +31,13 @@ class JointCoupling(PairEffect):
         a, b = self.joint_pair
         return motion.coordinates.port(a, "drive") + motion.coordinates.port(b, "drive")
 
-    def columns(self, motion: Motion) -> Array:
+    def factors(self, motion: Motion) -> tuple[Array, Array]:
         port = self._port(motion)
         v = motion.v @ port
-        basis = np.stack([motion.a @ port, v, reversal(v)], axis=1)
+        return port, np.stack([motion.a @ port, v, reversal(v)], axis=1)
+
+    def columns(self, motion: Motion) -> Array:
+        port, basis = self.factors(motion)
         return port[None, :, None] * basis[:, None, :]
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:

@@ -232,6 +232,10 @@ class Effect(ABC):
     def columns(self, motion: Motion) -> Array:
         """Generalised force per unit of each coefficient; shape (N, n, k)."""
 
+    def factors(self, motion: Motion) -> tuple[Array, Array] | None:
+        """Columns as the outer product of a constant port (n,) and a basis (N, k), where they are one."""
+        return None
+
     def force(self, motion: Motion) -> Array:
         """Generalised force on the inverse-dynamics side, shape (N, n), N m."""
         return self.columns(motion) @ self.known_coefficients()
@@ -283,9 +287,13 @@ class JointEffect(Effect):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         """Derivatives of the basis by position, velocity and acceleration; each (N, k)."""
 
-    def columns(self, motion: Motion) -> Array:
+    def factors(self, motion: Motion) -> tuple[Array, Array]:
         at = motion.joint(self.joint, self.side)
-        return at.port[None, :, None] * self.basis(at)[:, None, :]
+        return at.port, self.basis(at)
+
+    def columns(self, motion: Motion) -> Array:
+        port, basis = self.factors(motion)
+        return port[None, :, None] * basis[:, None, :]
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         at = motion.joint(self.joint, self.side)

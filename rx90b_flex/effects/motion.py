@@ -113,6 +113,12 @@ class Motion:
         """The tree's view of this motion, made once."""
         return self.tree(self)
 
+    def part(self, samples: slice) -> Motion:
+        """Some of the samples."""
+        return Motion(
+            self.coordinates, self.q[samples], self.v[samples], self.a[samples], self.time[samples], self.tree
+        )
+
     def joint(self, name: str, kind: str = "joint") -> JointMotion:
         """Motion of one joint (its angle theta) or of one of its coordinates."""
         port = self.coordinates.port(name, kind)

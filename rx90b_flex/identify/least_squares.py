@@ -196,6 +196,23 @@ class Identification:
         """Norm of the residual over the norm of the torque, all joints and samples."""
         return float(np.linalg.norm(self.residual) / np.linalg.norm(self.regression.torque))
 
+    @property
+    def information(self) -> Array:
+        """Weighted Gram matrix of all coefficients, shape (p, p)."""
+        weighted = self.columns / self.solution.sigma[:, None]
+        flat = weighted.reshape(-1, weighted.shape[2])
+        return flat.T @ flat
+
+    def with_rest(self, change: Array) -> tuple[Effect, ...]:
+        """The effects with their coefficients changed; shape (p - links,)."""
+        out = []
+        for i, effect in enumerate(self.effects):
+            first = self.first_column(i)
+            k = len(effect.coefficients)
+            at = first - self.first_column(0)
+            out.append(effect.with_coefficients(self.theta[first : first + k] + change[at : at + k]))
+        return tuple(out)
+
     def first_column(self, index: int) -> int:
         """Place in theta of the first coefficient of an effect."""
         links = len(self.link_parameters) if self.links_fitted else 0

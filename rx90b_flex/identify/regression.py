@@ -74,7 +74,7 @@ class Stretch:
         return len(self.torque)
 
 
-def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None) -> Stretch:
+def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: bool = True) -> Stretch:
     """Differentiate, low-pass and thin out one recording.
 
     Parameters
@@ -84,6 +84,8 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None) -> Stre
     recording : Recording
     cutoff_hz : float or None
         Zero-phase low-pass of every signal; None fits the torque as it was logged.
+    thin : bool
+        Keep only the samples that a fit needs; otherwise all of them.
 
     Raises
     ------
@@ -97,8 +99,8 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None) -> Stre
         torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
     except ValueError as error:
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
-    if cutoff_hz is None:
-        working, factor, edge = 1, 1, 4
+    if cutoff_hz is None or not thin:
+        working, factor, edge = 1, 1, 4 if thin else 0
     else:
         working = decimation_factor(cutoff_hz, rate, WORKING_RATE_RATIO / 2)
         factor = decimation_factor(cutoff_hz, rate / working, 2.0)
@@ -115,13 +117,13 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None) -> Stre
             else f"{recording.source or recording.name}: {recording.samples} samples are too few to fit"
         )
     kept = slice(edge, samples - edge)
-    thin = working * factor
+    keep_every = working * factor
     return Stretch(
         recording,
         robot.motion(*sampled, time=time - recording.time[0]),
         time[::factor][kept],
-        torque[::thin][kept],
-        rate / thin,
+        torque[::keep_every][kept],
+        rate / keep_every,
         cutoff_hz,
         factor,
         working,
@@ -169,14 +171,30 @@ class Regression:
 
     def columns(self, effect: Effect) -> Array:
         """Columns of an effect, shape (N, joints, k)."""
-        return self.columns_of([effect])
+        rows, columns = self.compact([effect])
+        out = np.zeros((len(self), len(self.joints), columns.shape[2]))
+        out[:, rows] = columns
+        return out
 
-    def columns_of(self, effects: Sequence[Effect]) -> Array:
-        """Columns of several effects side by side, shape (N, joints, sum of k)."""
-        per_stretch = [
-            self._brought(s, np.concatenate([e.columns(s.motion) for e in effects], axis=2)) for s in self.stretches
-        ]
-        return np.concatenate(per_stretch)
+    def compact(self, effects: Sequence[Effect]) -> tuple[Array, Array]:
+        """Columns of effects in one place side by side: the joints where they are not zero, and (N, rows, sum of k)."""
+        parts = [self._factored(s, effects) for s in self.stretches]
+        rows = np.unique(np.concatenate([r for r, _ in parts]))
+        out = np.zeros((len(self), len(rows), parts[0][1].shape[2]))
+        for span, (here, columns) in zip(self.spans, parts, strict=True):
+            out[span][:, np.searchsorted(rows, here)] = columns
+        return rows, out
+
+    def _factored(self, stretch: Stretch, effects: Sequence[Effect]) -> tuple[Array, Array]:
+        factors = [e.factors(stretch.motion) for e in effects]
+        if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
+            port = factors[0][0][self.rows]  # type: ignore[index]
+            rows = np.flatnonzero(port)
+            basis = stretch.brought(np.concatenate([f[1] for f in factors if f is not None], axis=1))
+            return rows, port[rows][None, :, None] * basis[:, None, :]
+        columns = np.concatenate([e.columns(stretch.motion) for e in effects], axis=2)[:, self.rows]
+        rows = np.flatnonzero(columns.any(axis=(0, 2)))
+        return rows, stretch.brought(columns[:, rows])
 
     @cached_property
     def link_columns(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -320,6 +321,7 @@ def periods(x: ArrayLike, period_samples: int) -> Array:
     return samples[: count * period_samples].reshape(count, period_samples, *samples.shape[1:])
 
 
+@functools.lru_cache(maxsize=64)
 def _butterworth(cutoff_hz: float, sample_rate_hz: float, order: int) -> _Butterworth:
     _rate(sample_rate_hz)
     if not 0.0 < cutoff_hz < 0.5 * sample_rate_hz:

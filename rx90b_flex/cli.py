@@ -1,0 +1,165 @@
+"""The command line: ``rx90b-flex``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+app = typer.Typer(
+    name="rx90b-flex",
+    help="Industrial robots whose drives and joints bend: model, identify, and find what a model lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for the results; made if it does not exist.")]
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error, with the present step as its text."""
+    bar = Progress(
+        TextColumn("{task.description:<36}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda text, part: bar.update(task, description=text, completed=part)
+
+
+@app.command("close-loop")
+def close_loop_command(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    out: Out,
+    seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
+) -> None:
+    """Find what the recordings of CAMPAIGN hold that its declared robot does not, and add it to the model."""
+    from rx90b_flex.diagnose.close import close_loop
+    from rx90b_flex.diagnose.output import check_folder, write_result
+    from rx90b_flex.view.report import write_report
+
+    check_folder(out)
+    with _progress() as tell:
+        result = close_loop(campaign, seed=seed, progress=tell)
+        tell("writing the report", 0.98)
+        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html")])
+    console = Console()
+    _print_result(console, result)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+@app.command()
+def demo(
+    out: Out = Path("rx90b-flex-demo"),
+    seed: Annotated[int, typer.Option(help="Seed of what is hidden, of the motion and of the noise.")] = 0,
+    hidden: Annotated[
+        str | None, typer.Option(help="Effect type to hide, or 'none'; drawn from the seed where not given.")
+    ] = None,
+) -> None:
+    """Make recordings of a robot with an effect that its model lacks, close the loop, then tell what was hidden."""
+    from rx90b_flex.demo import make_demonstration
+    from rx90b_flex.diagnose.close import close_loop
+    from rx90b_flex.diagnose.output import check_folder, fill_folder, write_result
+    from rx90b_flex.view.report import write_report
+
+    check_folder(out)
+    console = Console()
+    with _progress() as tell:
+        tell("making recordings", 0.0)
+        demonstration = make_demonstration(seed, hidden)
+
+        def fill(folder: Path) -> None:
+            # the loop reads the campaign from disk, as it would read anyone's: it is not told what is hidden
+            result = close_loop(demonstration.write(folder), progress=tell)
+            tell("writing the report", 0.98)
+            write_result(result, folder, [lambda r, at: write_report(r, at / "report.html")])
+            results.append(result)
+
+        results: list[object] = []
+        fill_folder(out, fill)
+    _print_result(console, results[0])
+    what = "nothing" if demonstration.hidden is None else _describe(demonstration.hidden)
+    console.print(f"[bold]What had been hidden:[/bold] {what}")
+    console.print(f"Recordings, model and report: {out}", soft_wrap=True)
+
+
+@app.command()
+def flexify(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Annotated[Path, typer.Option("--out", help="URDF to write.")],
+    torsion: Annotated[list[str] | None, typer.Option(help="Joint whose drive twists; repeat for more.")] = None,
+    bending: Annotated[list[str] | None, typer.Option(help="Joint that bends; repeat for more.")] = None,
+    base: Annotated[bool, typer.Option("--base", help="A base that tilts about two axes.")] = False,
+) -> None:
+    """Write a URDF with explicit virtual joints for the flexibilities of ROBOT.
+
+    Without --torsion, --bending and --base: those that its robot file declares; for a plain URDF, every joint
+    twists and bends.
+    """
+    from rx90b_flex.flexify import flexible_urdf_of
+
+    check = flexible_urdf_of(robot, torsion or [], bending or [], base, out)
+    Console().print(check, soft_wrap=True)
+
+
+def _print_result(console: Console, result: object) -> None:
+    from rx90b_flex.diagnose.close import ClosedLoop
+
+    assert isinstance(result, ClosedLoop)
+    table = Table(title=f"{result.robot}: {result.verdict.replace('_', ' ')}", title_justify="left")
+    for name in ("found", "where", "values", "error before", "after"):
+        table.add_column(name, justify="right" if name in ("error before", "after") else "left")
+    for e in result.effects:
+        values = ", ".join(_value(p.name, p.value, p.std, p.unit) for p in e.parameters)
+        where = " + ".join(e.effect.joints) or "robot"
+        table.add_row(
+            e.effect.type_name(), where, values, f"{e.before.relative_error:.4f}", f"{e.after.relative_error:.4f}"
+        )
+    if not result.effects:
+        table.add_row("nothing", "", "", "", "")
+    console.print(table)
+    for role in ("validation", "identification"):
+        before, after = getattr(result.before, role), getattr(result.after, role)
+        held = " (held out)" if role == "validation" else ""
+        console.print(f"Relative torque error, {role}{held}: {before.relative_error:.4f} -> {after.relative_error:.4f}")
+    if result.noise_floor is not None:
+        rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
+        console.print(f"Noise floor: {rms} N m a joint")
+    for d in result.unexplained.where[:3]:
+        console.print(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+
+
+def _value(name: str, value: float | None, std: float | None, unit: str) -> str:
+    if value is None:
+        return f"{name} not determined"
+    return f"{name} {value:.4g} ± {std:.2g} {unit}" if unit != "-" else f"{name} {value:.4g} ± {std:.2g}"
+
+
+def _describe(effect: object) -> str:
+    from rx90b_flex.effects import Effect
+
+    assert isinstance(effect, Effect)
+    values = ", ".join(f"{name} {value:.4g} {unit}".removesuffix(" -") for name, unit, value in effect.public_values())
+    return f"{effect.type_name()} on {' + '.join(effect.joints) or 'the robot'}: {values}"
+
+
+def main() -> None:
+    """Run the command line; bad input is one line on standard error and exit status 2."""
+    try:
+        app()
+    except ValueError as error:
+        print(f"rx90b-flex: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,202 @@
+"""A robot with a hidden effect: recordings that the package makes itself, to close the loop on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rx90b_flex.effects import Effect, Motion, catalogue, close_match
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.export import save_robot
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals import Recording, write_campaign
+
+ROBOT = "rx90b_rigid"
+SAMPLE_RATE_HZ = 200.0
+PERIOD_S = 10.0
+CUTOFF_HZ = 20.0
+LINES = 8  # harmonics of the excitation
+SPEED = 0.75  # largest velocity of the excitation over the joint's limit
+TORQUE_NOISE = 0.015  # of a joint's root mean square torque, as logged
+POSITION_NOISE = 2e-6  # rad, resolver
+STRENGTH = (5.0, 10.0)  # hidden torque over noise after the low-pass, both root mean square
+
+NOTHING = "none"
+HIDDEN = (
+    "asymmetric_friction",
+    "coulomb_friction",
+    "drive_inertia",
+    "gear_ripple",
+    "joint_coupling",
+    "joint_spring",
+    "load_friction",
+    "stribeck_friction",
+    "torque_offset",
+    "viscous_friction",
+    "viscous_power_friction",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """A declared robot, the true one, and recordings of the true one.
+
+    Attributes
+    ----------
+    declared, true : Robot
+    hidden : Effect or None
+        What the declared robot lacks.
+    recordings : tuple of Recording
+    """
+
+    declared: Robot
+    true: Robot
+    hidden: Effect | None
+    recordings: tuple[Recording, ...]
+
+    def write(self, folder: Path) -> Path:
+        """Write the declared robot and the recordings as a campaign; returns the campaign file."""
+        save_robot(self.declared, folder, "declared.toml", allow_inconsistent=True)
+        return write_campaign(folder, "declared.toml", self.recordings, cutoff_hz=CUTOFF_HZ, file_format="csv.gz")
+
+
+def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT) -> Demonstration:
+    """Draw a hidden effect and make recordings of a robot that has it.
+
+    The motion is prescribed (a sum of harmonics that every joint follows exactly), the torque is the inverse dynamics of
+    the true robot, and both are logged with noise.
+
+    Parameters
+    ----------
+    seed : int
+        Of the effect, its place and values, the excitation and the noise.
+    hidden : str, optional
+        Effect type, or ``none``; drawn where not given.
+    robot : str
+        Rigid robot with friction declared on each joint.
+
+    Raises
+    ------
+    ValueError
+        An effect type that the demonstration does not make.
+    """
+    rng = np.random.default_rng(seed)
+    if hidden is not None and hidden not in (*HIDDEN, NOTHING):
+        raise ValueError(f"--hidden: unknown effect type {hidden!r}; {close_match(hidden, (*HIDDEN, NOTHING))}")
+    kind = str(rng.choice(HIDDEN)) if hidden is None else hidden
+    base = load_robot(robot)
+    experiments = [_Experiment.draw(base, rng) for _ in range(3)]
+    declared, true, effect = base, base, None
+    if kind != NOTHING:
+        declared, true, effect = _hide(base, kind, experiments[:2], rng)
+    roles = ("identification", "identification", "validation")
+    recordings = [
+        experiment.record(true, f"run_{i}", role, rng)
+        for i, (experiment, role) in enumerate(zip(experiments, roles, strict=True), start=1)
+    ]
+    return Demonstration(declared, true, effect, tuple(recordings))
+
+
+@dataclass(frozen=True, eq=False)
+class _Experiment:
+    """Two periods of one motion; q, v, a are (N, joints)."""
+
+    q: Array
+    v: Array
+    a: Array
+
+    @staticmethod
+    def draw(robot: Robot, rng: np.random.Generator) -> _Experiment:
+        """Random harmonics, each joint within its limits of position and speed."""
+        tree = robot.tree
+        time = np.arange(round(2 * PERIOD_S * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+        omega = 2 * np.pi / PERIOD_S * np.arange(1, LINES + 1)
+        angle = np.outer(time, omega)
+        # velocities fall off slowly with frequency, so that slow and fast passages alternate
+        weights = rng.normal(size=(2, LINES, tree.nv)) / np.sqrt(omega)[:, None]
+        v = np.cos(angle) @ weights[0] + np.sin(angle) @ weights[1]
+        q = np.sin(angle) @ (weights[0] / omega[:, None]) - np.cos(angle) @ (weights[1] / omega[:, None])
+        a = -np.sin(angle) @ (weights[0] * omega[:, None]) + np.cos(angle) @ (weights[1] * omega[:, None])
+        low, high = tree.lowerPositionLimit, tree.upperPositionLimit
+        by_speed = SPEED * tree.velocityLimit / np.abs(v).max(axis=0)
+        by_range = 0.9 * (high - low) / np.ptp(q, axis=0)
+        scale = np.minimum(by_speed, by_range)
+        q, v, a = q * scale, v * scale, a * scale
+        middle = (q.max(axis=0) + q.min(axis=0)) / 2
+        room = np.maximum((high - low) - np.ptp(q, axis=0), 0.0)
+        centre = (high + low) / 2 + rng.uniform(-0.4, 0.4, tree.nv) * room
+        return _Experiment(q - middle + centre, v, a)
+
+    def record(self, robot: Robot, name: str, role: str, rng: np.random.Generator) -> Recording:
+        """The log of this motion by a robot, with noise."""
+        torque = robot.inverse_dynamics(self.q, self.v, self.a)
+        noise = TORQUE_NOISE * np.sqrt((torque**2).mean(axis=0))
+        return Recording(
+            name=name,
+            role=role,  # type: ignore[arg-type]
+            time=np.arange(len(self.q)) / SAMPLE_RATE_HZ,
+            sample_rate_hz=SAMPLE_RATE_HZ,
+            joints=robot.joints,
+            position=self.q + POSITION_NOISE * rng.normal(size=self.q.shape),
+            torque=torque + noise * rng.normal(size=torque.shape),
+            period_s=PERIOD_S,
+        )
+
+
+def _hide(
+    base: Robot, kind: str, experiments: Sequence[_Experiment], rng: np.random.Generator
+) -> tuple[Robot, Robot, Effect]:
+    """Declared robot, true robot and the effect that makes the difference."""
+    motion = base.motion(*(np.concatenate([getattr(e, x) for e in experiments]) for x in "qva"))
+    cls = catalogue()[kind]
+    joint = str(rng.choice(base.joints))
+    at = int(rng.integers(len(base.joints) - 1))
+    effect: Effect
+    if cls.on == "joints":
+        effect = cls(joint_pair=(base.joints[at], base.joints[at + 1]))  # type: ignore[call-arg]
+    else:
+        effect = cls(joint=joint)  # type: ignore[call-arg]
+    # declared on every joint: the declared robot lacks it on this one
+    declared = [e for e in base.effects if not (e.place == effect.place and e.type_name() == kind)]
+    drawn = _with_values(effect, base, declared, motion, rng)
+    kept = [e for e in declared if not (e.place == drawn.place and e.type_name() in drawn.replaces)]
+    return base.with_effects(declared), base.with_effects([*kept, drawn]), drawn
+
+
+def _with_values(
+    effect: Effect, base: Robot, declared: Sequence[Effect], motion: Motion, rng: np.random.Generator
+) -> Effect:
+    """Values that an engineer would find plausible, of a size that stands out of the noise."""
+    torque = base.inverse_dynamics(motion.q, motion.v, motion.a)
+    shapes = {
+        "gear_ripple": lambda: [float(rng.integers(6, 41))],
+        "stribeck_friction": lambda: [float(rng.uniform(0.05, 0.3)), float(rng.uniform(0.8, 1.6))],
+        "viscous_power_friction": lambda: [float(rng.uniform(0.4, 0.65))],
+    }
+    if effect.shape_names():
+        effect = effect.with_shape(shapes[effect.type_name()]())
+    mix = {
+        "gear_ripple": lambda: rng.normal(size=2),
+        "joint_coupling": lambda: np.array([0.1, 1.0, 0.5]) * rng.uniform(0.5, 1.5, 3),
+        "joint_spring": lambda: np.array([1.0, rng.uniform(-0.5, 0.5)]),
+    }
+    coefficients = np.atleast_1d(mix.get(effect.type_name(), lambda: np.ones(1))())
+    force = effect.columns(motion) @ coefficients
+    rows = np.flatnonzero(force.any(axis=0))
+    noise = TORQUE_NOISE * np.sqrt((torque**2).mean(axis=0)) * np.sqrt(2 * CUTOFF_HZ / SAMPLE_RATE_HZ)
+    # what the declared model takes up of the effect does not stand out
+    left = (force - _taken_up(effect, declared, motion, force))[:, rows]
+    size = np.sqrt((left**2).mean(axis=0)) / noise[rows]
+    return effect.with_coefficients(coefficients * rng.uniform(*STRENGTH) / size.max())
+
+
+def _taken_up(effect: Effect, declared: Sequence[Effect], motion: Motion, force: Array) -> Array:
+    """Part of a torque that the declared effects of the same joints can imitate, shape (N, joints)."""
+    near = [e for e in declared if set(e.joints) & set(effect.joints)]
+    columns = np.concatenate([e.columns(motion) for e in near], axis=2)
+    flat = columns.reshape(-1, columns.shape[2])
+    solution = np.linalg.lstsq(flat, force.reshape(-1), rcond=None)[0]
+    return (flat @ solution).reshape(force.shape)

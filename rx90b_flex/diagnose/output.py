@@ -1,0 +1,168 @@
+"""Write the result of closing the loop: JSON, predictions, the model, and whatever else is handed in."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
+from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.identify.physical import (
+    consistent_parameters,
+    inconsistencies,
+    marginal_information,
+    refitted_rest,
+)
+from rx90b_flex.robot import Robot
+
+
+def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
+    """The content of ``closed_loop.json``, schema 1."""
+    return {
+        "schema": SCHEMA,
+        "robot": result.robot,
+        "joints": list(result.joints),
+        "before": _roles(result.before),
+        "after": _roles(result.after),
+        "noise_floor": None if result.noise_floor is None else {"torque_rms": list(result.noise_floor)},
+        "effects": [_effect(e) for e in result.effects],
+        "verdict": result.verdict,
+        "unexplained": {
+            "relative_error": result.unexplained.relative_error,
+            "where": [
+                {"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where
+            ],
+        },
+    }
+
+
+def _roles(errors: RoleErrors) -> dict[str, Any]:
+    return {
+        role: {"relative_error": e.relative_error, "torque_rms": list(e.torque_rms)}
+        for role, e in (("validation", errors.validation), ("identification", errors.identification))
+    }
+
+
+def _effect(found: FoundEffect) -> dict[str, Any]:
+    joints = found.effect.joints
+    out: dict[str, Any] = {"type": found.effect.type_name(), "joint": joints[0] if len(joints) == 1 else None}
+    if len(joints) > 1:
+        out["joints"] = list(joints)
+    if found.effect.on == "frame":
+        out["frame"] = found.effect.place[0]
+    return out | {
+        "parameters": {p.name: _estimate(p) for p in found.parameters},
+        "validation_relative_error_before": found.before.relative_error,
+        "validation_relative_error_after": found.after.relative_error,
+        "p_value": found.p_value,
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
+
+
+def closed_loop_robot(result: ClosedLoop) -> Robot:
+    """The robot with the effects added and the identified values, flexible effects as declared.
+
+    Fitted links that no body could have are replaced by the nearest ones that a body can have, in the metric of
+    the data's own information (see `rx90b_flex.identify.physical`).
+    """
+    source, model = result.source, result.model
+    flexible = [e for e in source.effects if e.virtual]
+    if not model.links_fitted:
+        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(result.joints)]
+        return source.with_effects([*flexible, *held, *model.effects])
+    rigid = model.regression.robot
+    links, effects = model.link_parameters, model.effects
+    if inconsistencies(links, [name for name, _ in rigid.bodies]):
+        information = model.information
+        own = marginal_information(information, len(links))
+        consistent = consistent_parameters(links, own, rigid.link_parameters).parameters
+        effects = model.with_rest(refitted_rest(information, len(links), consistent - links))
+        links = consistent
+    return with_link_parameters(rigid, links).with_effects([*flexible, *effects])
+
+
+def prediction_table(prediction: Prediction) -> str:
+    """CSV of one validation recording: time, measured torque, and what the model said before and after."""
+    joints = prediction.recording.joints
+    names = ["time", *(f"{p}{j}" for p in ("tau_", "tau_before_", "tau_after_") for j in joints)]
+    values = np.column_stack([prediction.recording.time, prediction.torque, prediction.before, prediction.after])
+    lines = [",".join(_quoted(n) for n in names)]
+    lines += [",".join(map(repr, row)) for row in values.tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n') else name
+
+
+def write_result(
+    result: ClosedLoop, folder: str | os.PathLike[str], extra: Iterable[Callable[[ClosedLoop, Path], None]] = ()
+) -> Path:
+    """Write everything that belongs to a result; all of it or nothing.
+
+    Parameters
+    ----------
+    result : ClosedLoop
+    folder : path
+        Made if it does not exist; files of the same names in it are replaced.
+    extra : iterable of callable
+        Each gets the result and the folder to write more into, such as a report.
+    """
+    folder = Path(folder)
+
+    def fill(at: Path) -> None:
+        text = json.dumps(closed_loop_json(result), indent=2, allow_nan=False)
+        (at / "closed_loop.json").write_text(text + "\n", encoding="utf-8")
+        for prediction in result.predictions:
+            name = f"prediction_{prediction.recording.name}.csv"
+            (at / name).write_text(prediction_table(prediction), encoding="utf-8")
+        save_robot(closed_loop_robot(result), at)
+        for write in extra:
+            write(result, at)
+
+    fill_folder(folder, fill)
+    return folder
+
+
+def fill_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Have a folder filled out of sight, then put it (or, where it exists, its files) in place."""
+    made = [p for p in (folder.absolute().parent, *folder.absolute().parents) if not p.exists()]
+    folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+    hidden = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.absolute().parent))
+    try:
+        fill(hidden)
+        if folder.exists():
+            for path in sorted(hidden.iterdir()):
+                os.replace(path, folder / path.name)
+            hidden.rmdir()
+        else:
+            hidden.chmod(0o755)
+            os.replace(hidden, folder)
+    except BaseException:
+        shutil.rmtree(hidden, ignore_errors=True)
+        for parent in made:
+            if parent.exists() and not any(parent.iterdir()):
+                parent.rmdir()
+        raise
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse an output folder that cannot be written, before any work is done."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder}: is a file; expected a folder to write into")
+    existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not os.access(existing, os.W_OK):
+        raise ValueError(f"{folder}: {existing} cannot be written")
+
+

@@ -1,0 +1,128 @@
+"""What an identified model predicts, sample by sample, and what it leaves over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.regression import Stretch, period_noise
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import Campaign, Recording, lowpass
+
+CHUNK = 20_000  # samples whose regressors are held at once when they are too many to keep
+KEPT_BYTES = 4e8
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Error of a model on the recordings of one role.
+
+    Attributes
+    ----------
+    relative_error : float
+        2-norm of the torque error over the 2-norm of the torque, all joints and samples.
+    torque_rms : tuple of float
+        Root mean square error a joint, N m.
+    """
+
+    relative_error: float
+    torque_rms: tuple[float, ...]
+
+    @staticmethod
+    def of(measured: Sequence[Array], predicted: Sequence[Array]) -> Errors:
+        """Errors over several recordings, each (N, joints)."""
+        tau = np.concatenate(measured)
+        error = tau - np.concatenate(predicted)
+        return Errors(
+            float(np.linalg.norm(error) / np.linalg.norm(tau)),
+            tuple(float(x) for x in np.sqrt((error**2).mean(axis=0))),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """One recording at its own sample rate, ready to be predicted by any model of the same tree.
+
+    Attributes
+    ----------
+    robot : Robot
+        Rigid, with the recording's joints.
+    stretch : Stretch
+        The recording, differentiated at its own rate.
+    """
+
+    robot: Robot
+    stretch: Stretch
+
+    @property
+    def recording(self) -> Recording:
+        """The recording that is replayed."""
+        return self.stretch.recording
+
+    @cached_property
+    def torque(self) -> Array:
+        """Measured torque after the low-pass, shape (N, joints), N m."""
+        return self._filtered(self.recording.torque)
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity of the recording's joints, shape (N, joints), rad/s."""
+        return self.stretch.motion.v[:, self._rows]
+
+    @cached_property
+    def _rows(self) -> Array:
+        return np.array([self.robot.layout.index(j) for j in self.recording.joints])
+
+    def _filtered(self, torque: Array) -> Array:
+        cutoff = self.stretch.cutoff_hz
+        return torque if cutoff is None else lowpass(torque, cutoff, self.recording.sample_rate_hz)
+
+    @cached_property
+    def _regressor(self) -> Array | None:
+        size = 8.0 * len(self.stretch.motion) * self.robot.model.nv * len(self.robot.link_parameters)
+        return self.robot.link_regressor(self.stretch.motion) if size < KEPT_BYTES else None
+
+    def predict(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
+        """Torque of a model on this recording's motion, after the low-pass; shape (N, joints), N m."""
+        motion = self.stretch.motion
+        out = np.empty_like(motion.q)
+        step = CHUNK if self._regressor is None else len(motion)
+        for at in range(0, len(motion), step):
+            part = motion if step >= len(motion) else motion.part(slice(at, at + step))
+            seen = self.robot.on_links(part, link_parameters, self._regressor)
+            force = np.array(seen.on_tree.load())
+            for effect in effects:
+                factors = effect.factors(seen)
+                if factors is None:
+                    force += effect.force(seen)
+                else:
+                    port, basis = factors
+                    force += np.outer(basis @ effect.known_coefficients(), port)
+            out[at : at + step] = force
+        return self._filtered(out[:, self._rows])
+
+
+def noise_floor(replays: Sequence[Replay], residuals: Sequence[Array], campaign: Campaign) -> Array | None:
+    """Noise of the torque after the low-pass, a joint; from repeated periods, else from a stated noise, else None."""
+    found = [period_noise(r, replay.recording) for replay, r in zip(replays, residuals, strict=True)]
+    known = [(f, len(r)) for f, r in zip(found, residuals, strict=True) if f is not None]
+    if known:
+        total = sum(n for _, n in known)
+        return np.sqrt(np.sum([n * f**2 for f, n in known], axis=0) / total)
+    if campaign.noise_torque is not None:
+        return np.asarray(campaign.noise_torque) * _white_noise_gain(campaign.cutoff_hz, campaign.sample_rate_hz)
+    return None
+
+
+def _white_noise_gain(cutoff_hz: float | None, sample_rate_hz: float) -> float:
+    """Root of the part of white noise's power that the low-pass leaves."""
+    if cutoff_hz is None:
+        return 1.0
+    impulse = np.zeros((int(40 * sample_rate_hz / cutoff_hz) // 2 * 2 + 1, 1))
+    impulse[len(impulse) // 2] = 1.0
+    return float(np.linalg.norm(lowpass(impulse, cutoff_hz, sample_rate_hz)))

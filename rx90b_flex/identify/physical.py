@@ -1,0 +1,395 @@
+"""Inertial parameters that a body can have: the pseudo-inertia, a check, and the nearest consistent parameters.
+
+Source: P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear matrix inequalities for physically consistent inertial
+parameter identification", IEEE Robotics and Automation Letters 3(1), 2018. Ten parameters belong to some distribution
+of mass if and only if their pseudo-inertia
+
+    P = [[Sigma, s], [s', m]],    Sigma = tr(J) / 2 * I - J
+
+is positive semidefinite: positive mass, positive moments, and the triangle inequality among them, all in one. Sigma is
+the second moment of the mass, the integral of x x' dm, about the same point as J; the sign of P's eigenvalues does not
+depend on that point.
+
+Parameters of a body stand in the order of `rx90b_flex.robot.LINK_PARAMETERS`, about its joint frame.
+"""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.least_squares import RANK_TOLERANCE
+
+# An eigenvalue this far below zero, as a part of the trace, is rounding: point masses and thin rods have zeros.
+ROUNDING = 1e-12
+# Size of a body whose prior has no mass, when no other body tells one: kg, m.
+DEFAULT_SIZE = (1.0, 0.1)
+# Smallest length, m, by which a body is scaled: a point mass at the joint has none of its own.
+SMALLEST_LENGTH = 1e-3
+
+
+def _moments(parameters: Array) -> Array:
+    """J of ten parameters, shape (..., 3, 3)."""
+    xx, yy, zz, xy, xz, yz = np.moveaxis(parameters[..., 4:], -1, 0)
+    return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(*parameters.shape[:-1], 3, 3)
+
+
+def pseudo_inertia(parameters: Array) -> Array:
+    """Pseudo-inertia of bodies.
+
+    Parameters
+    ----------
+    parameters : array, shape (..., 10)
+        m (kg), s (kg m), J (kg m^2: xx yy zz xy xz yz) about the joint frame.
+
+    Returns
+    -------
+    array, shape (..., 4, 4)
+        ``[[Sigma, s], [s', m]]``; kg m^2, kg m and kg.
+    """
+    parameters = np.asarray(parameters, dtype=float)
+    moments = _moments(parameters)
+    half_trace = 0.5 * np.trace(moments, axis1=-2, axis2=-1)
+    out = np.empty((*parameters.shape[:-1], 4, 4))
+    out[..., :3, :3] = half_trace[..., None, None] * np.eye(3) - moments
+    out[..., :3, 3] = out[..., 3, :3] = parameters[..., 1:4]
+    out[..., 3, 3] = parameters[..., 0]
+    return out
+
+
+def moments_about_centre(parameters: Array) -> tuple[Array, Array]:
+    """Centre of mass c = s / m, shape (3,), and J about it (equation 3.34: ``J_c = J + m S(c) S(c)``), shape (3, 3).
+
+    Parameters
+    ----------
+    parameters : array, shape (10,)
+        Of one body, its mass not zero.
+    """
+    parameters = np.asarray(parameters, dtype=float)
+    centre = parameters[1:4] / parameters[0]
+    shift = np.dot(centre, parameters[1:4]) * np.eye(3) - np.outer(centre, parameters[1:4])
+    return centre, _moments(parameters) - 0.5 * (shift + shift.T)
+
+
+# ---- check --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Inconsistency:
+    """A body whose inertial parameters no distribution of mass has.
+
+    Attributes
+    ----------
+    link : str
+    eigenvalue : float
+        The smallest one of its pseudo-inertia about the joint frame (kg and m), below zero.
+    message : str
+        One line that names the link, the eigenvalue and what is wrong.
+    """
+
+    link: str
+    eigenvalue: float
+    message: str
+
+
+def inconsistencies(link_parameters: Array, link_names: Sequence[str]) -> tuple[Inconsistency, ...]:
+    """Bodies that are not physically consistent, in the order of the names; none if all are.
+
+    Parameters
+    ----------
+    link_parameters : array, shape (10 * bodies,)
+        As `Robot.link_parameters`. A body without mass and moments is consistent.
+    link_names : sequence of str
+
+    Raises
+    ------
+    ValueError
+        The number of parameters is not ten a name, or one is not finite.
+    """
+    bodies = _bodies(link_parameters, len(link_names), "link_parameters")
+    found = []
+    for name, parameters, matrix in zip(link_names, bodies, pseudo_inertia(bodies), strict=True):
+        smallest = float(np.linalg.eigvalsh(matrix)[0])
+        if smallest < -ROUNDING * np.abs(np.diag(matrix)).sum():
+            text = f"{name}: the smallest eigenvalue of the pseudo-inertia is {smallest:.4g}; {_reason(parameters)}"
+            found.append(Inconsistency(name, smallest, text))
+    return tuple(found)
+
+
+def _reason(parameters: Array) -> str:
+    mass = parameters[0]
+    if mass <= 0:
+        return f"the mass is {mass:.4g} kg"
+    low, middle, high = np.linalg.eigvalsh(moments_about_centre(parameters)[1])
+    moments = f"the principal moments about the centre of mass are {low:.4g}, {middle:.4g}, {high:.4g} kg m^2"
+    return f"{moments}: {'one is negative' if low < 0 else 'the largest exceeds the sum of the others'}"
+
+
+def _bodies(parameters: Array, bodies: int, what: str) -> Array:
+    """Parameters as (bodies, 10), checked."""
+    parameters = np.asarray(parameters, dtype=float)
+    if parameters.shape != (10 * bodies,):
+        raise ValueError(f"{what} has shape {parameters.shape}; expected ({10 * bodies},), ten a body")
+    if not np.isfinite(parameters).all():
+        first = int(np.argmin(np.isfinite(parameters)))
+        raise ValueError(f"{what}[{first}], of body {first // 10 + 1}, is {parameters[first]}; expected a number")
+    return parameters.reshape(bodies, 10)
+
+
+# ---- information --------------------------------------------------------------------------------------------
+
+
+def _square_root(information: Array) -> Array:
+    """F, shape (rank, p), with F'F = information up to rounding; what the data does not determine is dropped.
+
+    The same rule as in the least squares: columns are first scaled to length one, since their units differ.
+    """
+    diagonal = np.diag(information)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    kept = values > RANK_TOLERANCE**2 * max(values[-1], 1e-300)
+    root: Array = np.sqrt(values[kept])[:, None] * vectors[:, kept].T * scale
+    return root
+
+
+def marginal_information(information: Array, links: int) -> Array:
+    """Information on the first `links` parameters when the others are always fitted anew (Schur complement).
+
+    Parameters
+    ----------
+    information : array, shape (p, p)
+        Weighted Gram matrix of links and effects; may be singular.
+    links : int
+
+    Returns
+    -------
+    array, shape (links, links)
+    """
+    root = _square_root(np.asarray(information, dtype=float))
+    rest = _orthonormal(root[:, links:])
+    left = root[:, :links] - rest @ (rest.T @ root[:, :links])
+    return left.T @ left
+
+
+def refitted_rest(information: Array, links: int, change: Array) -> Array:
+    """Change of the other parameters that keeps the error smallest when the first `links` of them change.
+
+    Parameters
+    ----------
+    information : array, shape (p, p)
+    links : int
+    change : array, shape (links,)
+        Of the link parameters, for instance consistent ones less their estimate.
+
+    Returns
+    -------
+    array, shape (p - links,)
+    """
+    root = _square_root(np.asarray(information, dtype=float))
+    columns = root[:, links:]
+    scale = _lengths(columns)
+    solution = np.linalg.lstsq(columns / scale, -root[:, :links] @ change, rcond=RANK_TOLERANCE)[0]
+    return np.asarray(solution / scale)
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Orthonormal basis of the space of the columns."""
+    if not columns.size:
+        return np.zeros((len(columns), 0))
+    left, values, _ = np.linalg.svd(columns / _lengths(columns), full_matrices=False)
+    return np.asarray(left[:, values > RANK_TOLERANCE * values[0]])
+
+
+def _lengths(columns: Array) -> Array:
+    length = np.linalg.norm(columns, axis=0)
+    return np.where(length > 0, length, 1.0)
+
+
+# ---- repair -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ConsistentParameters:
+    """Physically consistent parameters near an estimate.
+
+    Attributes
+    ----------
+    parameters : array, shape (10 * bodies,)
+    error_increase : float
+        Weighted squared error above that of the estimate, ``(x - estimate)' information (x - estimate)``. With
+        weights of one over the variance its unit is a squared standard deviation.
+    rank : int
+        Number of parameter combinations that the data determines.
+    status : str
+        Of the solver; ``consistent`` if none was needed.
+    """
+
+    parameters: Array
+    error_increase: float
+    rank: int
+    status: str
+
+    @property
+    def p_value(self) -> float:
+        """Probability that noise alone puts an estimate this far from the true parameters, or farther.
+
+        Chi-squared with `rank` degrees of freedom; holds if `information` is the inverse of the estimate's covariance.
+        Small (below 0.05): the data contradicts every possible body, so the model lacks something else.
+        """
+        return float(stats.chi2.sf(self.error_increase, self.rank)) if self.rank else 1.0
+
+
+def consistent_parameters(
+    estimate: Array, information: Array, prior: Array, *, pull: float = 1e-2, margin: float = 1e-6
+) -> ConsistentParameters:
+    """Physically consistent parameters nearest to a least-squares estimate.
+
+    Minimises ``(x - estimate)' information (x - estimate) + pull * sum over bodies of norm(P - P_prior)^2`` over all x
+    whose pseudo-inertias P have no scaled eigenvalue below `margin`, by cvxpy and Clarabel. The norm is Frobenius',
+    after scaling each body by its mass m and its radius l about the joint: ``P -> D P D``, D = diag(1/l, 1/l, 1/l, 1)
+    / sqrt(m), so it counts relative deviations from the prior.
+
+    A determined combination moves by at most sqrt(pull) / 2 of its standard deviations for each unit (100 %) of its
+    deviation from the prior, however badly the data determines it: pull * t / (1 + pull * t^2) is largest at
+    t = 1 / sqrt(pull), t its relative standard deviation. Where the data says nothing, x goes to the prior.
+
+    Parameters
+    ----------
+    estimate : array, shape (10 * bodies,)
+        Unconstrained optimum; what it holds in undetermined directions does not matter.
+    information : array, shape (10 * bodies, 10 * bodies)
+        Weighted Gram matrix over link parameters only (`marginal_information` takes the effects out), or the
+        inverse of the estimate's covariance. May be singular.
+    prior : array, shape (10 * bodies,)
+        CAD values; need not be consistent, and a body may have no mass.
+    pull : float
+        Weight of the prior, above zero.
+    margin : float
+        Smallest eigenvalue allowed for scaled pseudo-inertias. A solid body has 1e-3 to 1.
+
+    Raises
+    ------
+    ValueError
+        Shapes do not fit, or the solver finds no solution.
+    """
+    bodies = np.size(prior) // 10
+    prior_bodies = _bodies(prior, bodies, "prior")
+    difference = np.ravel(_bodies(estimate, bodies, "estimate") - prior_bodies)
+    information = np.asarray(information, dtype=float)
+    if information.shape != (10 * bodies, 10 * bodies) or not np.isfinite(information).all():
+        raise ValueError(f"information has shape {information.shape}; expected {(10 * bodies,) * 2}, all finite")
+    if not (pull > 0 and margin > 0):
+        raise ValueError(f"pull is {pull!r} and margin {margin!r}; expected positive numbers")
+
+    # In scaled coordinates u a body's ten numbers are the entries of D P D, and |u| is its Frobenius norm.
+    to_scaled = [_scaled_coordinates(mass, length) for mass, length in _sizes(prior_bodies)]
+    from_scaled = _block_diagonal([np.asarray(np.linalg.inv(block), dtype=float) for block in to_scaled])
+    scaled_prior = np.concatenate([block @ body for block, body in zip(to_scaled, prior_bodies, strict=True)])
+
+    # The cost is |root (x - estimate)|^2 + pull |u - u_prior|^2 = |z|^2 + constant, with u = free + spread z: in z
+    # all directions weigh the same, though the information spans many decades. The singular value decomposition keeps
+    # the digits that a Cholesky factor of the sum would lose.
+    root = _square_root(information)
+    left, values, right = np.linalg.svd(root @ from_scaled, full_matrices=True)
+    padded = np.zeros(10 * bodies)
+    padded[: len(values)] = values
+    along = np.zeros(10 * bodies)
+    along[: len(values)] = (left.T @ (root @ difference))[: len(values)]
+    free = scaled_prior + right.T @ (padded / (padded**2 + pull) * along)
+    spread = right.T / np.sqrt(padded**2 + pull)
+
+    lowest = np.linalg.eigvalsh(_symmetric(free))[:, 0]
+    scaled, status = (free, "consistent") if (lowest >= margin).all() else _project(free, spread, margin)
+    parameters = from_scaled @ scaled
+    increase = float(np.sum((root @ (parameters - prior_bodies.ravel() - difference)) ** 2))
+    return ConsistentParameters(parameters, increase, len(root), status)
+
+
+def _project(free: Array, spread: Array, margin: float) -> tuple[Array, str]:
+    """Minimise |z| so that the bodies in ``free + spread z`` are consistent; returns them and the solver's status."""
+    cp: Any = importlib.import_module("cvxpy")  # here, not at the top: it takes a second, and most users never need it
+    # A feasible point, each body on its own, bounds |z|; in that unit the solver's tolerances mean something.
+    values, vectors = np.linalg.eigh(_symmetric(free))
+    clipped = _entries((vectors * np.maximum(values, margin)[:, None, :]) @ vectors.transpose(0, 2, 1))
+    unit = float(np.linalg.norm(np.linalg.solve(spread, clipped - free)))
+    z = cp.Variable(len(free))
+    constraints = []
+    for b in range(len(free) // 10):
+        own = slice(10 * b, 10 * b + 10)
+        matrix = cp.reshape(_UNPACK @ (free[own] + (unit * spread[own]) @ z), (4, 4), order="C")
+        constraints.append(matrix >> 1.01 * margin * np.eye(4))
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(z)), constraints)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and the check is below
+            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
+    except cp.error.SolverError as error:
+        raise ValueError(f"no physically consistent parameters found: {' '.join(str(error).split())}") from None
+    status = str(problem.status)
+    if z.value is None:
+        raise ValueError(f"no physically consistent parameters found: the solver says {status!r}")
+    scaled = free + spread @ (unit * np.asarray(z.value))
+    lowest = float(np.linalg.eigvalsh(_symmetric(scaled))[:, 0].min())
+    # An inaccurate end is good enough if the bodies are consistent: what is lost is a little of the optimum.
+    if lowest < 0.5 * margin:
+        raise ValueError(
+            f"no physically consistent parameters found: the solver says {status!r}, an eigenvalue is {lowest:.3g}"
+        )
+    return scaled, status
+
+
+def _sizes(prior: Array) -> list[tuple[float, float]]:
+    """Mass (kg) and radius about the joint (m) by which each body is scaled."""
+    known = [_size(body) for body in prior]
+    with_mass = [size for size in known if size is not None]
+    typical = DEFAULT_SIZE
+    if with_mass:
+        typical = float(np.median([m for m, _ in with_mass])), float(np.median([length for _, length in with_mass]))
+    return [typical if size is None else size for size in known]
+
+
+def _size(body: Array) -> tuple[float, float] | None:
+    mass = float(body[0])
+    if mass <= 0:
+        return None
+    second_moment = 0.5 * float(body[4:7].sum())  # trace of Sigma
+    return mass, max(np.sqrt(max(second_moment, 0.0) / mass), SMALLEST_LENGTH)
+
+
+def _scaled_coordinates(mass: float, length: float) -> Array:
+    """Matrix from ten parameters to the entries of their scaled pseudo-inertia, shape (10, 10)."""
+    d = np.array([1 / length, 1 / length, 1 / length, 1.0]) / np.sqrt(mass)
+    return np.asarray(_entries(pseudo_inertia(np.eye(10)) * np.outer(d, d)).reshape(10, 10).T)
+
+
+# Upper triangle of a symmetric 4 x 4 matrix as ten coordinates; off the diagonal times sqrt(2), so that the norm of
+# the coordinates is the matrix's Frobenius norm. `_UNPACK` (16, 10) is the way back.
+_ROWS, _COLUMNS = np.triu_indices(4)
+_WEIGHTS = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))
+_UNPACK = np.zeros((16, 10))
+_UNPACK[4 * _ROWS + _COLUMNS, np.arange(10)] = 1 / _WEIGHTS
+_UNPACK[4 * _COLUMNS + _ROWS, np.arange(10)] = 1 / _WEIGHTS
+
+
+def _entries(matrices: Array) -> Array:
+    """Coordinates of symmetric matrices, (k, 4, 4) -> (10 * k,)."""
+    return np.ravel(matrices[:, _ROWS, _COLUMNS] * _WEIGHTS)
+
+
+def _symmetric(coordinates: Array) -> Array:
+    """Inverse of `_entries`, (10 * k,) -> (k, 4, 4)."""
+    return np.asarray((coordinates.reshape(-1, 10) @ _UNPACK.T).reshape(-1, 4, 4))
+
+
+def _block_diagonal(blocks: Sequence[Array]) -> Array:
+    out = np.zeros((10 * len(blocks), 10 * len(blocks)))
+    for b, block in enumerate(blocks):
+        out[10 * b : 10 * b + 10, 10 * b : 10 * b + 10] = block
+    return out
