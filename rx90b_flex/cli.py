@@ -109,10 +109,19 @@ def flexify(
     Without --torsion, --bending and --base: those that its robot file declares; for a plain URDF, every joint
     twists and bends.
     """
-    from rx90b_flex.flexify import flexible_urdf_of
+    from rx90b_flex import flexify as virtual
+    from rx90b_flex.robot import load_robot
 
-    check = flexible_urdf_of(robot, torsion or [], bending or [], base, out)
-    Console().print(check, soft_wrap=True)
+    loaded = load_robot(robot)
+    places = loaded.flexible_places()
+    if torsion or bending or base:
+        places = (torsion or [], bending or [], base)
+    elif not any(places):
+        places = (list(loaded.joints), list(loaded.joints), False)
+    flexible = virtual.flexify(virtual.read_xml(loaded.urdf), *places)
+    virtual.write_urdf(flexible, out)
+    added = 2 * places[2] + len(places[0]) + 2 * len(places[1])
+    Console().print(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones", soft_wrap=True)
 
 
 def _print_result(console: Console, result: object) -> None:

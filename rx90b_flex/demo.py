@@ -66,8 +66,8 @@ class Demonstration:
 def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT) -> Demonstration:
     """Draw a hidden effect and make recordings of a robot that has it.
 
-    The motion is prescribed (a sum of harmonics that every joint follows exactly), the torque is the inverse dynamics of
-    the true robot, and both are logged with noise.
+    The motion is prescribed (a sum of harmonics that every joint follows exactly), the torque is the inverse dynamics
+    of the true robot, and both are logged with noise.
 
     Parameters
     ----------
@@ -154,11 +154,10 @@ def _hide(
     cls = catalogue()[kind]
     joint = str(rng.choice(base.joints))
     at = int(rng.integers(len(base.joints) - 1))
-    effect: Effect
+    place: dict[str, object] = {"joint": joint}
     if cls.on == "joints":
-        effect = cls(joint_pair=(base.joints[at], base.joints[at + 1]))  # type: ignore[call-arg]
-    else:
-        effect = cls(joint=joint)  # type: ignore[call-arg]
+        place = {"joint_pair": (base.joints[at], base.joints[at + 1])}
+    effect = cls(**place)
     # declared on every joint: the declared robot lacks it on this one
     declared = [e for e in base.effects if not (e.place == effect.place and e.type_name() == kind)]
     drawn = _with_values(effect, base, declared, motion, rng)

@@ -6,7 +6,7 @@ import dataclasses
 import os
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.joint_angles import JointAngleDynamics
+from rx90b_flex.linearize import Linearization, linearize
 
 LINK_PARAMETERS = ("mass", "s_x", "s_y", "s_z", "J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")
 LINK_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
@@ -67,13 +69,14 @@ class Robot:
     @cached_property
     def flexible_urdf(self) -> str:
         """XML of the tree with a virtual joint for every flexibility; the same as `urdf` where there is none."""
-        torsion, bending, base = self._flexible_places()
+        torsion, bending, base = self.flexible_places()
         if not (torsion or bending or base):
             return self.urdf
         rigid = virtual.read_xml(self.urdf)
         return virtual.to_xml(virtual.flexify(rigid, torsion, bending, base))
 
-    def _flexible_places(self) -> tuple[list[str], list[str], bool]:
+    def flexible_places(self) -> tuple[list[str], list[str], bool]:
+        """Joints whose drive twists, joints that bend, and whether the base tilts."""
         torsion = [e.joints[0] for e in self.effects if "torsion" in e.virtual]
         bending = [e.joints[0] for e in self.effects if "bend_1" in e.virtual and e.joints]
         base = any("bend_1" in e.virtual and not e.joints for e in self.effects)
@@ -257,6 +260,24 @@ class Robot:
             out[k] = rnea(model, data, q, v, a)
         return out
 
+    def linearize(self, q: Array, v: Array | None = None, a: Array | None = None) -> Linearization:
+        """Small motions about a point: `rx90b_flex.linearize.linearize` of this robot."""
+        return linearize(self, q, v, a)
+
+    def in_joint_angles(self) -> JointAngleDynamics:
+        """The dynamics in (e, theta, eps2, eps3) instead of (e, eps1, eps2, eps3) (equations 3.73-3.83)."""
+        return JointAngleDynamics(self)
+
+    def energy(self, q: Array, v: Array) -> float:
+        """Kinetic and potential energy of links and effects, J; zero potential where pinocchio and the effects have it.
+
+        Without friction, damping and drive torque it stays the same along a motion.
+        """
+        q, v = (np.asarray(x, dtype=float) for x in (q, v))
+        motion = self.motion(q, v, np.zeros_like(q))
+        energy = 0.5 * v @ self.mass_matrix(q) @ v + pin.computePotentialEnergy(self.model, self._data, q)
+        return float(energy + sum(effect.potential(motion)[0] for effect in self.effects))
+
     def mass_matrix(self, q: Array) -> Array:
         """Mass matrix of links and drives, shape (n, n), kg m^2."""
         q = np.asarray(q, dtype=float)
@@ -280,7 +301,15 @@ class Robot:
         Returns
         -------
         array, shape (n,), rad/s^2
+
+        Raises
+        ------
+        ValueError
+            A wrong shape; a flexible drive without inertia; load friction that no acceleration agrees with.
         """
+        if self._weightless_drives:
+            names = ", ".join(self._weightless_drives)
+            raise ValueError(f"{self.name}: a flexible drive needs a drive_inertia to move; none at {names}")
         torque = np.asarray(drive_torque, dtype=float)
         if torque.shape != (len(self.joints),):
             raise ValueError(f"drive_torque has shape {torque.shape}; expected ({len(self.joints)},) for {self.name}")
@@ -297,9 +326,16 @@ class Robot:
             slope = mass + sum(effect.derivatives(motion)[2][0] for effect in loaded)
             step = np.linalg.solve(slope, short)
             a = a + step
-            if np.abs(step).max() <= 1e-12 * (1.0 + np.abs(a).max()):
+            if np.abs(step).max() <= 1e-9 * (1.0 + np.abs(a).max()):
                 return a
         raise ValueError(f"{self.name}: forward dynamics found no acceleration consistent with the load friction")
+
+    @cached_property
+    def _weightless_drives(self) -> tuple[str, ...]:
+        """Joints whose drive turns apart from its link but has no inertia of its own."""
+        mass = np.diag(self.in_joint_angles().mass_matrix(np.zeros(self.model.nv)))
+        twisting = [j for j in self.joints if self.layout.index(j, "torsion") is not None]
+        return tuple(j for j in twisting if mass[self.layout.names.index(f"{j}:drive")] <= 1e-12 * mass.max())
 
     # ---- other robots from this one ---------------------------------------------------------------------
 
@@ -341,6 +377,7 @@ class _RobotTreeMotion:
     motion: Motion
     link_parameters: Array | None = None
     regressor: Array | None = None
+    _bodies: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
 
     def link_regressor(self) -> Array:
         return self._regressor
@@ -359,42 +396,85 @@ class _RobotTreeMotion:
         return self._regressor @ self.link_parameters
 
     def gravity_torque(self, direction: Array) -> Array:
-        robot, motion = self.robot, self.motion
-        model = robot.model.copy()
-        model.gravity.linear = np.linalg.norm(robot.model.gravity.linear) * np.asarray(direction, dtype=float)
-        data = model.createData()
+        motion = self.motion
+        model, data = self._under_gravity(direction)
         if self.link_parameters is None:
             return np.array([pin.computeGeneralizedGravity(model, data, q) for q in motion.q])
         rest = np.zeros(model.nv)
         parameters = np.zeros(10 * model.nv)
-        parameters[robot.link_parameter_places] = self.link_parameters
+        parameters[self.robot.link_parameter_places] = self.link_parameters
         return np.array([pin.computeJointTorqueRegressor(model, data, q, rest, rest) @ parameters for q in motion.q])
 
+    def gravity_derivative(self, direction: Array) -> Array:
+        model, data = self._under_gravity(direction)
+        return np.array([pin.computeGeneralizedGravityDerivatives(model, data, q) for q in self.motion.q])
+
+    def gravity_potential(self, direction: Array) -> Array:
+        model, data = self._under_gravity(direction)
+        return np.array([pin.computePotentialEnergy(model, data, q) for q in self.motion.q])
+
+    def _under_gravity(self, direction: Array) -> tuple[pin.Model, pin.Data]:
+        model = self.robot.model.copy()
+        model.gravity.linear = np.linalg.norm(model.gravity.linear) * np.asarray(direction, dtype=float)
+        return model, model.createData()
+
     def body_columns(self, frame: str) -> Array:
+        if frame not in self._bodies:  # a search asks for the same body with many shapes
+            self._bodies[frame] = self._body_columns(frame)
+        return self._bodies[frame]
+
+    def _body_columns(self, frame: str) -> Array:
         robot, motion = self.robot, self.motion
         model, data = robot.model, robot._data
         frame_id = model.getFrameId(frame)
         out = np.empty((len(motion), model.nv, 10))
         for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
-            pin.forwardKinematics(model, data, q, v, a)
-            pin.updateFramePlacements(model, data)
             jacobian = pin.computeFrameJacobian(model, data, q, frame_id, pin.LOCAL)
+            pin.rnea(model, data, q, v, a)  # the regressor reads the velocities and accelerations that it leaves
             out[k] = jacobian.T @ pin.frameBodyRegressor(model, data, frame_id)
         return out[:, :, _TO_TABLE_ORDER]
+
+    def body_derivatives(self, frame: str, body: Array) -> tuple[Array, Array, Array]:
+        return _tree_derivatives(*self._only_body(frame, body), self.motion)
+
+    def body_potential(self, frame: str, body: Array) -> Array:
+        model, data = self._only_body(frame, body)
+        return np.array([pin.computePotentialEnergy(model, data, q) for q in self.motion.q])
+
+    def _only_body(self, frame: str, body: Array) -> tuple[pin.Model, pin.Data]:
+        """The tree without mass but for one body in a frame."""
+        model = self.robot.model.copy()
+        place = model.frames[model.getFrameId(frame)]
+        for joint in range(model.njoints):
+            model.inertias[joint] = pin.Inertia.Zero()
+        dynamic = np.empty(10)
+        dynamic[_TO_TABLE_ORDER] = body
+        model.inertias[place.parentJoint] = place.placement.act(pin.Inertia.FromDynamicParameters(dynamic))
+        return model, model.createData()
+
+    def joint_axis(self, joint: str) -> Array:
+        model = self.robot.model
+        subspace = np.ravel(model.joints[model.getJointId(joint)].createData().S)
+        if not subspace[3:].any():
+            raise ValueError(f"joint {joint!r} of {self.robot.name} is prismatic; expected a revolute joint")
+        return np.array(subspace[3:])
 
     def derivatives(self) -> tuple[Array, Array, Array]:
         return self._derivatives
 
     @cached_property
     def _derivatives(self) -> tuple[Array, Array, Array]:
-        robot, motion = self.robot, self.motion
-        n = robot.model.nv
-        by_q, by_v, by_a = (np.empty((len(motion), n, n)) for _ in range(3))
-        for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
-            dq, dv, da = pin.computeRNEADerivatives(robot.model, robot._data, q, v, a)
-            by_q[k], by_v[k] = dq, dv
-            by_a[k] = np.triu(da) + np.triu(da, 1).T
-        return by_q, by_v, by_a
+        return _tree_derivatives(self.robot.model, self.robot._data, self.motion)
+
+
+def _tree_derivatives(model: pin.Model, data: pin.Data, motion: Motion) -> tuple[Array, Array, Array]:
+    """Derivatives of a tree's inverse dynamics by q, v and a, each (N, n, n)."""
+    by_q, by_v, by_a = (np.empty((len(motion), model.nv, model.nv)) for _ in range(3))
+    for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
+        dq, dv, da = pin.computeRNEADerivatives(model, data, q, v, a)
+        by_q[k], by_v[k] = dq, dv
+        by_a[k] = np.triu(da) + np.triu(da, 1).T
+    return by_q, by_v, by_a
 
 
 # ---- robot files --------------------------------------------------------------------------------------------
@@ -515,4 +595,8 @@ def _read_effects(tables: Any, path: Path, joints: Sequence[str], frames: Sequen
             if effect.type_name() in other.replaces or other.type_name() in effect.replaces:
                 raise ValueError(f"{where}: {effect.type_name()} and {other.type_name()} exclude each other on one joint")
         effects.append(effect)
+    for i, effect in enumerate(effects, start=1):
+        for needed in effect.needs:
+            if not any(e.type_name() == needed and e.place == effect.place for e in effects):
+                raise ValueError(f"{path}: effect {i}: {effect.label} needs a {needed} in the same place")
     return effects

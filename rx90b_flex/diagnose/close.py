@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.evidence import Dependence, dependences
 from rx90b_flex.diagnose.residual import Errors, Replay, noise_floor
@@ -78,12 +81,23 @@ class LastRound:
     tests: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Unexplained:
-    """What is left after the last effect: its size on the validation data, and what it depends on."""
+    """What is left after the last effect.
+
+    Attributes
+    ----------
+    relative_error : float
+        On the validation data.
+    where : tuple of Dependence
+        What it depends on, strongest first.
+    data : tuple of (Regression, array of shape (N, joints))
+        Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m.
+    """
 
     relative_error: float
     where: tuple[Dependence, ...]
+    data: tuple[tuple[Regression, Array], ...]
 
 
 @dataclass(frozen=True)
@@ -182,7 +196,11 @@ def predict(replay: Replay, model: Identification) -> Array:
 
 
 def close_loop(
-    source: str | os.PathLike[str] | Campaign, *, robot: Robot | None = None, seed: int = 0, progress: Progress | None = None
+    source: str | os.PathLike[str] | Campaign,
+    *,
+    robot: Robot | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> ClosedLoop:
     """Find what measured torques hold that the declared model does not, and trace it to effects.
 
@@ -206,10 +224,17 @@ def close_loop(
     ValueError
         One line that names the file and what is wrong in it.
     """
-    tell = progress or (lambda _text, _part: None)
+    # many products of small matrices: threads would wait for each other longer than they work
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _closed(source, robot, seed, progress or (lambda _text, _part: None))
+
+
+def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress) -> ClosedLoop:
     campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
     if not campaign.validation:
-        raise ValueError(f"{campaign.path}: no recording has role 'validation'; errors are counted on data that was not fitted")
+        raise ValueError(
+            f"{campaign.path}: no recording has role 'validation'; errors are counted on data that was not fitted"
+        )
     tell("reading", 0.0)
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
     _check_joints(campaign, declared_robot)
@@ -220,17 +245,18 @@ def close_loop(
     before = data.errors(declared)
     floor = noise_floor(data.identification, [r.torque - predict(r, declared) for r in data.identification], campaign)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
-    rounds = _Rounds(data, sites, fit_links, floor, tell)
-    model, steps, refused = rounds.run(declared, before)
-    after = steps[-1].errors if steps else before
+    outcome = _Rounds(data, sites, fit_links, floor, tell).run(declared, before)
+    model, after = outcome.model, outcome.errors
     tell("looking at what remains", 0.95)
-    where = dependences(model.regression, model.residual, seed)
-    verdict = _verdict(len(steps), after, floor, where)
+    held_out = Regression.of(declared_robot, campaign.validation, campaign.cutoff_hz)
+    left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
+    where = dependences(left, seed)
+    verdict = _verdict(len(outcome.steps), after, floor, where)
     predictions = tuple(
         Prediction(r.recording, r.torque, predict(r, declared), predict(r, model), r.velocity) for r in data.validation
     )
     search = Search(model, sites)
-    last_round = LastRound(refused, len(search.candidates()), search.tests)
+    last_round = LastRound(outcome.refused, len(search.candidates()), search.tests)
     tell("done", 1.0)
     return ClosedLoop(
         declared_robot.name,
@@ -238,9 +264,9 @@ def close_loop(
         before,
         after,
         None if floor is None else tuple(float(x) for x in floor),
-        _found(steps, model, before),
+        _found(outcome.steps, model, before),
         verdict,
-        Unexplained(after.validation.relative_error, where),
+        Unexplained(after.validation.relative_error, where, left),
         model,
         declared,
         predictions,
@@ -268,6 +294,16 @@ class _Step:
 
 
 @dataclass(frozen=True, eq=False)
+class _Outcome:
+    """Where the loop stands: model, its errors, what was added, and the best trials of a round that added nothing."""
+
+    model: Identification
+    errors: RoleErrors
+    steps: tuple[_Step, ...]
+    refused: tuple[Trial, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class _Rounds:
     """The loop itself."""
 
@@ -277,52 +313,52 @@ class _Rounds:
     floor: Array | None
     tell: Progress
 
-    def run(self, declared: Identification, before: RoleErrors) -> tuple[Identification, list[_Step], tuple[Trial, ...]]:
-        """The final model, what was added, and the best trials of the round that added nothing."""
-        model, errors = declared, before
-        steps: list[_Step] = []
-        while len(steps) < MOST_EFFECTS and not self._at_floor(errors):
-            done = 0.1 + 0.8 * (1.0 - 0.8 ** len(steps))
-
-            def part(fraction: float, done: float = done) -> None:
-                self.tell(f"trying effects, round {len(steps) + 1}", done + 0.15 * (0.9 - done) * fraction)
-
-            trials = Search(model, self.sites).run(part)
+    def run(self, declared: Identification, before: RoleErrors) -> _Outcome:
+        """Add effects until nothing more is significant, or the noise floor is reached."""
+        outcome = _Outcome(declared, before, (), ())
+        while len(outcome.steps) < MOST_EFFECTS and not self._at_floor(outcome.errors):
+            model, number = outcome.model, len(outcome.steps)
+            done = 0.1 + 0.8 * (1.0 - 0.8**number)
+            told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
+            trials = Search(model, self.sites).run(told)
             best = choose(trials)
             if best is None:
-                return model, steps, tuple(trials[:RIVALS])
+                return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
             self.tell(f"adding {best.effect.label}", done)
-            candidate = identify(
-                self.data.regression, added(model.effects, best.effect), fit_links=self.fit_links, start=model
-            )
+            candidate = self._identified(added(model.effects, best.effect), model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
-                return model, steps, tuple(trials[:RIVALS])
-            model = candidate
-            errors = self.data.errors(model)
+                return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+            errors = self.data.errors(candidate)
             rivals = tuple(t for t in trials if t is not best)[:RIVALS]
-            steps.append(_Step(best, rivals, errors))
-            model, errors, steps = self._pruned(declared, model, errors, steps)
-        return model, steps, ()
+            steps = (*outcome.steps, _Step(best, rivals, errors))
+            outcome = self._pruned(_Outcome(candidate, errors, steps, ()))
+        return outcome
+
+    def _tell_part(self, text: str, done: float, fraction: float) -> None:
+        self.tell(text, done + 0.15 * (0.9 - done) * fraction)
+
+    def _identified(self, effects: Sequence[Effect], start: Identification) -> Identification:
+        return identify(self.data.regression, effects, fit_links=self.fit_links, start=start)
 
     def _at_floor(self, errors: RoleErrors) -> bool:
         if self.floor is None:
             return False
         return bool((np.array(errors.identification.torque_rms) <= AT_FLOOR * self.floor).all())
 
-    def _pruned(
-        self, declared: Identification, model: Identification, errors: RoleErrors, steps: list[_Step]
-    ) -> tuple[Identification, RoleErrors, list[_Step]]:
-        """Take out what a later effect made needless."""
-        for step in steps[:-1]:
+    def _pruned(self, outcome: _Outcome) -> _Outcome:
+        """Take out what the latest effect made needless."""
+        for step in outcome.steps[:-1]:
+            model = outcome.model
             effect = _find(model.effects, step.trial.effect)
             if effect.replaces or Search(model, self.sites).without(effect).accepted:
                 continue
             self.tell(f"taking out {effect.label}", 0.9)
-            kept = [e for e in model.effects if e is not effect]
-            model = identify(self.data.regression, kept, fit_links=self.fit_links, start=model)
+            model = self._identified([e for e in model.effects if e is not effect], model)
             errors = self.data.errors(model)
-            steps = [s for s in steps if s is not step]
-        return model, errors, steps
+            kept = [s for s in outcome.steps if s is not step]
+            kept[-1] = dataclasses.replace(kept[-1], errors=errors)
+            outcome = _Outcome(model, errors, tuple(kept), ())
+        return outcome
 
 
 def _weighted_better(new: Identification, old: Identification) -> bool:

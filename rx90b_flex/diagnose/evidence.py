@@ -6,13 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.regression import Regression
 
 BINS = 24
 SHUFFLES = 400
+MOST_SAMPLES = 4000  # more do not change a score, and cost
 SIGNIFICANCE = 0.01
+STANDSTILL = "standstill"  # name of the signal "no joint moves"
+REST = 1.0e-3  # of a joint's largest speed, below which it rests
+SMALLEST_PART = 0.02  # of the samples, at rest or moving, for the other to be told apart
 SMALLEST_SCORE = 0.05  # share of a residual's power; less is not worth a line in a report
 
 
@@ -38,7 +43,7 @@ class Dependence:
     p_value: float
 
 
-def dependences(regression: Regression, residual: Array, seed: int = 0) -> tuple[Dependence, ...]:
+def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tuple[Dependence, ...]:
     """Signals that a residual depends on, strongest first.
 
     The score is the correlation ratio over bins of equal count; its distribution under "no dependence" comes from
@@ -46,44 +51,86 @@ def dependences(regression: Regression, residual: Array, seed: int = 0) -> tuple
 
     Parameters
     ----------
-    regression : Regression
-    residual : array, shape (N, joints)
+    data : sequence of (Regression, array of shape (N, joints))
+        Recordings with what a model leaves over on them.
     seed : int
         Of the shifts.
     """
-    tried = signals(regression)
+    joints = data[0][0].joints
+    residual = np.concatenate([r for _, r in data])
     rng = np.random.default_rng(seed)
-    samples = len(residual)
-    shifts = rng.integers(samples // 20 + 1, samples - samples // 20, SHUFFLES)
-    tests = residual.shape[1] * len(tried)
+    resting = np.concatenate([at_rest(regression) for regression, _ in data])
+    moving = ~resting
+    names = [name for name, _ in signals(data[0][0])]
+    values = [np.concatenate(parts) for parts in zip(*([v for _, v in signals(r)] for r, _ in data), strict=True)]
+    tests = len(joints) * (len(names) + 1)
+    found: list[Dependence] = []
+    if SMALLEST_PART < resting.mean() < 1 - SMALLEST_PART:
+        excess, chance = _excess(residual**2, resting, rng)
+        found += _dependences(joints, STANDSTILL, excess, chance, (residual**2).sum(axis=0), tests)
+    # at rest every signal has one value and friction any: what else depends on what shows in motion only
+    if moving.sum() > 20 * BINS:
+        rest = residual[moving]
+        every = max(1, len(rest) // MOST_SAMPLES)
+        rest, at = rest[::every], np.flatnonzero(moving)[::every]
+        edges = np.linspace(0, len(rest), BINS + 1).astype(int)
+        shifts = _shifts(len(rest), rng)
+        for name, value in zip(names, values, strict=True):
+            order = np.argsort(value[at], kind="stable")
+            real = _explained(rest[order], edges)
+            # a shift by s is the residual read at (i - s) modulo N
+            chance = np.stack([_explained(rest[(order - s) % len(rest)], edges) for s in shifts], axis=1)
+            found += _dependences(joints, name, real, chance, (rest**2).sum(axis=0), tests)
+    return tuple(sorted(found, key=lambda d: -d.score))
+
+
+def _shifts(samples: int, rng: np.random.Generator) -> Array:
+    return rng.integers(samples // 20 + 1, samples - samples // 20, SHUFFLES)
+
+
+def _excess(power: Array, mask: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Power in part of the samples beyond the mean elsewhere: (joints,), and (joints, shuffles) for shifted masks."""
+
+    def beyond(at: Array) -> Array:
+        return np.asarray(power[at].sum(axis=0) - at.sum() * power[~at].mean(axis=0))
+
+    return beyond(mask), np.stack([beyond(np.roll(mask, s)) for s in _shifts(len(mask), rng)], axis=1)
+
+
+def _dependences(
+    joints: Sequence[str], signal: str, real: Array, chance: Array, power: Array, tests: int
+) -> list[Dependence]:
+    """Scores of one signal for each joint, where they are significant and worth a line."""
     out = []
-    power = (residual**2).sum(axis=0)
-    shifted = np.stack([np.roll(residual, s, axis=0) for s in shifts], axis=2)  # (N, joints, shuffles)
-    for name, values in tried:
-        order = np.argsort(values, kind="stable")
-        edges = np.linspace(0, samples, BINS + 1).astype(int)
-        counts = np.diff(edges)[:, None]
-        real = _explained(residual[order], edges, counts)
-        chance = _explained(shifted[order].reshape(samples, -1), edges, counts).reshape(residual.shape[1], -1)
-        mean, std = chance.mean(axis=1), chance.std(axis=1)
-        for j, joint in enumerate(regression.joints):
-            if power[j] == 0:
-                continue
-            score = (real[j] - mean[j]) / power[j]
-            beyond = int((chance[j] >= real[j]).sum())
-            p_value = (beyond + 1) / (SHUFFLES + 1)
-            # shuffles are too few for a corrected p-value: beyond them a normal tail stands in
-            if beyond == 0 and std[j] > 0:
-                p_value = min(p_value, float(np.exp(-0.5 * ((real[j] - mean[j]) / std[j]) ** 2)))
-            p_value = min(1.0, p_value * tests)
-            if p_value < SIGNIFICANCE and score > SMALLEST_SCORE:
-                out.append(Dependence(joint, name, float(score), p_value))
-    return tuple(sorted(out, key=lambda d: -d.score))
+    mean, std = chance.mean(axis=1), chance.std(axis=1)
+    for j, joint in enumerate(joints):
+        if power[j] == 0:
+            continue
+        # with a mask, chance draws the rest of the recording: its mean is no level that the score starts from
+        score = (real[j] - (mean[j] if signal != STANDSTILL else 0.0)) / power[j]
+        beyond = int((chance[j] >= real[j]).sum())
+        p_value = (beyond + 1) / (SHUFFLES + 1)
+        # shuffles are too few for a corrected p-value: beyond them a normal tail stands in
+        if beyond == 0 and std[j] > 0:
+            p_value = min(p_value, float(np.exp(-0.5 * ((real[j] - mean[j]) / std[j]) ** 2)))
+        p_value = min(1.0, p_value * tests)
+        if p_value < SIGNIFICANCE and score > SMALLEST_SCORE:
+            out.append(Dependence(joint, signal, float(score), p_value))
+    return out
 
 
-def _explained(residual: Array, edges: Array, counts: Array) -> Array:
+def at_rest(regression: Regression) -> Array:
+    """Samples of the fit at which no joint moves, shape (N,), bool."""
+    speed = [np.abs(s.motion.v[:: s.factor][s.kept]) for s in regression.stretches]
+    fastest = np.max([v.max(axis=0) for v in speed], axis=0)
+    return np.concatenate([(v <= REST * np.maximum(fastest, 1e-12)).all(axis=1) for v in speed])
+
+
+def _explained(residual: Array, edges: NDArray[np.intp]) -> Array:
+    """Power of the means over consecutive runs of samples, shape (joints,)."""
     sums = np.add.reduceat(residual, edges[:-1], axis=0)
-    return (sums**2 / counts).sum(axis=0)
+    power: Array = (sums**2 / np.diff(edges)[:, None]).sum(axis=0)
+    return power
 
 
 def signals(regression: Regression) -> Sequence[tuple[str, Array]]:

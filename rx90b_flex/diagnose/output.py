@@ -37,9 +37,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
         "verdict": result.verdict,
         "unexplained": {
             "relative_error": result.unexplained.relative_error,
-            "where": [
-                {"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where
-            ],
+            "where": [{"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where],
         },
     }
 
@@ -164,5 +162,3 @@ def check_folder(folder: Path) -> None:
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not os.access(existing, os.W_OK):
         raise ValueError(f"{folder}: {existing} cannot be written")
-
-

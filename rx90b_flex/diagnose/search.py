@@ -19,6 +19,7 @@ SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that
 SMALLEST_GAIN = 0.02  # of the squared error of the joints that an effect touches; less is not worth a name
 GAIN_T = 2.0  # held-out gain over its standard error
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
+JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
 REFINED = 16  # trials whose shape parameters are refined
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
@@ -69,45 +70,62 @@ class Trial:
     @property
     def accepted(self) -> bool:
         """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
-        return (
-            self.p_value < SIGNIFICANCE and self.gain_t > GAIN_T and self.share > SMALLEST_GAIN and self.lawful
-        )
+        return self.p_value < SIGNIFICANCE and self.gain_t > GAIN_T and self.share > SMALLEST_GAIN and self.lawful
 
     def no_better_than(self, other: Trial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
-        if other.gain < AS_GOOD * self.gain:
-            return False
+        if other.gain >= JUST_AS_GOOD * self.gain:
+            return True
         difference = self.block_gains - other.block_gains
         spread = difference.std(ddof=1) * np.sqrt(len(difference))
-        return bool(difference.sum() <= GAIN_T * spread or difference.sum() <= 1e-6 * self.gain)
+        return bool(other.gain >= AS_GOOD * self.gain and difference.sum() <= GAIN_T * spread)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """Columns of the present model and their products, which all bases have in common."""
+
+    columns: Array  # (joints, N, p): one joint's rows lie together in memory
+    target: Array  # (joints, N)
+    weight: Array
+    blocks: tuple[slice, ...]
+
+    @cached_property
+    def normal(self) -> NormalEquations:
+        return NormalEquations.of(self.columns.transpose(1, 0, 2), self.target.T, self.blocks)
 
 
 @dataclass(frozen=True, eq=False)
 class _Base:
     """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
 
-    columns: Array
-    target: Array
-    weight: Array
-    blocks: tuple[slice, ...]
+    shared: _Shared
+    kept: Array  # places of the base's columns among the shared ones
     prior: Array
 
-    @cached_property
-    def normal(self) -> NormalEquations:
-        return NormalEquations.of(self.columns, self.target, self.blocks)
+    @property
+    def weight(self) -> Array:
+        """Inverse variance of each joint's residual."""
+        return self.shared.weight
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return len(self.kept)
 
     @cached_property
     def grams(self) -> Array:
         """Weighted Gram matrices, shape (blocks, p, p)."""
-        return np.einsum("j,bjpq->bpq", self.weight, self.normal.gram)
+        whole = np.einsum("j,bjpq->bpq", self.weight, self.shared.normal.gram)
+        return whole[:, self.kept[:, None], self.kept]
 
     @cached_property
     def crosses(self) -> Array:
-        return np.einsum("j,bjp->bp", self.weight, self.normal.cross)
+        return np.einsum("j,bjp->bp", self.weight, self.shared.normal.cross)[:, self.kept]
 
     @cached_property
     def powers(self) -> Array:
-        return self.normal.power @ self.weight
+        return self.shared.normal.power @ self.weight
 
     @cached_property
     def whole(self) -> tuple[Array, Array]:
@@ -131,52 +149,63 @@ class _Base:
         return np.array(
             [
                 power - 2 * cross @ theta + theta @ gram @ theta
-                for power, cross, gram, (theta, _) in zip(self.powers, self.crosses, self.grams, self.without, strict=True)
+                for power, cross, gram, (theta, _) in zip(
+                    self.powers, self.crosses, self.grams, self.without, strict=True
+                )
             ]
         )
 
     @cached_property
     def residual(self) -> Array:
-        return self.target - self.columns @ self.whole[0]
+        """What the base leaves of the torque, shape (joints, N)."""
+        return self.shared.target - self._times(self.whole[0])
+
+    def _times(self, theta: Array) -> Array:
+        """The base's columns times coefficients (p,) or (p, k); shape (joints, N) or (joints, N, k)."""
+        full = np.zeros((self.shared.columns.shape[2], *theta.shape[1:]))
+        full[self.kept] = theta
+        return self.shared.columns @ full
 
     @cached_property
     def squares(self) -> Array:
         """Weighted squared error of each joint on all blocks."""
-        return self.weight * (self.residual**2).sum(axis=0)
+        return self.weight * (self.residual**2).sum(axis=1)
+
+    def with_base(self, rows: Array, columns: Array, samples: slice = slice(None)) -> Array:
+        """Weighted products of the base's columns with candidate ones (N, rows, k); shape (p, k)."""
+        out = sum(
+            self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i]) for i, j in enumerate(rows)
+        )
+        return np.asarray(out)[self.kept]
 
     def products(self, rows: Array, columns: Array, block: slice) -> tuple[Array, Array, Array]:
         """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
         weight = self.weight[rows]
         c = columns[block]
-        x = self.columns[block][:, rows]
-        y = self.target[block][:, rows]
+        y = self.shared.target[rows, block]
         return (
-            np.einsum("j,njp,njk->pk", weight, x, c, optimize=True),
-            np.einsum("j,nj,njk->k", weight, y, c, optimize=True),
+            self.with_base(rows, columns, block),
+            np.einsum("j,jn,njk->k", weight, y, c, optimize=True),
             np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
         )
 
     def apart(self, rows: Array, columns: Array) -> Array:
-        """What of candidate columns (N, rows, k) the base does not explain, shape (N, joints, k)."""
+        """What of candidate columns (N, rows, k) the base does not explain, shape (joints, N, k)."""
         _, inverse = self.whole
-        with_base = np.einsum("j,njp,njk->pk", self.weight[rows], self.columns[:, rows], columns, optimize=True)
-        out = -(self.columns @ (inverse @ with_base))
-        out[:, rows] += columns
+        out = -self._times(inverse @ self.with_base(rows, columns))
+        out[rows] += columns.transpose(1, 0, 2)
         return out
 
     def gains(self, rows: Array, columns: Array, k: int) -> Array:
         """Drop of the weighted squared error for many candidates of k columns each; columns (N, rows, M * k) -> (M,)."""
         _, inverse = self.whole
-        weight = self.weight[rows]
         many = columns.shape[2] // k
-        with_base = sum(w * self.columns[:, j].T @ columns[:, i] for i, (j, w) in enumerate(zip(rows, weight, strict=True)))
-        score = sum(w * self.residual[:, j] @ columns[:, i] for i, (j, w) in enumerate(zip(rows, weight, strict=True)))
+        with_base = self.with_base(rows, columns).reshape(-1, many, k)
+        score = np.asarray(sum(self.weight[j] * (self.residual[j] @ columns[:, i]) for i, j in enumerate(rows)))
         shaped = columns.reshape(len(columns), len(rows), many, k)
-        own = np.einsum("j,njmk,njml->mkl", weight, shaped, shaped, optimize=True)
-        with_base = np.asarray(with_base).reshape(-1, many, k)
-        left = own - np.einsum("pmk,pq,qml->mkl", with_base, inverse, with_base, optimize=True)
-        score = np.asarray(score).reshape(many, k)
-        return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
+        own = np.einsum("j,njmk,njml->mkl", self.weight[rows], shaped, shaped)
+        left = own - np.einsum("pmk,pml->mkl", with_base, np.tensordot(inverse, with_base, axes=1))
+        return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score.reshape(many, k), strict=True)])
 
 
 def _solve(left: Array, own: Array, score: Array) -> Array:
@@ -217,20 +246,20 @@ class Search:
             return self.regression.torque
         return self.regression.torque - self.regression.link_columns @ self.model.link_parameters
 
+    @cached_property
+    def shared(self) -> _Shared:
+        """Columns and target in the form that trials use."""
+        columns = np.ascontiguousarray(self.model.columns.transpose(1, 0, 2))
+        return _Shared(columns, np.ascontiguousarray(self.target.T), self.model.solution.sigma**-2.0, self.blocks)
+
     def base(self, replaced: Effect | None = None) -> _Base:
         """The present model without `replaced`."""
-        kept = np.ones(len(self.model.theta), dtype=bool)
+        kept = np.arange(len(self.model.theta))
         if replaced is not None:
             index = self.model.effects.index(replaced)
             first = self.model.first_column(index)
-            kept[first : first + len(replaced.coefficients)] = False
-        return _Base(
-            self.model.columns[:, :, kept],
-            self.target,
-            self.model.solution.sigma**-2.0,
-            self.blocks,
-            self.model.theta[kept],
-        )
+            kept = np.delete(kept, np.arange(first, first + len(replaced.coefficients)))
+        return _Base(self.shared, kept, self.model.theta[kept])
 
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
         """Effects to try, each with the declared effect that it would replace."""
@@ -240,6 +269,10 @@ class Search:
                 continue
             for effect in cls.everywhere(self.sites):
                 here = [e for e in self.model.effects if e.place == effect.place]
+                if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
+                    continue
+                if not set(cls.needs) <= {e.type_name() for e in here}:
+                    continue
                 if any(type(e) is cls and not cls.repeats for e in here):
                     continue
                 if any(cls.type_name() in e.replaces for e in here):
@@ -290,7 +323,7 @@ class Search:
     def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
         shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
-        per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches) 
+        per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches)
         batch = max(1, int(BATCH_BYTES / per_effect))
         for at in range(0, len(shaped), batch):
             part = shaped[at : at + batch]
@@ -317,7 +350,10 @@ class Search:
         start = to(effect.shape)
         simplex = np.vstack([start, start + np.diag(spread / effect.shape if logs else spread)])
         found = optimize.minimize(
-            cost, start, method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 60, "xatol": 1e-4, "fatol": 1e-3}
+            cost,
+            start,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "maxfev": 60, "xatol": 1e-4, "fatol": 1e-3},
         )
         return effect.with_shape(np.clip(back(found.x), *bounds))
 
@@ -325,7 +361,7 @@ class Search:
         effect = self._refined(effect, base)
         rows, columns = self.regression.compact([effect])
         k, s = len(effect.coefficients), len(effect.shape)
-        size = k + s - (present.columns.shape[2] - base.columns.shape[2])
+        size = k + s - (present.size - base.size)
         if len(rows) == 0:
             return Trial(effect, 0.0, np.zeros(len(self.blocks)), 1.0, size, 0.0, False)
         per_block = [base.products(rows, columns, block) for block in self.blocks]
@@ -375,17 +411,22 @@ class Search:
         own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
         apart = base.apart(rows, together)
         residual = base.residual - apart[:, :, :k] @ beta
+        apart = apart.transpose(1, 0, 2)
         spans = self.regression.spans
         longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
-        share = base.columns.shape[2] / residual.shape[1]
-        spectra = [residual_spectrum(r, spans, share, longest) for r in residual.T]
+        share = base.size / len(residual)
+        spectra = [residual_spectrum(r, spans, share, longest) for r in residual]
         meat = scatter(apart, base.weight, spectra, spans)
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
-        wald, free, std = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta)
-        whole, _, _ = _wald(bread, meat, own, np.r_[beta, np.zeros(shapes.shape[2])])
+        wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta, DETERMINED)
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         tests = free + shapes.shape[2]
         p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
-        lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all()) and whole > SIGN_T**2 * k
+        lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
+        if shapes.shape[2]:
+            _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(shapes.shape[2])], 1e-12)
+            certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
+            lawful = lawful and bool(certain > SIGN_T**2 * k)
         low, high = effect.shape_bounds()
         inside = bool(((effect.shape > 1.01 * low) & (effect.shape < 0.99 * high)).all())
         return p_value, lawful and inside
@@ -399,22 +440,22 @@ class Search:
         return np.concatenate(out, axis=2)
 
 
-def _wald(bread: Array, meat: Array, own: Array, beta: Array) -> tuple[float, int, Array]:
-    """Wald statistic of the determined combinations of coefficients, their number, and standard deviations.
+def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:
+    """Wald statistic of the determined combinations of coefficients, their number, and the covariance.
 
     `own` (k,) are the squares of the candidate's columns before the base took its part: what is left of one is judged
     against that, so that a column which the base explains wholly does not come back as rounding.
     """
     scale = np.sqrt(np.maximum(own, 1e-300))
     values, vectors = np.linalg.eigh(bread / np.outer(scale, scale))
-    kept = values > DETERMINED
+    kept = values > tolerance
     basis = vectors[:, kept] / scale[:, None]
     inverse = (basis / values[kept]) @ basis.T
     covariance = inverse @ meat @ inverse
     along = vectors[:, kept] * scale[:, None]
     combined = along.T @ beta
     statistic = combined @ np.linalg.pinv(along.T @ covariance @ along, rcond=1e-10, hermitian=True) @ combined
-    return float(statistic), int(kept.sum()), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return float(statistic), int(kept.sum()), covariance
 
 
 def choose(trials: Sequence[Trial]) -> Trial | None:

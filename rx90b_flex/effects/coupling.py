@@ -8,6 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, linear
+from rx90b_flex.effects.friction import CoulombFriction
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.reversal import reversal, reversal_slope
 
@@ -47,3 +49,15 @@ class JointCoupling(PairEffect):
         slope = viscous + coulomb * reversal_slope(motion.v @ port)
         zero = np.zeros((len(motion), 1, 1)) * outer
         return zero, slope[:, None, None] * outer, zero + inertia * outer
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        inertia, viscous, coulomb = (float(x) for x in self.known_coefficients())
+        return (
+            Law(
+                self._port(motion),
+                inertia=inertia,
+                damping=viscous,
+                function=CoulombFriction.law,
+                parameters=np.array([coulomb]),
+            ),
+        )

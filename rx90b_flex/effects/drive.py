@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, linear
-from rx90b_flex.effects.motion import Array, JointMotion
+from rx90b_flex.effects.law import Law, constant
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +18,7 @@ class DriveInertia(JointEffect):
 
     side: ClassVar[str] = "drive"
     adds_inertia: ClassVar[bool] = True
+    part: ClassVar[str] = "drives"
 
     inertia: float | None = linear("kg m^2", lower=0.0, rank=INERTIA)
 
@@ -27,12 +29,18 @@ class DriveInertia(JointEffect):
         zero = np.zeros((len(at.a), 1))
         return zero, zero, zero + 1.0
 
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, self.side)
+        return (Law(port, inertia=float(self.known_coefficients()[0])),)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueOffset(JointEffect):
     """A constant torque: an offset of the current sensor, or friction that never changes sign."""
 
     side: ClassVar[str] = "drive"
+    law = staticmethod(constant)
+    law_stores: ClassVar[bool] = True
 
     torque: float | None = linear("N m", rank=FRICTION)
 
@@ -42,3 +50,6 @@ class TorqueOffset(JointEffect):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
         return zero, zero, zero
+
+    def potential(self, motion: Motion) -> Array:
+        return self.known_coefficients()[0] * motion.joint(self.joint, self.side).q

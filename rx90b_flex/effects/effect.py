@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.effects.law import Law, LawFunction
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
@@ -63,9 +64,9 @@ def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHE
     return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "linear", lower, size=size, rank=rank)})
 
 
-def shape(unit: str, *, start: float, lower: float, upper: float) -> Any:
+def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1) -> Any:
     """Field of an effect: a parameter that gives the force its shape."""
-    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "shape", lower, upper, start)})
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "shape", lower, upper, start, size)})
 
 
 def derived(unit: str, *, lower: float = -np.inf) -> Any:
@@ -96,7 +97,8 @@ class Effect(ABC):
     needs_load: ClassVar[bool] = False  # its columns depend on the torque through the transmission
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
-    part: ClassVar[str] = "friction"  # where its derivatives stand in a linearisation
+    needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
+    part: ClassVar[str] = "friction"  # of a linearisation: "links", "drives", "flexibility", "spring" or "friction"
 
     # ---- description ------------------------------------------------------------------------------------
 
@@ -244,6 +246,17 @@ class Effect(ABC):
         """Derivatives of the force by q, v and a; each (N, n, n)."""
         raise TypeError(f"{self.type_name()} has no derivatives")
 
+    def potential(self, motion: Motion) -> Array:
+        """Potential energy whose gradient is the force at rest, shape (N,), J; zero for what only dissipates."""
+        return np.zeros(len(motion))
+
+    def laws(self, motion: Motion) -> tuple[Law, ...] | None:
+        """The force as scalar laws, for a compiled simulation; None: it asks for `force` and `derivatives` at each step.
+
+        Optional, and only for speed. ``motion`` is any sample: what the laws need of it is its coordinates and its tree.
+        """
+        return None
+
     def known_coefficients(self) -> Array:
         """Coefficients, with an error that names the first one without a value."""
         values = self.coefficients
@@ -274,6 +287,8 @@ class JointEffect(Effect):
 
     joint: str
     side: ClassVar[str] = "joint"  # acts on the joint angle theta, or on the "drive" angle alone
+    law: ClassVar[LawFunction | None] = None  # compiled form, with coefficients, then shape, as its parameters
+    law_stores: ClassVar[bool] = False  # whether that law is the gradient of `potential`
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -286,6 +301,14 @@ class JointEffect(Effect):
     @abstractmethod
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         """Derivatives of the basis by position, velocity and acceleration; each (N, k)."""
+
+    def laws(self, motion: Motion) -> tuple[Law, ...] | None:
+        function = type(self).law
+        if function is None:
+            return None
+        port = motion.coordinates.port(self.joint, self.side)
+        values = np.concatenate([self.known_coefficients(), self.known_shape()])
+        return (Law(port, function=function, parameters=values, stores=self.law_stores),)
 
     def factors(self, motion: Motion) -> tuple[Array, Array]:
         at = motion.joint(self.joint, self.side)
@@ -354,7 +377,7 @@ def catalogue() -> dict[str, type[Effect]]:
     def visit(cls: type[Effect]) -> None:
         for sub in cls.__subclasses__():
             visit(sub)
-            if not getattr(sub, "__abstractmethods__", None):
+            if not getattr(sub, "__abstractmethods__", None) and not sub.__name__.startswith("_"):
                 found[sub.type_name()] = sub
 
     visit(Effect)
@@ -404,6 +427,8 @@ def effect_from_table(table: Mapping[str, Any], where: str, joints: Sequence[str
     for name, parameter in cls.parameters().items():
         if name in table:
             values[name] = _read_value(table[name], parameter, f"{where}: {name}")
+        elif parameter.kind == "given":
+            raise ValueError(f"{where}: key {name!r} is missing; it cannot be identified")
     return cls(**values)
 
 
@@ -443,6 +468,8 @@ def _read_value(found: Any, parameter: Parameter, where: str) -> Any:
         raise ValueError(f"{where} is {found!r}; expected {parameter.size} finite numbers in {parameter.unit}")
     if (values < parameter.lower).any():
         raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g} {parameter.unit}")
+    if (values > parameter.upper).any():
+        raise ValueError(f"{where} is {found!r}; expected at most {parameter.upper:g} {parameter.unit}")
     return tuple(float(x) for x in values.ravel())
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rx90b_flex.effects.effect import FRICTION, JointEffect, linear, shape
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.reversal import reversal, reversal_slope
+from rx90b_flex.effects.reversal import REVERSAL_VELOCITY, reversal, reversal_slope
 
 
 class VelocityFriction(JointEffect):
@@ -45,6 +47,14 @@ class CoulombFriction(VelocityFriction):
     def column_slope(self, v: Array) -> Array:
         return reversal_slope(v)
 
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        ratio = rate / REVERSAL_VELOCITY
+        scale = parameters[0] * 2.0 / math.pi
+        out[0] = scale * math.atan(ratio)
+        out[1] = 0.0
+        out[2] = scale / (REVERSAL_VELOCITY * (1.0 + ratio * ratio))
+
 
 @dataclass(frozen=True, kw_only=True)
 class ViscousFriction(VelocityFriction):
@@ -58,6 +68,10 @@ class ViscousFriction(VelocityFriction):
     def column_slope(self, v: Array) -> Array:
         return np.ones_like(v)
 
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, self.side)
+        return (Law(port, damping=float(self.known_coefficients()[0])),)
+
 
 @dataclass(frozen=True, kw_only=True)
 class AsymmetricFriction(VelocityFriction):
@@ -70,6 +84,12 @@ class AsymmetricFriction(VelocityFriction):
 
     def column_slope(self, v: Array) -> Array:
         return np.sign(v)
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        out[0] = parameters[0] * abs(rate)
+        out[1] = 0.0
+        out[2] = parameters[0] * ((rate > 0.0) - (rate < 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +114,18 @@ class ViscousPowerFriction(VelocityFriction):
         # reversal(v)/|v| is finite at rest, so the two terms are put together before the power is taken
         ratio = np.where(size > 0, np.abs(reversal(v)) / np.where(size > 0, size, 1.0), reversal_slope(v))
         return size**power * (reversal_slope(v) + power * ratio)
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        coefficient, power = parameters[0], parameters[1]
+        size = abs(rate)
+        ratio = size / REVERSAL_VELOCITY
+        sign = 2.0 / math.pi * math.atan(ratio)
+        slope = 2.0 / math.pi / (REVERSAL_VELOCITY * (1.0 + ratio * ratio))
+        grown = coefficient * size**power
+        out[0] = math.copysign(grown * sign, rate)
+        out[1] = 0.0
+        out[2] = grown * (slope + power * (sign / size if size > 0.0 else slope))
 
     def shape_starts(self, motion: Motion) -> Array:
         return np.array([[0.2], [0.4], [0.6], [0.8], [1.3], [1.8], [2.4]])
@@ -122,6 +154,19 @@ class StribeckFriction(VelocityFriction):
         size = np.abs(v) / velocity
         ratio = np.where(v != 0, np.abs(reversal(v)) / np.where(v != 0, np.abs(v), 1.0), reversal_slope(v))
         return self._fade(v) * (reversal_slope(v) - power * size**power * ratio)
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        torque, velocity, power = parameters[0], parameters[1], parameters[2]
+        size = abs(rate)
+        ratio = size / REVERSAL_VELOCITY
+        sign = 2.0 / math.pi * math.atan(ratio)
+        slope = 2.0 / math.pi / (REVERSAL_VELOCITY * (1.0 + ratio * ratio))
+        faded = (size / velocity) ** power
+        left = torque * math.exp(-faded)
+        out[0] = math.copysign(left * sign, rate)
+        out[1] = 0.0
+        out[2] = left * (slope - power * faded * (sign / size if size > 0.0 else slope))
 
     def shape_starts(self, motion: Motion) -> Array:
         fast = float(np.percentile(np.abs(motion.joint(self.joint).v), 95))

@@ -74,8 +74,28 @@ class TreeMotion(Protocol):
         """Generalised force that gravity along ``direction`` (unit, base frame) needs; shape (N, n), N m."""
         ...
 
+    def gravity_derivative(self, direction: Array) -> Array:
+        """Derivative of `gravity_torque` by q; shape (N, n, n)."""
+        ...
+
+    def gravity_potential(self, direction: Array) -> Array:
+        """Potential energy of the links under gravity along ``direction``; shape (N,), J."""
+        ...
+
     def body_columns(self, frame: str) -> Array:
         """Regressor of a body fixed to ``frame``; shape (N, n, 10), columns m, s (3), J (xx yy zz xy xz yz)."""
+        ...
+
+    def body_derivatives(self, frame: str, body: Array) -> tuple[Array, Array, Array]:
+        """Derivatives by q, v and a, each (N, n, n), of ``body_columns(frame) @ body``; body (10,), its mass > 0."""
+        ...
+
+    def body_potential(self, frame: str, body: Array) -> Array:
+        """Potential energy of that body under the tree's gravity; shape (N,), J."""
+        ...
+
+    def joint_axis(self, joint: str) -> Array:
+        """Unit axis of a revolute joint in its own frame, shape (3,); other joints are refused."""
         ...
 
     def derivatives(self) -> tuple[Array, Array, Array]:

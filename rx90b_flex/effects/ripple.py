@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -33,6 +34,8 @@ class GearRipple(JointEffect):
     """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
 
     repeats: ClassVar[bool] = True
+    part: ClassVar[str] = "spring"
+    law_stores: ClassVar[bool] = True
     HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
@@ -71,6 +74,19 @@ class GearRipple(JointEffect):
         (order,) = self.known_shape()
         slope = order * np.stack([np.cos(order * at.q), -np.sin(order * at.q)], axis=1)
         return slope, np.zeros_like(slope), np.zeros_like(slope)
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        sine, cosine, order = parameters[0], parameters[1], parameters[2]
+        s, c = math.sin(order * x), math.cos(order * x)
+        out[0] = sine * s + cosine * c
+        out[1] = order * (sine * c - cosine * s)
+        out[2] = 0.0
+
+    def potential(self, motion: Motion) -> Array:
+        (order,) = self.known_shape()
+        angle = order * motion.joint(self.joint).q
+        return np.stack([-np.cos(angle), np.sin(angle)], axis=1) @ self.known_coefficients() / order
 
     def shape_starts(self, motion: Motion) -> Array:
         # two starts a lobe of the periodogram over the range that the joint covers

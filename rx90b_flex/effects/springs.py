@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.effects.effect import SPRING, JointEffect, derived, linear
-from rx90b_flex.effects.motion import Array, JointMotion
+from rx90b_flex.effects.law import Law, constant
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +21,8 @@ class JointSpring(JointEffect):
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
     the same joint, the preload cannot be told from it and the rest angle stays unknown.
     """
+
+    part: ClassVar[str] = "spring"
 
     stiffness: float | None = linear("N m/rad", lower=0.0, rank=SPRING)
     rest_angle: float | None = derived("rad")
@@ -61,3 +64,13 @@ class JointSpring(JointEffect):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 2))
         return zero + [1.0, 0.0], zero, zero
+
+    def potential(self, motion: Motion) -> Array:
+        stiffness, preload = self.known_coefficients()
+        q = motion.joint(self.joint).q
+        return (0.5 * stiffness * q - preload) * q
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        stiffness, preload = self.known_coefficients()
+        port = motion.coordinates.port(self.joint, self.side)
+        return (Law(port, stiffness=float(stiffness), function=constant, parameters=np.array([-preload]), stores=True),)

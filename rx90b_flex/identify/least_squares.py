@@ -196,6 +196,14 @@ class Identification:
         """Norm of the residual over the norm of the torque, all joints and samples."""
         return float(np.linalg.norm(self.residual) / np.linalg.norm(self.regression.torque))
 
+    def residual_on(self, regression: Regression) -> Array:
+        """Torque left over on other data, shape (N, joints), N m."""
+        seen = regression.with_links(self.link_parameters)
+        torque = seen.torque - seen.link_columns @ self.link_parameters
+        for effect in self.effects:
+            torque = torque - seen.columns(effect) @ effect.known_coefficients()
+        return torque
+
     @property
     def information(self) -> Array:
         """Weighted Gram matrix of all coefficients, shape (p, p)."""
@@ -224,7 +232,9 @@ class Identification:
         first = self.first_column(index)
         k = len(effect.coefficients)
         shapes_before = sum(len(e.shape) for e in self.effects[:index])
-        places = np.r_[first : first + k, len(self.theta) + shapes_before : len(self.theta) + shapes_before + len(effect.shape)]
+        places = np.r_[
+            first : first + k, len(self.theta) + shapes_before : len(self.theta) + shapes_before + len(effect.shape)
+        ]
         at = np.concatenate([self.theta[first : first + k], effect.shape])
         determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
 

@@ -23,7 +23,7 @@ from rx90b_flex.signals import (
 
 # Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
 # columns are low-passed once, as the torque is, and not twice.
-POSITION_CUTOFF_RATIO = 4.0
+POSITION_CUTOFF_RATIO = 2.0
 # Columns are worked out at this many times the cutoff at least: products of filtered signals stay free of aliasing.
 WORKING_RATE_RATIO = 20.0
 # Left out of a fit at both ends, in periods of the cutoff: where the filter and the differences lack neighbours.

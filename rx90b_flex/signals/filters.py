@@ -174,10 +174,35 @@ def motion(position: ArrayLike, sample_rate_hz: float, cutoff_hz: float | None =
     ValueError
         As `lowpass` and `differentiate`.
     """
-    filtered = _samples(position).copy() if cutoff_hz is None else lowpass(position, cutoff_hz, sample_rate_hz)
+    if cutoff_hz is None:
+        q, margin = _samples(position).copy(), 0
+    else:
+        position = _samples(position)
+        minimum = minimum_samples(cutoff_hz, sample_rate_hz)
+        if len(position) < minimum:
+            lowpass(position, cutoff_hz, sample_rate_hz)  # refuses, and says why
+        margin = minimum
+        q = lowpass(_continued(position, margin), cutoff_hz, sample_rate_hz)
+    inside = slice(margin, len(q) - margin)
     return Motion(
-        filtered, differentiate(filtered, sample_rate_hz), differentiate(filtered, sample_rate_hz, derivative=2)
+        q[inside],
+        differentiate(q, sample_rate_hz)[inside],
+        differentiate(q, sample_rate_hz, derivative=2)[inside],
     )
+
+
+def _continued(position: Array, margin: int) -> Array:
+    """Positions continued at both ends by the cubic that fits the `margin` samples there best.
+
+    A reflection has no acceleration at the end, and off-centre differences amplify noise; a fitted cubic keeps the
+    acceleration that the motion has there.
+    """
+    t = np.linspace(-1.0, 1.0, margin)
+    fit = np.vander(t, 4)
+    beyond = np.vander(1.0 + (1 + np.arange(margin)) * (t[1] - t[0]), 4) @ np.linalg.pinv(fit)
+    after = np.tensordot(beyond, position[-margin:], axes=1)
+    before = np.tensordot(beyond, position[:margin][::-1], axes=1)[::-1]
+    return np.concatenate([before, position, after])
 
 
 def decimation_factor(cutoff_hz: float, sample_rate_hz: float, margin: float = 4.0) -> int:

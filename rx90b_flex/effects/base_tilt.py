@@ -1,0 +1,47 @@
+"""A base that does not stand upright."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from rx90b_flex.effects.effect import OTHER, Effect, Sites, linear
+from rx90b_flex.effects.motion import Array, Motion
+
+# A base turned by R = 1 + [angles] sees gravity along R^T (-e_z), to first order -e_z + angle_x (-e_y) + angle_y e_x
+_DIRECTIONS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseTilt(Effect):
+    """Gravity not along the base's z: the base is turned by small angles about its own x and y.
+
+    To first order in the angles (error: half their square, 1e-4 of gravity at 0.8 degrees) the force is
+    ``angle_x * g_x(q) + angle_y * g_y(q)``, each the torque that the links would need if gravity pulled along -y, +x.
+    """
+
+    on: ClassVar[str] = "robot"
+    part: ClassVar[str] = "links"
+
+    angle_x: float | None = linear("rad", rank=OTHER)
+    angle_y: float | None = linear("rad", rank=OTHER)
+
+    def columns(self, motion: Motion) -> Array:
+        return np.stack([motion.on_tree.gravity_torque(d) for d in _DIRECTIONS], axis=2)
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        by_q = sum(
+            angle * motion.on_tree.gravity_derivative(d)
+            for angle, d in zip(self.known_coefficients(), _DIRECTIONS, strict=True)
+        )
+        zero = np.zeros_like(by_q)
+        return np.asarray(by_q), zero, zero
+
+    def potential(self, motion: Motion) -> Array:
+        return np.stack([motion.on_tree.gravity_potential(d) for d in _DIRECTIONS], axis=1) @ self.known_coefficients()
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls()]

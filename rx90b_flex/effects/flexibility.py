@@ -1,0 +1,145 @@
+"""Flexible drives, joints and base: the hinges of figure 3.5 with their constitutive equations (3.58) and (3.60)."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from rx90b_flex.effects.effect import DAMPING, STIFFNESS, Effect, JointEffect, Sites, linear
+from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Flexibility(Effect):
+    """Hinges with a spring and a damper each: ``stiffness_i * eps_i + damping_i * d(eps_i)/dt`` on coordinate i.
+
+    A subclass states the hinges in `virtual` and declares stiffnesses, then dampings, one of each a hinge.
+    """
+
+    acts_on: ClassVar[str] = "coordinates"
+    part: ClassVar[str] = "flexibility"
+
+    @property
+    @abstractmethod
+    def _site(self) -> str:
+        """What the hinges' coordinates are named after."""
+
+    def _hinges(self, coordinates: Coordinates) -> Array:
+        """One row a hinge that picks its angle out of the coordinates, shape (m, n)."""
+        return np.stack([coordinates.port(self._site, kind) for kind in self.virtual])
+
+    def columns(self, motion: Motion) -> Array:
+        hinges = self._hinges(motion.coordinates)
+        stiffness = (motion.q @ hinges.T)[:, None, :] * hinges.T
+        damping = (motion.v @ hinges.T)[:, None, :] * hinges.T
+        return np.concatenate([stiffness, damping], axis=2)
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        hinges = self._hinges(motion.coordinates)
+        stiffness, damping = np.split(self.known_coefficients(), 2)
+        zero = np.zeros((len(motion), len(motion.coordinates), len(motion.coordinates)))
+        return zero + (hinges.T * stiffness) @ hinges, zero + (hinges.T * damping) @ hinges, zero
+
+    def potential(self, motion: Motion) -> Array:
+        stiffness, _ = np.split(self.known_coefficients(), 2)
+        deformation = motion.q @ self._hinges(motion.coordinates).T
+        return 0.5 * deformation**2 @ stiffness
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        stiffness, damping = np.split(self.known_coefficients(), 2)
+        hinges = self._hinges(motion.coordinates)
+        return tuple(
+            Law(port, stiffness=float(k), damping=float(d))
+            for port, k, d in zip(hinges, stiffness, damping, strict=True)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FlexibilityOfJoint(_Flexibility):
+    """Hinges behind the drive of a joint."""
+
+    joint: str
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return (self.joint,)
+
+    @property
+    def _site(self) -> str:
+        return self.joint
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls(joint=j) for j in sites.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveFlexibility(_FlexibilityOfJoint):
+    """Torsion of a drive, equation 3.58: ``stiffness * eps1 + damping * d(eps1)/dt`` on the coordinate ``torsion``."""
+
+    virtual: ClassVar[tuple[str, ...]] = ("torsion",)
+
+    stiffness: float | None = linear("N m/rad", lower=0.0, rank=STIFFNESS)
+    damping: float | None = linear("N m s/rad", lower=0.0, rank=DAMPING)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFlexibility(_FlexibilityOfJoint):
+    """Bending of a joint about the two axes across its own, equation 3.60, on ``bend_1`` and ``bend_2``."""
+
+    virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
+
+    stiffness: tuple[float, float] | None = linear("N m/rad", lower=0.0, size=2, rank=STIFFNESS)
+    damping: tuple[float, float] | None = linear("N m s/rad", lower=0.0, size=2, rank=DAMPING)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseFlexibility(_Flexibility):
+    """Floor and mounting (section 7.2): the base tilts about its x and its y, ``base:bend_1`` and ``base:bend_2``."""
+
+    on: ClassVar[str] = "robot"
+    virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
+
+    stiffness: tuple[float, float] | None = linear("N m/rad", lower=0.0, size=2, rank=STIFFNESS)
+    damping: tuple[float, float] | None = linear("N m s/rad", lower=0.0, size=2, rank=DAMPING)
+
+    @property
+    def _site(self) -> str:
+        return "base"
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls()]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StiffnessHardening(JointEffect):
+    """A drive that gets stiffer as it twists, ``cubic * eps1^3``; beside the `drive_flexibility` of the same joint."""
+
+    side: ClassVar[str] = "torsion"
+    needs: ClassVar[tuple[str, ...]] = ("drive_flexibility",)
+    part: ClassVar[str] = "flexibility"
+    law_stores: ClassVar[bool] = True
+
+    cubic: float | None = linear("N m/rad^3", lower=0.0, rank=STIFFNESS)
+
+    def basis(self, at: JointMotion) -> Array:
+        return (at.q**3)[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        slope = 3.0 * (at.q**2)[:, None]
+        zero = np.zeros_like(slope)
+        return slope, zero, zero
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        out[0] = parameters[0] * x * x * x
+        out[1] = 3.0 * parameters[0] * x * x
+        out[2] = 0.0
+
+    def potential(self, motion: Motion) -> Array:
+        return 0.25 * self.known_coefficients()[0] * motion.joint(self.joint, self.side).q ** 4

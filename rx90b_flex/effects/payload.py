@@ -1,0 +1,56 @@
+"""A mass that the robot carries and its links do not know of."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import INERTIA, FrameEffect, linear, shape
+from rx90b_flex.effects.motion import Array, Motion
+
+REACH = 0.1  # m; how far from the tip a search first looks for the mass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Payload(FrameEffect):
+    """A point mass fixed to a frame.
+
+    The force is linear in the mass. About the frame a point mass at c has the first moment ``mass * c`` and the
+    inertia ``mass * (c.c I - c c^T)``, so the place c is three shape parameters: with the frame's ten body columns Y
+    (3.47) the one column is ``Y @ (1, c, c.c I - c c^T)``.
+    """
+
+    adds_inertia: ClassVar[bool] = True
+    part: ClassVar[str] = "links"
+
+    mass: float | None = linear("kg", lower=0.0, rank=INERTIA)
+    centre: tuple[float, float, float] | None = shape("m", start=REACH, lower=-2.0, upper=2.0, size=3)
+
+    def _unit_body(self) -> Array:
+        """Ten inertial parameters of 1 kg at the centre, about the frame; order m, s, J xx yy zz xy xz yz."""
+        c = self.known_shape()
+        moments = c @ c * np.eye(3) - np.outer(c, c)
+        return np.r_[1.0, c, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+
+    def columns(self, motion: Motion) -> Array:
+        return (motion.on_tree.body_columns(self.frame) @ self._unit_body())[:, :, None]
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        (mass,) = self.known_coefficients()
+        by_q, by_v, by_a = motion.on_tree.body_derivatives(self.frame, self._unit_body())
+        return mass * by_q, mass * by_v, mass * by_a
+
+    def potential(self, motion: Motion) -> Array:
+        return self.known_coefficients()[0] * motion.on_tree.body_potential(self.frame, self._unit_body())
+
+    def shape_starts(self, motion: Motion) -> Array:
+        return np.array(list(itertools.product((-REACH, REACH), repeat=3)))
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.full(3, REACH)
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 4

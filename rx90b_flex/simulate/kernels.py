@@ -1,0 +1,461 @@
+"""Compiled dynamics of a tree: inverse dynamics, mass matrix, scalar laws and one step of the integrator.
+
+Newton-Euler in world axes about the joints' own origins. The virtual hinges of a flexible joint share their origin and carry no
+mass, so that most of a flexible tree costs one plane rotation a hinge. Everything here is for one lane (one run); the callers
+loop over lanes. Nothing here knows of robots or effects: only of arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import pinocchio as pin
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from rx90b_flex.effects.motion import Array
+
+# L-stable, and the smaller of the two error constants that (1 - 1/sqrt 2, 1 + 1/sqrt 2) give
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+SMALL_ANGLE = 0.03  # rad; below it four terms of the Taylor series are exact in double precision
+
+Integers = np.ndarray[Any, np.dtype[np.int64]]
+
+
+class Tree(NamedTuple):
+    """A tree of one-coordinate joints, in the order of the coordinates."""
+
+    parent: Integers  # (n,) -1 for the base
+    prismatic: Integers  # (n,)
+    turned: Integers  # (n,) whether `rotation` is not 1
+    shifted: Integers  # (n,) whether the joint's origin is not its parent's
+    heavy: Integers  # (n,) whether the body has mass
+    rotation: Array  # (n, 3, 3) of the joint's frame at zero, in the parent's
+    offset: Array  # (n, 3) m
+    axis: Array  # (n, 3) in the joint's own frame
+    mass: Array  # (n,) kg
+    moment: Array  # (n, 3) mass times centre of mass, kg m
+    inertia: Array  # (n, 3, 3) about the joint's origin, kg m^2
+    gravity: Array  # (3,) m/s^2
+
+
+class Laws(NamedTuple):
+    """Torques that depend on one combination of the coordinates, x = sum of weight * q: linear part and compiled law."""
+
+    place: Integers  # (m, w) coordinates of the combination
+    weight: Array  # (m, w) zero where there are fewer
+    inertia: Array  # (m,) per d2x/dt2
+    damping: Array  # (m,) per dx/dt
+    stiffness: Array  # (m,) per x
+    address: Integers  # (m,) of the compiled law, 0 where there is none
+    stores: Integers  # (m,) whether the law stores energy instead of dissipating it
+    parameters: Array  # (m, p) of the law
+
+
+class Scratch(NamedTuple):
+    """Working memory of one lane."""
+
+    rotation: Array  # (n, 3, 3)
+    axis: Array  # (n, 3) world
+    arm: Array  # (n, 3) from the parent's origin to the joint's, world
+    spin: Array  # (n, 3) angular velocity
+    turn: Array  # (n, 3) angular acceleration
+    lift: Array  # (n, 3) acceleration of the origin less gravity
+    force: Array  # (n, 3)
+    torque: Array  # (n, 3)
+    mass: Array  # (n,) of everything that hangs on the joint
+    moment: Array  # (n, 3)
+    inertia: Array  # (n, 3, 3)
+    by_x: Array  # (m,) slopes of the laws
+    by_rate: Array  # (m,)
+    out: Array  # (3,) what a law writes
+    system: Array  # (n, n)
+    generalised: Array  # (n,)
+    right: Array  # (n,)
+    k_q: Array  # (n,)
+    k_v: Array  # (n,)
+    q: Array  # (n,)
+    v: Array  # (n,)
+    a: Array  # (n,)
+
+
+def tree_of(model: pin.Model) -> Tree:
+    """The arrays of a pinocchio model whose joints have one coordinate each."""
+    n = model.nv
+    if model.nq != n or model.njoints != n + 1:
+        raise ValueError(f"{model.name}: {model.njoints - 1} joints with {model.nq} positions; one each is expected")
+    axes = np.array([np.ravel(model.joints[i].createData().S) for i in range(1, n + 1)])
+    prismatic = ~axes[:, 3:].any(axis=1)
+    placements = [model.jointPlacements[i] for i in range(1, n + 1)]
+    rotation = np.array([p.rotation for p in placements])
+    offset = np.array([p.translation for p in placements])
+    bodies = [model.inertias[i] for i in range(1, n + 1)]
+    dynamic = np.array([b.toDynamicParameters() for b in bodies])
+    packed = dynamic[:, [4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(n, 3, 3)
+    return Tree(
+        parent=np.array([int(model.parents[i]) - 1 for i in range(1, n + 1)], dtype=np.int64),
+        prismatic=prismatic.astype(np.int64),
+        turned=(np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > 0).astype(np.int64),
+        shifted=(offset.any(axis=1) | prismatic).astype(np.int64),
+        heavy=dynamic.any(axis=1).astype(np.int64),
+        rotation=np.ascontiguousarray(rotation),
+        offset=np.ascontiguousarray(offset),
+        axis=np.where(prismatic[:, None], axes[:, :3], axes[:, 3:]),
+        mass=np.ascontiguousarray(dynamic[:, 0]),
+        moment=np.ascontiguousarray(dynamic[:, 1:4]),
+        inertia=np.ascontiguousarray(packed),
+        gravity=np.array(model.gravity.linear, dtype=float),
+    )
+
+
+def scratch_for(n: int, laws: int) -> Scratch:
+    """Working memory for n coordinates and that many laws."""
+    three = [np.zeros((n, 3)) for _ in range(7)]
+    composite = (np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    slopes = (np.zeros(laws), np.zeros(laws), np.zeros(3))
+    rows = [np.zeros(n) for _ in range(7)]
+    return Scratch(np.zeros((n, 3, 3)), *three, *composite, *slopes, np.zeros((n, n)), *rows)
+
+
+compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
+
+
+@intrinsic
+def _call(typing_context: Any, address: Any, x: Any, rate: Any, parameters: Any, out: Any) -> Any:
+    """Call a compiled law ``void(double, double, double *, double *)`` by its address."""
+    signature = types.void(types.int64, types.float64, types.float64, types.int64, types.int64)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        double = ir.DoubleType()
+        pointer = double.as_pointer()
+        function = ir.FunctionType(ir.VoidType(), [double, double, pointer, pointer])
+        where = builder.inttoptr(args[0], function.as_pointer())
+        builder.call(where, [args[1], args[2], builder.inttoptr(args[3], pointer), builder.inttoptr(args[4], pointer)])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@compiled
+def _sine_cosine(x):  # type: ignore[no-untyped-def]
+    if abs(x) < SMALL_ANGLE:
+        s = x * x
+        return (
+            x * (1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0)))),
+            1.0 - s / 2.0 * (1.0 - s / 12.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0))),
+        )
+    return math.sin(x), math.cos(x)
+
+
+@compiled
+def _turn(rotation, i, axis, sine, cosine, x, y, z):  # type: ignore[no-untyped-def]
+    """Turn frame i about its own axis (x, y, z), which is `axis` in the world."""
+    if x == 1.0 or y == 1.0 or z == 1.0:
+        # a turn about a frame axis mixes the two columns across it
+        first = 1 if x == 1.0 else (2 if y == 1.0 else 0)
+        second = 2 if x == 1.0 else (0 if y == 1.0 else 1)
+        for r in range(3):
+            f, g = rotation[i, r, first], rotation[i, r, second]
+            rotation[i, r, first] = f * cosine + g * sine
+            rotation[i, r, second] = g * cosine - f * sine
+    else:
+        for r in range(3):
+            f, g, h = rotation[i, r, 0], rotation[i, r, 1], rotation[i, r, 2]
+            along = (1.0 - cosine) * axis[i, r]
+            rotation[i, r, 0] = f * cosine + along * x + sine * (g * z - h * y)
+            rotation[i, r, 1] = g * cosine + along * y + sine * (h * x - f * z)
+            rotation[i, r, 2] = h * cosine + along * z + sine * (f * y - g * x)
+
+
+@compiled
+def place(tree, s, q):  # type: ignore[no-untyped-def]
+    """Rotations, axes and arms of all joints at q, in world axes."""
+    # no views of rows: counting their references would cost more than the arithmetic
+    rotation, axis, arm = s.rotation, s.axis, s.arm
+    fixed, offset = tree.rotation, tree.offset
+    for i in range(len(q)):
+        parent = tree.parent[i]
+        if parent < 0:
+            for r in range(3):
+                arm[i, r] = offset[i, r]
+                for c in range(3):
+                    rotation[i, r, c] = fixed[i, r, c]
+        else:
+            for r in range(3):
+                f, g, h = rotation[parent, r, 0], rotation[parent, r, 1], rotation[parent, r, 2]
+                if tree.shifted[i]:
+                    arm[i, r] = f * offset[i, 0] + g * offset[i, 1] + h * offset[i, 2]
+                if tree.turned[i]:
+                    for c in range(3):
+                        rotation[i, r, c] = f * fixed[i, 0, c] + g * fixed[i, 1, c] + h * fixed[i, 2, c]
+                else:
+                    rotation[i, r, 0], rotation[i, r, 1], rotation[i, r, 2] = f, g, h
+        x, y, z = tree.axis[i, 0], tree.axis[i, 1], tree.axis[i, 2]
+        for r in range(3):
+            axis[i, r] = rotation[i, r, 0] * x + rotation[i, r, 1] * y + rotation[i, r, 2] * z
+        if tree.prismatic[i]:
+            for r in range(3):
+                arm[i, r] += axis[i, r] * q[i]
+        else:
+            sine, cosine = _sine_cosine(q[i])
+            _turn(rotation, i, axis, sine, cosine, x, y, z)
+
+
+@compiled
+def _move(tree, s, v, a):  # type: ignore[no-untyped-def]
+    """Angular velocities, angular accelerations and accelerations of the origins, gravity as an upward acceleration."""
+    for i in range(len(v)):
+        parent = tree.parent[i]
+        if parent < 0:
+            px = py = pz = tx = ty = tz = 0.0
+            lx, ly, lz = -tree.gravity[0], -tree.gravity[1], -tree.gravity[2]
+        else:
+            px, py, pz = s.spin[parent, 0], s.spin[parent, 1], s.spin[parent, 2]
+            tx, ty, tz = s.turn[parent, 0], s.turn[parent, 1], s.turn[parent, 2]
+            lx, ly, lz = s.lift[parent, 0], s.lift[parent, 1], s.lift[parent, 2]
+        wx, wy, wz = s.axis[i, 0], s.axis[i, 1], s.axis[i, 2]
+        if tree.shifted[i]:
+            dx, dy, dz = s.arm[i, 0], s.arm[i, 1], s.arm[i, 2]
+            ux, uy, uz = py * dz - pz * dy, pz * dx - px * dz, px * dy - py * dx
+            lx += ty * dz - tz * dy + py * uz - pz * uy
+            ly += tz * dx - tx * dz + pz * ux - px * uz
+            lz += tx * dy - ty * dx + px * uy - py * ux
+        if tree.prismatic[i]:
+            rate = 2.0 * v[i]
+            lx += wx * a[i] + rate * (py * wz - pz * wy)
+            ly += wy * a[i] + rate * (pz * wx - px * wz)
+            lz += wz * a[i] + rate * (px * wy - py * wx)
+        else:
+            tx += wx * a[i] + v[i] * (py * wz - pz * wy)
+            ty += wy * a[i] + v[i] * (pz * wx - px * wz)
+            tz += wz * a[i] + v[i] * (px * wy - py * wx)
+            px += wx * v[i]
+            py += wy * v[i]
+            pz += wz * v[i]
+        s.spin[i, 0], s.spin[i, 1], s.spin[i, 2] = px, py, pz
+        s.turn[i, 0], s.turn[i, 1], s.turn[i, 2] = tx, ty, tz
+        s.lift[i, 0], s.lift[i, 1], s.lift[i, 2] = lx, ly, lz
+
+
+@compiled
+def _weigh(tree, s):  # type: ignore[no-untyped-def]
+    """Mass, first moment and inertia of each body about its joint's origin, world axes."""
+    rotation, local = s.rotation, tree.inertia
+    for i in range(len(tree.parent)):
+        s.mass[i] = tree.mass[i]
+        if not tree.heavy[i]:
+            for r in range(3):
+                s.moment[i, r] = 0.0
+                for c in range(3):
+                    s.inertia[i, r, c] = 0.0
+            continue
+        for r in range(3):
+            f, g, h = rotation[i, r, 0], rotation[i, r, 1], rotation[i, r, 2]
+            s.moment[i, r] = f * tree.moment[i, 0] + g * tree.moment[i, 1] + h * tree.moment[i, 2]
+            x = f * local[i, 0, 0] + g * local[i, 1, 0] + h * local[i, 2, 0]
+            y = f * local[i, 0, 1] + g * local[i, 1, 1] + h * local[i, 2, 1]
+            z = f * local[i, 0, 2] + g * local[i, 1, 2] + h * local[i, 2, 2]
+            for c in range(3):
+                s.inertia[i, r, c] = x * rotation[i, c, 0] + y * rotation[i, c, 1] + z * rotation[i, c, 2]
+
+
+@compiled
+def _body_wrench(s, i):  # type: ignore[no-untyped-def]
+    """Force on a body and torque about its joint's origin that its motion needs."""
+    m, j = s.mass[i], s.inertia
+    cx, cy, cz = s.moment[i, 0], s.moment[i, 1], s.moment[i, 2]
+    wx, wy, wz = s.spin[i, 0], s.spin[i, 1], s.spin[i, 2]
+    tx, ty, tz = s.turn[i, 0], s.turn[i, 1], s.turn[i, 2]
+    lx, ly, lz = s.lift[i, 0], s.lift[i, 1], s.lift[i, 2]
+    ux, uy, uz = wy * cz - wz * cy, wz * cx - wx * cz, wx * cy - wy * cx
+    hx = j[i, 0, 0] * wx + j[i, 0, 1] * wy + j[i, 0, 2] * wz
+    hy = j[i, 1, 0] * wx + j[i, 1, 1] * wy + j[i, 1, 2] * wz
+    hz = j[i, 2, 0] * wx + j[i, 2, 1] * wy + j[i, 2, 2] * wz
+    s.force[i, 0] = m * lx + ty * cz - tz * cy + wy * uz - wz * uy
+    s.force[i, 1] = m * ly + tz * cx - tx * cz + wz * ux - wx * uz
+    s.force[i, 2] = m * lz + tx * cy - ty * cx + wx * uy - wy * ux
+    s.torque[i, 0] = cy * lz - cz * ly + j[i, 0, 0] * tx + j[i, 0, 1] * ty + j[i, 0, 2] * tz + wy * hz - wz * hy
+    s.torque[i, 1] = cz * lx - cx * lz + j[i, 1, 0] * tx + j[i, 1, 1] * ty + j[i, 1, 2] * tz + wz * hx - wx * hz
+    s.torque[i, 2] = cx * ly - cy * lx + j[i, 2, 0] * tx + j[i, 2, 1] * ty + j[i, 2, 2] * tz + wx * hy - wy * hx
+
+
+@compiled
+def inverse_dynamics(tree, s, q, v, a, out):  # type: ignore[no-untyped-def]
+    """Generalised forces that the links need; leaves the places and own inertias of all bodies in the scratch."""
+    n = len(q)
+    place(tree, s, q)
+    _move(tree, s, v, a)
+    _weigh(tree, s)
+    for i in range(n):
+        if tree.heavy[i]:
+            _body_wrench(s, i)
+        else:
+            for r in range(3):
+                s.force[i, r] = 0.0
+                s.torque[i, r] = 0.0
+    for i in range(n - 1, -1, -1):
+        fx, fy, fz = s.force[i, 0], s.force[i, 1], s.force[i, 2]
+        nx, ny, nz = s.torque[i, 0], s.torque[i, 1], s.torque[i, 2]
+        wx, wy, wz = s.axis[i, 0], s.axis[i, 1], s.axis[i, 2]
+        if tree.prismatic[i]:
+            out[i] = wx * fx + wy * fy + wz * fz
+        else:
+            out[i] = wx * nx + wy * ny + wz * nz
+        parent = tree.parent[i]
+        if parent >= 0:
+            if tree.shifted[i]:
+                dx, dy, dz = s.arm[i, 0], s.arm[i, 1], s.arm[i, 2]
+                nx += dy * fz - dz * fy
+                ny += dz * fx - dx * fz
+                nz += dx * fy - dy * fx
+            s.force[parent, 0] += fx
+            s.force[parent, 1] += fy
+            s.force[parent, 2] += fz
+            s.torque[parent, 0] += nx
+            s.torque[parent, 1] += ny
+            s.torque[parent, 2] += nz
+
+
+@compiled
+def _hang(s, i, parent, shifted):  # type: ignore[no-untyped-def]
+    """Add what hangs on joint i to what hangs on its parent, about the parent's origin."""
+    m = s.mass[i]
+    if shifted:
+        d, c = s.arm, s.moment
+        square = 0.0
+        for r in range(3):
+            square += d[i, r] * (m * d[i, r] + 2.0 * c[i, r])
+        for r in range(3):
+            s.inertia[parent, r, r] += square
+            for k in range(3):
+                crossed = m * d[i, r] * d[i, k] + d[i, r] * c[i, k] + c[i, r] * d[i, k]
+                s.inertia[parent, r, k] += s.inertia[i, r, k] - crossed
+        for r in range(3):
+            c[parent, r] += c[i, r] + m * d[i, r]
+    else:
+        for r in range(3):
+            s.moment[parent, r] += s.moment[i, r]
+            for k in range(3):
+                s.inertia[parent, r, k] += s.inertia[i, r, k]
+    s.mass[parent] += m
+
+
+@compiled
+def mass_matrix(tree, s, out):  # type: ignore[no-untyped-def]
+    """Mass matrix of the links, upper triangle, from the places and inertias that `inverse_dynamics` left behind."""
+    n = len(tree.parent)
+    out[:, :] = 0.0
+    for i in range(n - 1, -1, -1):
+        parent = tree.parent[i]
+        wx, wy, wz = s.axis[i, 0], s.axis[i, 1], s.axis[i, 2]
+        j = s.inertia
+        cx, cy, cz = s.moment[i, 0], s.moment[i, 1], s.moment[i, 2]
+        if tree.prismatic[i]:
+            m = s.mass[i]
+            fx, fy, fz = m * wx, m * wy, m * wz
+            nx, ny, nz = cy * wz - cz * wy, cz * wx - cx * wz, cx * wy - cy * wx
+        else:
+            fx, fy, fz = wy * cz - wz * cy, wz * cx - wx * cz, wx * cy - wy * cx
+            nx = j[i, 0, 0] * wx + j[i, 0, 1] * wy + j[i, 0, 2] * wz
+            ny = j[i, 1, 0] * wx + j[i, 1, 1] * wy + j[i, 1, 2] * wz
+            nz = j[i, 2, 0] * wx + j[i, 2, 1] * wy + j[i, 2, 2] * wz
+        k = i
+        while k >= 0:
+            if tree.prismatic[k]:
+                out[k, i] = s.axis[k, 0] * fx + s.axis[k, 1] * fy + s.axis[k, 2] * fz
+            else:
+                out[k, i] = s.axis[k, 0] * nx + s.axis[k, 1] * ny + s.axis[k, 2] * nz
+            if tree.shifted[k]:
+                dx, dy, dz = s.arm[k, 0], s.arm[k, 1], s.arm[k, 2]
+                nx += dy * fz - dz * fy
+                ny += dz * fx - dx * fz
+                nz += dx * fy - dy * fx
+            k = tree.parent[k]
+        if parent >= 0:
+            _hang(s, i, parent, tree.shifted[i])
+
+
+# ---- scalar laws --------------------------------------------------------------------------------------------
+
+
+@compiled
+def combine(laws, m, x):  # type: ignore[no-untyped-def]
+    """The combination of x that law m depends on."""
+    total = 0.0
+    for w in range(laws.place.shape[1]):
+        total += laws.weight[m, w] * x[laws.place[m, w]]
+    return total
+
+
+@compiled
+def scatter(laws, m, torque, out):  # type: ignore[no-untyped-def]
+    """Add the torque of law m to the coordinates that it depends on."""
+    for w in range(laws.place.shape[1]):
+        out[laws.place[m, w]] += laws.weight[m, w] * torque
+
+
+@compiled
+def law_forces(laws, s, q, v, a, out):  # type: ignore[no-untyped-def]
+    """Add the laws' generalised forces to `out`; slopes go to the scratch. Returns the power that they dissipate, W."""
+    lost = 0.0
+    for m in range(len(laws.inertia)):
+        x, rate = combine(laws, m, q), combine(laws, m, v)
+        torque = laws.stiffness[m] * x + laws.damping[m] * rate + laws.inertia[m] * combine(laws, m, a)
+        s.by_x[m], s.by_rate[m] = laws.stiffness[m], laws.damping[m]
+        lost += laws.damping[m] * rate * rate
+        if laws.address[m] != 0:
+            _call(laws.address[m], x, rate, laws.parameters[m].ctypes.data, s.out.ctypes.data)
+            torque += s.out[0]
+            s.by_x[m] += s.out[1]
+            s.by_rate[m] += s.out[2]
+            if not laws.stores[m]:
+                lost += s.out[0] * rate
+        scatter(laws, m, torque, out)
+    return lost
+
+
+@compiled
+def _add_laws_to_system(laws, s, by_rate, by_x, system):  # type: ignore[no-untyped-def]
+    """Add inertia + by_rate * D + by_x * K of the laws to the upper triangle of `system`."""
+    for m in range(len(laws.inertia)):
+        value = laws.inertia[m] + by_rate * s.by_rate[m] + by_x * s.by_x[m]
+        for w in range(laws.place.shape[1]):
+            for u in range(laws.place.shape[1]):
+                r, c = laws.place[m, w], laws.place[m, u]
+                weight = laws.weight[m, w] * laws.weight[m, u]
+                if r <= c and weight != 0.0:
+                    system[r, c] += weight * value
+
+
+# ---- linear algebra -----------------------------------------------------------------------------------------
+
+
+@compiled
+def factor(system):  # type: ignore[no-untyped-def]
+    """U with ``U.T diag(U)^-1 U = system`` in place, from the upper triangle of a symmetric matrix."""
+    n = len(system)
+    for k in range(n):
+        inverse = 1.0 / system[k, k]
+        for i in range(k + 1, n):
+            scale = system[k, i] * inverse
+            for j in range(i, n):
+                system[i, j] -= scale * system[k, j]
+
+
+@compiled
+def solve(system, x):  # type: ignore[no-untyped-def]
+    """Solve with what `factor` left, in place."""
+    n = len(x)
+    for k in range(n):
+        scale = x[k] / system[k, k]
+        for j in range(k + 1, n):
+            x[j] -= scale * system[k, j]
+    for k in range(n - 1, -1, -1):
+        total = x[k]
+        for j in range(k + 1, n):
+            total -= system[k, j] * x[j]
+        x[k] = total / system[k, k]

@@ -1,0 +1,328 @@
+"""Figures of a closed loop. Each function takes a result and returns a `matplotlib.figure.Figure`.
+
+No figure knows of a window or of pyplot, so they can be made in any thread and saved with ``figure.savefig``.
+Before is always orange with squares, after always blue with circles: colours that stay apart for colour-blind eyes,
+and marks that stay apart on paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import signal as signal_processing
+
+from rx90b_flex.diagnose.close import ClosedLoop, Prediction
+from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, at_rest, signals
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.signals import lowpass
+
+BEFORE, AFTER, MEASURED, FLOOR = "#d55e00", "#0072b2", "#8a8a8a", "#000000"
+WIDTH_IN = 5.4  # about the width of a column of the report, so that text keeps its size
+DRAWN_COLUMNS = 600  # columns of a line's envelope: two points each, about one a pixel
+BINS = 32
+SEGMENT_S = 2.0  # of the spectra's averaged parts; their lines lie 1 / SEGMENT_S apart
+DECADES = 4.0  # shown of a spectrum
+UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "time": "s"}
+
+
+def errors_by_joint(result: ClosedLoop, role: str = "validation") -> Figure:
+    """Error of every joint before and after, as a part of its torque, with the noise floor if known.
+
+    Both roles share one scale, so that their figures can be compared.
+    """
+    torques = joint_torques(result)
+    errors = {r: [getattr(e, r).torque_rms for e in (result.before, result.after)] for r in torques}
+    torque = torques[role]
+    longest = max(float(_percent(e, torques[r]).max()) for r in torques for e in errors[r])
+    height = 1.0 + 0.42 * len(result.joints)
+    figure, (ax,) = _figure(1, height)
+    y = np.arange(len(result.joints))
+    for values, shift, colour, hatch, label in (
+        (errors[role][0], -0.19, BEFORE, "////", "before"),
+        (errors[role][1], 0.19, AFTER, "", "after"),
+    ):
+        ax.barh(y + shift, _percent(values, torque), 0.36, color=colour, hatch=hatch, edgecolor="white", label=label)
+    if result.noise_floor is not None:
+        floor = _percent(result.noise_floor, torque)
+        ax.vlines(floor, y - 0.42, y + 0.42, color=FLOOR, linewidth=1.6, label="noise floor")
+    ax.set_yticks(y, [_plain(j) for j in result.joints])
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1.05 * longest or 1.0)
+    ax.set_xlabel("error in % of the joint's torque (both root mean square)", fontsize=9)
+    ax.grid(axis="x", color="#dddddd", linewidth=0.6)
+    _legend(ax)
+    return figure
+
+
+def error_by_step(result: ClosedLoop) -> Figure:
+    """Validation error of the declared model and after each effect that was added."""
+    values = [result.before.validation.relative_error, *(e.after.relative_error for e in result.effects)]
+    figure, (ax,) = _figure(1, 2.1)
+    steps = np.arange(len(values))
+    ax.plot(steps, 100 * np.array(values), color=AFTER, marker="o", markersize=5, linewidth=1.2)
+    ax.plot(steps[:1], 100 * np.array(values[:1]), color=BEFORE, marker="s", markersize=7, linestyle="none")
+    ax.set_xticks(steps, ["declared", *(str(i) for i in steps[1:])])
+    ax.set_xlabel("effects added (numbers as in the table)", fontsize=9)
+    ax.set_ylabel("validation error, %", fontsize=9)
+    ax.set_ylim(0, 110 * max(values) if max(values) > 0 else 1.0)
+    return figure
+
+
+def residual_in_time(result: ClosedLoop, joint: str) -> Figure:
+    """One joint's torque over time, measured and after; below it the residual before and after, on one scale."""
+    column = result.joints.index(joint)
+    figure, axes = _figure(3, 3.5, heights=(1.0, 1.0, 1.0), sharex=True)
+    pieces = list(_end_to_end(result.predictions))
+    total = sum(len(t) for t, _ in pieces)
+    for time, p in pieces:
+        columns = max(2, round(DRAWN_COLUMNS * len(time) / total))
+        tau, before, after = (x[:, column] for x in (p.torque, p.before, p.after))
+        axes[0].plot(*envelope(time, tau, columns), color=MEASURED, linewidth=1.8)
+        axes[0].plot(*envelope(time, after, columns), color=AFTER, linewidth=0.7)
+        axes[1].plot(*envelope(time, tau - before, columns), color=BEFORE, linewidth=0.7)
+        axes[2].plot(*envelope(time, tau - after, columns), color=AFTER, linewidth=0.7)
+        for ax in axes if len(pieces) > 1 else ():
+            ax.axvline(time[0], color=MEASURED, linewidth=0.6, linestyle=":")
+    errors = [(p.torque - x)[_inside(result, p), column] for p in result.predictions for x in (p.before, p.after)]
+    limit = 1.08 * max(float(np.abs(e).max()) for e in errors) or 1.0
+    for ax, label in zip(axes[1:], ("error before", "error after"), strict=True):
+        ax.set_ylim(-limit, limit)
+        ax.set_ylabel(f"{label}\nN m", fontsize=9)
+        if result.noise_floor is not None:
+            for sign in (-1, 1):
+                ax.axhline(sign * result.noise_floor[column], color=FLOOR, linewidth=0.7, linestyle="--")
+    axes[0].set_ylabel("torque\nN m", fontsize=9)
+    axes[-1].set_xlabel("time, s" if len(pieces) == 1 else "time, s (recordings end to end)", fontsize=9)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def residual_in_frequency(result: ClosedLoop, joint: str) -> Figure:
+    """Amplitude spectrum of one joint's residual before and after, and of its torque, up to cutoff or Nyquist."""
+    column = result.joints.index(joint)
+    figure, (ax,) = _figure(1, 3.5)
+    top = 0.0
+    for kind, colour, width, label in (
+        ("torque", MEASURED, 1.6, "torque"),
+        ("before", BEFORE, 1.0, "error before"),
+        ("after", AFTER, 1.0, "error after"),
+    ):
+        hz, amplitude = _spectrum(result, column, kind)
+        top = max(top, float(amplitude.max()))
+        style = "--" if kind == "before" else "-"
+        ax.plot(*envelope(hz, amplitude), color=colour, linewidth=width, linestyle=style, label=label)
+    if top > 0:
+        ax.set_yscale("log")
+        ax.set_ylim(top / 10**DECADES, 2 * top)
+    ax.set_xlim(0, _highest_hz(result))
+    ax.set_xlabel("frequency, Hz", fontsize=9)
+    ax.set_ylabel("amplitude, N m", fontsize=9)
+    _legend(ax)
+    return figure
+
+
+def residual_against_position(result: ClosedLoop, joint: str) -> Figure:
+    """Mean and spread of one joint's residual over its own position, before and after."""
+    return _residual_against(result, joint, "position")
+
+
+def residual_against_velocity(result: ClosedLoop, joint: str) -> Figure:
+    """Mean and spread of one joint's residual over its own velocity, before and after."""
+    return _residual_against(result, joint, "velocity")
+
+
+def remaining_dependence(result: ClosedLoop, dependence: Dependence) -> Figure | None:
+    """What is left of a joint's torque in motion, fitted and held out, over the signal that it still depends on.
+
+    Over time, with the rests shaded, where that signal is standstill. None where the result does not hold the signal.
+    """
+    column = result.joints.index(dependence.joint)
+    if dependence.signal == STANDSTILL:
+        return _rests(result, column)
+    values = [dict(signals(regression)).get(dependence.signal) for regression, _ in result.unexplained.data]
+    known = [v for v in values if v is not None]
+    moving = ~np.concatenate([at_rest(regression) for regression, _ in result.unexplained.data])
+    if len(known) < len(values) or not moving.any():
+        return None
+    residual = np.concatenate([left[:, column] for _, left in result.unexplained.data])
+    binned = Binned(np.concatenate(known)[moving], residual[moving])
+    figure, (ax,) = _figure(1, 2.7)
+    ax.axhline(0.0, color="#555555", linewidth=0.6)
+    x = binned.centre
+    ax.fill_between(x, binned.low, binned.high, color=AFTER, alpha=0.12, linewidth=0, label="smallest, largest")
+    ax.fill_between(x, *binned.band, color=AFTER, alpha=0.25, linewidth=0, label="± 1 std")
+    ax.plot(x, binned.mean, color=AFTER, marker="o", markersize=3, linewidth=1.2, label="mean")
+    ax.set_xlabel(_with_unit(_plain(dependence.signal)), fontsize=9)
+    ax.set_ylabel("error left, N m", fontsize=9)
+    _legend(ax)
+    return figure
+
+
+def _rests(result: ClosedLoop, column: int) -> Figure:
+    """What is left of one joint over time, all recordings end to end; times when no joint moves are shaded."""
+    figure, (ax,) = _figure(1, 2.7)
+    at = 0.0
+    for regression, left in result.unexplained.data:
+        resting = at_rest(regression)
+        for stretch, span in zip(regression.stretches, regression.spans, strict=True):
+            time = at + np.arange(len(stretch)) / stretch.rate_hz
+            bounds = ax.get_xaxis_transform()
+            ax.fill_between(
+                time, 0, 1, where=resting[span], transform=bounds, color=MEASURED, alpha=0.3, linewidth=0, step="mid"
+            )
+            ax.plot(*envelope(time, left[span, column]), color=AFTER, linewidth=0.7)
+            ax.axvline(at, color=MEASURED, linewidth=0.6, linestyle=":")
+            at += len(stretch) / stretch.rate_hz
+    ax.axhline(0.0, color="#555555", linewidth=0.6)
+    ax.set_xlabel("time, s (recordings end to end; shaded: at rest)", fontsize=9)
+    ax.set_ylabel("error left, N m", fontsize=9)
+    return figure
+
+
+class Binned:
+    """Mean, standard deviation and range of `y` in bins of `x` that hold about equally many samples.
+
+    Attributes
+    ----------
+    centre, mean, std, low, high : array, shape (bins,)
+    band : pair of array, shape (bins,)
+        Mean less and plus one standard deviation.
+    """
+
+    def __init__(self, x: Array, y: Array, bins: int = BINS) -> None:
+        order = np.argsort(x, kind="stable")
+        x, y = x[order], y[order]
+        # a joint at rest fills many quantiles with one value: its samples then belong in one bin
+        # and bins far narrower than a mark would pile up
+        kept = [x[0]]
+        for edge in np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1]):
+            if edge - kept[-1] > (x[-1] - x[0]) / (2 * bins):
+                kept.append(edge)
+        starts = np.unique(np.concatenate([[0], np.searchsorted(x, kept[1:])])).astype(int)
+        counts = np.diff(np.append(starts, len(x)))
+        self.centre = np.add.reduceat(x, starts) / counts
+        self.mean = np.add.reduceat(y, starts) / counts
+        self.std = np.sqrt(np.add.reduceat((y - np.repeat(self.mean, counts)) ** 2, starts) / counts)
+        self.low = np.minimum.reduceat(y, starts)
+        self.high = np.maximum.reduceat(y, starts)
+        self.band = (self.mean - self.std, self.mean + self.std)
+
+
+def envelope(x: Array, y: Array, columns: int = DRAWN_COLUMNS) -> tuple[Array, Array]:
+    """Thin a line for drawing: of each column the smallest and the largest sample, in their order. Peaks stay."""
+    if len(x) <= 2 * columns:
+        return x, y
+    edges = np.linspace(0, len(x), columns + 1).astype(int)
+    kept = [a + i for a, b in pairwise(edges) for i in {y[a:b].argmin(), y[a:b].argmax()}]
+    places = np.sort(np.array([0, *kept, len(x) - 1]))
+    return x[places], y[places]
+
+
+def joint_torques(result: ClosedLoop) -> dict[str, Array]:
+    """Root mean square of each joint's measured torque after the low-pass, for both roles; each (joints,), N m."""
+    cutoff, rate = result.campaign.cutoff_hz, result.campaign.sample_rate_hz
+    fitted = [r.torque if cutoff is None else lowpass(r.torque, cutoff, rate) for r in result.campaign.identification]
+    return {"validation": rms([p.torque for p in result.predictions]), "identification": rms(fitted)}
+
+
+def rms(recordings: Sequence[Array]) -> Array:
+    """Root mean square a joint over all samples of several recordings, each (N, joints)."""
+    return np.sqrt((np.concatenate(recordings) ** 2).mean(axis=0))
+
+
+def _residual_against(result: ClosedLoop, joint: str, kind: str) -> Figure:
+    column = result.joints.index(joint)
+    # one scale for both kinds, so that the two figures of a joint can be compared
+    curves = {k: [_binned(result, column, k, which) for which in ("before", "after")] for k in ("position", "velocity")}
+    limit = max(float((np.abs(c.mean) + c.std).max()) for pair in curves.values() for c in pair) * 1.08 or 1.0
+    figure, (ax,) = _figure(1, 2.7)
+    ax.axhline(0.0, color="#555555", linewidth=0.6)
+    for curve, colour, mark, style, label in zip(
+        curves[kind], (BEFORE, AFTER), ("s", "o"), ("--", "-"), ("before", "after"), strict=True
+    ):
+        x, line = curve.centre, f"{mark}{style}"
+        ax.fill_between(x, *curve.band, color=colour, alpha=0.16, linewidth=0)
+        ax.plot(x, curve.mean, line, color=colour, markersize=3, linewidth=1.1, label=label)
+    ax.set_ylim(-limit, limit)
+    ax.set_xlabel(f"joint {_with_unit(kind)}", fontsize=9)
+    ax.set_ylabel("error, N m", fontsize=9)
+    _legend(ax)
+    return figure
+
+
+def _binned(result: ClosedLoop, column: int, kind: str, which: str) -> Binned:
+    x = [(p.recording.position if kind == "position" else p.velocity)[:, column] for p in result.predictions]
+    return Binned(np.concatenate(x), np.concatenate(_residuals(result, column, which)))
+
+
+def _residuals(result: ClosedLoop, column: int, which: str) -> list[Array]:
+    return [(p.torque - (p.before if which == "before" else p.after))[:, column] for p in result.predictions]
+
+
+def _spectrum(result: ClosedLoop, column: int, kind: str) -> tuple[Array, Array]:
+    """Amplitude of a sine at each frequency: Welch's average over all validation recordings, Hann window."""
+    rate = result.campaign.sample_rate_hz
+    parts = [p.torque[:, column] for p in result.predictions] if kind == "torque" else _residuals(result, column, kind)
+    samples = max(2, min(round(SEGMENT_S * rate), *(len(x) for x in parts)))
+    power = 0.0
+    for x in parts:
+        hz, density = signal_processing.welch(x, rate, nperseg=samples, scaling="spectrum", detrend="constant")
+        power = power + density * len(x) / sum(len(y) for y in parts)
+    shown = hz <= _highest_hz(result)
+    return hz[shown], np.sqrt(2 * np.asarray(power)[shown])
+
+
+def _highest_hz(result: ClosedLoop) -> float:
+    nyquist = result.campaign.sample_rate_hz / 2
+    return nyquist if result.campaign.cutoff_hz is None else min(nyquist, result.campaign.cutoff_hz)
+
+
+def _inside(result: ClosedLoop, p: Prediction) -> slice:
+    """Samples away from the ends of a recording, where filter and differences lack neighbours and errors are spikes."""
+    cutoff = result.campaign.cutoff_hz
+    edge = 4 if cutoff is None else round(p.recording.sample_rate_hz / cutoff)
+    return slice(edge, -edge) if 4 * edge < len(p.torque) else slice(None)
+
+
+def _end_to_end(predictions: Sequence[Prediction]) -> Iterator[tuple[Array, Prediction]]:
+    """Each recording with its time; several follow each other, one alone keeps its own."""
+    at = 0.0
+    for p in predictions:
+        time = p.recording.time
+        yield (time if len(predictions) == 1 else time - time[0] + at), p
+        at += p.recording.duration_s
+
+
+def _figure(
+    rows: int, height: float, heights: Sequence[float] | None = None, sharex: bool = False
+) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
+    axes = figure.subplots(rows, 1, squeeze=False, sharex=sharex, height_ratios=heights)[:, 0]
+    for ax in axes:
+        ax.tick_params(labelsize=8)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(color="#e6e6e6", linewidth=0.5)
+        ax.set_axisbelow(True)
+    return figure, list(axes)
+
+
+def _legend(ax: Axes) -> None:
+    ax.legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+
+
+def _percent(part: Sequence[float], whole: Array) -> Array:
+    return 100 * np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 0)
+
+
+def _with_unit(signal: str) -> str:
+    unit = UNITS.get(signal.rsplit(" ", 1)[-1])
+    return f"{signal}, {unit}" if unit else signal
+
+
+def _plain(text: str) -> str:
+    """A name as it is: matplotlib would read dollars as mathematics."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,493 @@
+"""The report of a closed loop: one HTML file that opens offline, without JavaScript, on paper and on a telephone."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import jinja2
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from rx90b_flex.diagnose import evidence, search
+from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop, FoundEffect
+from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.effects import Effect
+from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
+from rx90b_flex.signals.tables import write_whole
+from rx90b_flex.view import plots
+from rx90b_flex.view.advice import (
+    MOSTLY,
+    alternatives,
+    dependence_words,
+    effect_estimates,
+    effect_words,
+    joined,
+    next_measurements,
+    place_words,
+    standstill,
+)
+
+SHOWN_DEPENDENCES = 4  # plots of what remains; the table holds all
+
+VERDICTS = {
+    "nothing_missing": "Nothing missing",
+    "explained": "Explained",
+    "partly_explained": "Partly explained",
+    "unexplained": "Unexplained",
+}
+
+
+def write_report(result: ClosedLoop, path: Path) -> None:
+    """Write the report of a result as one HTML file; it appears whole or not at all.
+
+    Parameters
+    ----------
+    result : ClosedLoop
+    path : Path
+        The file; its folder exists.
+    """
+    html = report_html(result)
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(html, encoding="utf-8")
+
+    write_whole(Path(path), write)
+
+
+def report_html(result: ClosedLoop) -> str:
+    """The report as the text of an HTML page with all figures in it."""
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {
+        "number": number,
+        "percent": percent,
+        "p": p_value,
+        "unit": unit_text,
+        "measured": measured,
+        "place": place_words,
+        "kind": _kind,
+        "meaning": _meaning,
+    }
+    template = environment.from_string(
+        resources.files("rx90b_flex.view").joinpath("report.html").read_text(encoding="utf-8")
+    )
+    return template.render(
+        mostly=MOSTLY,
+        result=result,
+        verdict=VERDICTS[result.verdict],
+        verdict_meaning=_verdict_meaning(result),
+        headline=headline(result),
+        roles=_roles(result),
+        errors_figures=[_errors_figure(result, role) for role in ("validation", "identification")],
+        steps_figure=_steps_figure(result),
+        standstill=standstill(result),
+        step_note=step_note(result),
+        floor=_floor_words(result),
+        joint_figures=[_joint_figures(result, joint) for joint in result.joints],
+        rounds=_rounds(result),
+        dependence_figures=_dependence_figures(result),
+        advice=next_measurements(result),
+        parameters=_parameters(result),
+        links=_links(result),
+        link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
+        facts=_facts(result),
+        version=_version(),
+        search=search,
+        evidence=evidence,
+        near_floor=NEAR_FLOOR,
+        segment_s=plots.SEGMENT_S,
+    )
+
+
+# ---- words ----------------------------------------------------------------------------------------------
+
+
+def headline(result: ClosedLoop) -> str:
+    """One sentence: what was found, the error before and after on data that was not fitted, what remains."""
+    before, after = (percent(e.validation.relative_error) for e in (result.before, result.after))
+    if not result.effects:
+        found = {
+            "nothing_missing": "No effect is missing from the model",
+            "unexplained": "The model lacks something, but no effect in the catalogue explains it",
+        }.get(result.verdict, "No effect was added to the model")
+        return f"{found}: its torque error on data that was not fitted is {after}, and {_remains(result)}."
+    places: dict[str, list[str]] = {}
+    for e in result.effects:
+        joints = e.effect.joints
+        places.setdefault(_kind(e.effect), []).append("–".join(joints) if len(joints) > 1 else place_words(e.effect))
+    named = "; ".join(f"{kind} on {joined(where)}" for kind, where in places.items())
+    count = "an effect" if len(result.effects) == 1 else f"{len(result.effects)} effects"
+    them = "it" if len(result.effects) == 1 else "them"
+    change = "falls" if result.after.validation.relative_error < result.before.validation.relative_error else "goes"
+    return (
+        f"The model lacked {count} ({named}): with {them} the torque error on data that was not fitted {change} "
+        f"from {before} to {after}, and {_remains(result)}."
+    )
+
+
+def step_note(result: ClosedLoop) -> str:
+    """Which effect brings most on data that was not fitted, and which bring nothing there; empty for one effect."""
+    steps = [e.before.relative_error**2 - e.after.relative_error**2 for e in result.effects]
+    drop = sum(steps)
+    if len(steps) < 2 or drop <= 0:
+        return ""
+    best = int(np.argmax(steps))
+    note = f"On data that was not fitted, {effect_words(result.effects[best].effect)} brings the most"
+    note += f" ({100 * steps[best] / drop:.0f} % of the drop of the squared error)."
+    idle = [effect_words(e.effect) for e, step in zip(result.effects, steps, strict=True) if step <= 0]
+    return f"{note} No lower error there: {joined(idle)}." if idle else note
+
+
+def _floor_words(result: ClosedLoop) -> str:
+    if result.noise_floor is None:
+        return "not known"
+    low, high = number(min(result.noise_floor)), number(max(result.noise_floor))
+    return f"{low} N m" if low == high else f"{low} to {high} N m"
+
+
+def _verdict_meaning(result: ClosedLoop) -> str:
+    if result.verdict == "unexplained":
+        return "Something is left that is more than noise, and no effect that was tried explains it."
+    if result.verdict == "partly_explained":
+        return "The effects found are significant, but something else is left that has no name yet."
+    left = (
+        "what is left depends on none of the signals looked at; how much of it is noise is not known"
+        if result.noise_floor is None
+        else f"what is left is noise, or within {NEAR_FLOOR:g} times it"
+    )
+    return f"{'The effects found explain the error' if result.effects else 'The declared model is enough'}: {left}."
+
+
+def _remains(result: ClosedLoop) -> str:
+    still = standstill(result).total_share
+    if still > MOSTLY and result.noise_floor is None:
+        return f"{100 * still:.0f} % of what is left (squared) arises while joints stand still"
+    strongest = next(iter(result.unexplained.where), None)
+    dependence = f" {dependence_words(strongest)}" if strongest else ""
+    if result.noise_floor is None:
+        return f"what is left{dependence}" if strongest else "what is left depends on none of the signals looked at"
+    ratios = np.array(result.after.identification.torque_rms) / np.maximum(result.noise_floor, 1e-300)
+    if ratios.max() <= NEAR_FLOOR:
+        return "what is left is noise"
+    joint = result.joints[int(ratios.argmax())]
+    more = f"; what is left{dependence}" if strongest else ""
+    return f"the error of {joint} is still {ratios.max():.1f} times its noise{more}"
+
+
+def _kind(effect: Effect) -> str:
+    return effect.type_name().replace("_", " ")
+
+
+def _meaning(effect: Effect) -> str:
+    """First sentence of an effect type's documentation."""
+    first = (type(effect).__doc__ or "").strip().split("\n\n")[0]
+    return " ".join(first.replace("`", "").split())
+
+
+def number(value: float | None) -> str:
+    """Three digits that mean something."""
+    if value is None:
+        return "–"
+    return f"{value:#.3g}".rstrip(".") if value and abs(value) < 1e5 else f"{value:.3g}"
+
+
+def percent(value: float, decimals: int = 1) -> str:
+    """A fraction in per cent, with more decimals for small ones."""
+    return f"{100 * value:.{decimals}f} %" if value >= 0.01 or value == 0 else f"{100 * value:.{decimals + 1}g} %"
+
+
+def p_value(value: float) -> str:
+    """A probability; tiny ones by their power of ten."""
+    if value >= 0.001:
+        return f"{value:.2g}"
+    return f"{value:.0e}".replace("e-0", "e-") if value > 0 else "< 1e-300"
+
+
+def unit_text(unit: str) -> str:
+    """A unit as it is printed: superscripts where there are some, nothing for a pure number."""
+    return "" if unit == "-" else unit.replace("^2", "²").replace("^3", "³")
+
+
+def measured(estimate: Estimate) -> str:
+    """Value ± standard deviation, rounded to two digits of the latter; ``not determined`` where it has no value."""
+    value, std = estimate.value, estimate.std
+    if value is None:
+        return "not determined by this data"
+    if std is None or not math.isfinite(std) or std <= 0:
+        return number(value)
+    digits = 1 - math.floor(math.log10(std))
+    if digits > 6 or max(abs(value), std) >= 1e6:
+        return f"{value:.3g} ± {std:.1e}"
+    return f"{value:.{max(digits, 0)}f} ± {std:.{max(digits, 0)}f}"
+
+
+# ---- tables ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class JointErrors:
+    """One joint's line in a table of errors, N m and parts of its torque."""
+
+    joint: str
+    torque: float
+    before: float
+    after: float
+    floor: float | None
+
+    @property
+    def before_share(self) -> float | None:
+        return self.before / self.torque if self.torque > 0 else None
+
+    @property
+    def after_share(self) -> float | None:
+        return self.after / self.torque if self.torque > 0 else None
+
+    @property
+    def over_floor(self) -> float | None:
+        return self.after / self.floor if self.floor else None
+
+    @property
+    def worse(self) -> bool:
+        return self.after > 1.005 * self.before
+
+
+@dataclass(frozen=True)
+class RoleTable:
+    """Errors on the recordings of one role."""
+
+    role: str
+    what: str
+    relative_before: float
+    relative_after: float
+    rows: tuple[JointErrors, ...]
+
+
+def _roles(result: ClosedLoop) -> list[RoleTable]:
+    out = []
+    torques = plots.joint_torques(result)
+    for role, what in (("validation", "data that was not fitted"), ("identification", "data that was fitted")):
+        before, after = getattr(result.before, role), getattr(result.after, role)
+        floors = result.noise_floor or (None,) * len(result.joints)
+        rows = zip(result.joints, torques[role].tolist(), before.torque_rms, after.torque_rms, floors, strict=True)
+        out.append(
+            RoleTable(role, what, before.relative_error, after.relative_error, tuple(JointErrors(*r) for r in rows))
+        )
+    return out
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """One effect that was tried in a round."""
+
+    trial: Trial
+    share: float | None
+    outcome: str
+    won: bool
+
+
+@dataclass(frozen=True)
+class Round:
+    """What was tried in one round of the search."""
+
+    title: str
+    rows: tuple[TrialRow, ...]
+    note: str
+
+
+def _rounds(result: ClosedLoop) -> list[Round]:
+    out = []
+    for i, found in enumerate(result.effects):
+        same = alternatives(found.trial, found.rivals)
+        gain = found.trial.gain
+        rows = [TrialRow(found.trial, 1.0, "added", True)]
+        for t in found.rivals:
+            outcome = "cannot be told from the winner" if t in same else _outcome(t, result.effects, i)
+            rows.append(TrialRow(t, t.gain / gain if gain > 0 else None, outcome, False))
+        out.append(Round(f"{i + 1}: {effect_words(found.effect)}", tuple(rows), ""))
+    trials = result.last_round.trials
+    if trials:
+        last = tuple(TrialRow(t, None, _outcome(t, (), 0), False) for t in trials)
+        out.append(Round("Last round: nothing more was added", last, ""))
+    elif result.noise_floor is not None:
+        out.append(Round("Last round", (), "Not needed: the error had reached the noise floor."))
+    return out
+
+
+def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
+    for i, later in enumerate(effects):
+        if i > at and type(later.effect) is type(trial.effect) and later.effect.place == trial.effect.place:
+            return f"added later, as no. {i + 1}"
+    reasons = []
+    if trial.p_value >= search.SIGNIFICANCE:
+        reasons.append(f"not significant (p = {p_value(trial.p_value)})")
+    if trial.gain_t <= search.GAIN_T:
+        reasons.append("gain not sure from block to block")
+    if trial.share <= search.SMALLEST_GAIN:
+        reasons.append(f"gains only {percent(max(trial.share, 0.0))} of its joints' squared error")
+    if not trial.lawful:
+        reasons.append("values that its physics forbids, at the end of their range, or none of them certain")
+    if reasons:
+        return "; ".join(reasons)
+    return "significant, but less sure than the winner" if effects else "no better once all is fitted again"
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One identified parameter of the final model, and its value in the declared one."""
+
+    effect: Effect
+    estimate: Estimate
+    earlier: Estimate | None
+    added: bool
+
+
+def _parameters(result: ClosedLoop) -> list[ParameterRow]:
+    declared: dict[tuple[str, tuple[str, ...], str], Estimate] = {}
+    for i, effect in enumerate(result.declared.effects):
+        declared |= {(effect.type_name(), effect.place, e.name): e for e in result.declared.estimates(i)}
+    new = [e.effect for e in result.effects]
+    rows = []
+    for effect, estimates in effect_estimates(result):
+        added = any(effect is e for e in new)
+        for estimate in estimates:
+            earlier = declared.get((effect.type_name(), effect.place, estimate.name))
+            rows.append(ParameterRow(effect, estimate, earlier, added))
+    return rows
+
+
+def _links(result: ClosedLoop) -> list[tuple[str, Sequence[Estimate]]]:
+    estimates = result.model.link_estimates()
+    size = len(LINK_PARAMETERS)
+    names = [link for link, _ in result.model.regression.robot.bodies]
+    return [(name, estimates[size * i : size * (i + 1)]) for i, name in enumerate(names)]
+
+
+def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
+    """How it was done: name and value of every setting."""
+    campaign, regression = result.campaign, result.model.regression
+    rates = sorted({s.rate_hz for s in regression.stretches})
+    blocks = regression.blocks()
+    seconds = sum(len(s) / s.rate_hz for s in regression.stretches)
+    if result.noise_floor is None:
+        floor = "not known: no recording repeats and no noise is stated"
+    elif any(r.period_s is not None for r in campaign.identification):
+        floor = "from what differs between the periods of the identification recordings"
+    else:
+        floor = "from the sensor noise that the campaign file states, after the low-pass"
+    low_pass = "none" if campaign.cutoff_hz is None else f"{campaign.cutoff_hz:g} Hz, zero phase, on every signal"
+    asked = f"p < {search.SIGNIFICANCE:g}, corrected for {result.last_round.tests} independent trials a round"
+    declared = [effect_words(e) for e in result.source.effects]
+    links = "identified, over base parameters" if result.model.links_fitted else "known: kept from the URDF"
+    return [
+        ("Campaign", campaign.path.name),
+        ("Robot", result.robot),
+        *((f"Recording {r.name}", _recording_words(r.role, r.samples, r.duration_s)) for r in campaign.recordings),
+        ("Sample rate of the recordings", f"{campaign.sample_rate_hz:g} Hz"),
+        ("Low-pass", low_pass),
+        ("Sample rate of the fit", f"{joined([f'{r:g}' for r in rates])} Hz, {len(regression)} samples a joint"),
+        ("Declared effects", "; ".join(declared) or "none: the rigid tree alone"),
+        ("Inertial parameters of the links", links),
+        ("Held-out blocks", f"{len(blocks)} of about {seconds / len(blocks):.2g} s of the identification recordings"),
+        ("Tried in the last round", f"{result.last_round.candidates} effects (types and places)"),
+        ("Significance", asked),
+        (
+            "Also asked of an effect",
+            f"held-out gain above {search.GAIN_T:g} standard errors and above {100 * search.SMALLEST_GAIN:g} % of the "
+            "squared error of its joints; values that its physics allows",
+        ),
+        ("Noise floor", floor),
+        ("Seed", f"{result.seed} (of the permutation test for what remains)"),
+        ("Software", f"rx90b_flex {_version()}"),
+    ]
+
+
+def _recording_words(role: str, samples: int, duration_s: float) -> str:
+    return f"{role}, {samples} samples, {duration_s:.3g} s"
+
+
+def _version() -> str:
+    try:
+        return version("rx90b-flex")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+# ---- figures --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Image:
+    """A figure as it stands in the page."""
+
+    source: str
+    alt: str
+    width: int
+    height: int
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class JointFigures:
+    """Residual plots of one joint."""
+
+    joint: str
+    figures: tuple[Image, ...]
+
+
+def _errors_figure(result: ClosedLoop, role: str) -> Image:
+    text = f"Error of each joint on {role}, before and after"
+    return _image(plots.errors_by_joint(result, role), text, text)
+
+
+def _steps_figure(result: ClosedLoop) -> Image | None:
+    if len(result.effects) < 2:
+        return None
+    return _image(plots.error_by_step(result), "Validation error after each added effect")
+
+
+def _joint_figures(result: ClosedLoop, joint: str) -> JointFigures:
+    kinds: tuple[tuple[Callable[[ClosedLoop, str], Figure], str], ...] = (
+        (plots.residual_in_time, "In time: measured torque (grey) and final model (blue); error before; error after"),
+        (plots.residual_in_frequency, "In frequency: amplitude spectrum of measured torque and error"),
+        (plots.residual_against_position, "Against the joint's position: mean and ± 1 standard deviation"),
+        (plots.residual_against_velocity, "Against the joint's velocity: mean and ± 1 standard deviation"),
+    )
+    return JointFigures(
+        joint, tuple(_image(draw(result, joint), f"Error of {joint}. {text}", text) for draw, text in kinds)
+    )
+
+
+def _dependence_figures(result: ClosedLoop) -> list[Image]:
+    out = []
+    for d in result.unexplained.where[:SHOWN_DEPENDENCES]:
+        figure = plots.remaining_dependence(result, d)
+        if figure is not None:
+            over = "over time" if d.signal == evidence.STANDSTILL else f"against {d.signal}, in motion"
+            text = f"Error left of {d.joint} {over} ({percent(d.score)} of its power)"
+            out.append(_image(figure, text, text))
+    return out
+
+
+def _image(figure: Figure, alt: str, caption: str = "") -> Image:
+    """A figure as SVG in a data URI: sharp on paper, and its ids cannot clash with those of other figures."""
+    buffer = io.BytesIO()
+    # the salt makes ids, and so the whole report, the same for the same result
+    with matplotlib.rc_context({"svg.hashsalt": "rx90b_flex", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    source = "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    width, height = (round(96 * x) for x in figure.get_size_inches())
+    return Image(source, alt, width, height, caption)

@@ -1,0 +1,183 @@
+"""Claims about every effect type of the catalogue, and about the flexible, spring, payload and tilt effects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from drawn_effects import ROBOTS, TYPES, draw_effect, draw_state, tree, with_drawn_effects
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rx90b_flex.effects import catalogue, effect_from_table, effect_to_table
+from rx90b_flex.effects.base_tilt import BaseTilt
+from rx90b_flex.effects.flexibility import BaseFlexibility, DriveFlexibility, JointFlexibility, StiffnessHardening
+from rx90b_flex.effects.gravity_spring import GravitySpring
+from rx90b_flex.effects.payload import Payload
+from rx90b_flex.robot import Robot, load_robot
+
+STEP = 1e-6  # of central differences; their error is STEP^2 of a third derivative and 1e-16 / STEP of the force
+
+
+def seeds() -> st.SearchStrategy[int]:
+    return st.integers(0, 2**32 - 1)
+
+
+def assert_linear_in_parameters(robot: Robot, rng: np.random.Generator) -> None:
+    state = [np.stack(x) for x in zip(*(draw_state(robot, rng) for _ in range(3)), strict=True)]
+    force = robot.inverse_dynamics(*state)
+    error = robot.regressor(*state) @ robot.parameters - force
+    assert np.abs(error).max() <= 1e-10 * np.abs(force).max()
+
+
+@pytest.mark.parametrize("source", ROBOTS)
+@pytest.mark.parametrize("kind", TYPES)
+def test_the_regressor_times_the_parameters_is_the_inverse_dynamics_for_every_effect_type(kind, source):
+    rng = np.random.default_rng(1)
+    assert_linear_in_parameters(with_drawn_effects(tree(source), [kind], rng), rng)
+
+
+@settings(max_examples=40)
+@given(st.sampled_from(ROBOTS), st.lists(st.sampled_from(TYPES), min_size=2, max_size=8), seeds())
+def test_the_regressor_times_the_parameters_is_the_inverse_dynamics_for_any_combination(source, kinds, seed):
+    rng = np.random.default_rng(seed)
+    assert_linear_in_parameters(with_drawn_effects(tree(source), kinds, rng), rng)
+
+
+@pytest.mark.parametrize("source", ROBOTS)
+@pytest.mark.parametrize("kind", TYPES)
+def test_analytic_derivatives_of_every_effect_are_finite_differences_of_its_force(kind, source):
+    rng = np.random.default_rng(2)
+    robot = with_drawn_effects(tree(source), [kind], rng)
+    effect = robot.effects[-1]
+    state = draw_state(robot, rng)
+    force = effect.force(robot.motion(*state))
+    steps = STEP * np.eye(robot.model.nv)
+    for place, found in enumerate(effect.derivatives(robot.motion(*state))):
+        moved = [[x + sign * steps if i == place else x for i, x in enumerate(state)] for sign in (1.0, -1.0)]
+        up, down = (effect.force(robot.motion(*m)) for m in moved)
+        expected = (up - down).T / (2 * STEP)
+        rounding = 1e-15 / STEP * np.abs(force).max()
+        np.testing.assert_allclose(found[0], expected, rtol=0, atol=1e-7 * np.abs(expected).max() + 10 * rounding)
+
+
+@pytest.mark.parametrize("source", ROBOTS)
+@pytest.mark.parametrize("kind", TYPES)
+def test_the_force_of_every_effect_at_rest_is_the_gradient_of_its_potential(kind, source):
+    rng = np.random.default_rng(3)
+    robot = with_drawn_effects(tree(source), [kind], rng)
+    effect = robot.effects[-1]
+    q = draw_state(robot, rng)[0]
+    rest = np.zeros_like(q)
+    steps = 1e-5 * np.eye(len(q))
+    up, down = (effect.potential(robot.motion(q + s * steps, rest, rest)) for s in (1.0, -1.0))
+    force = effect.force(robot.motion(q, rest, rest))[0]
+    scale = max(np.abs(force).max(), np.abs(up).max())
+    np.testing.assert_allclose((up - down) / 2e-5, force, rtol=0, atol=1e-8 * scale)
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_every_effect_comes_back_from_its_table(kind):
+    robot = tree("rx90b")
+    frames = [f.name for f in robot.tree.frames]
+    for effect in draw_effect(kind, robot, np.random.default_rng(4)):
+        back = effect_from_table(effect_to_table(effect), "here", robot.joints, frames)
+        assert back == effect
+
+
+# ---- flexibilities ------------------------------------------------------------------------------------------
+
+
+def test_each_flexibility_adds_its_coordinates_in_tree_order():
+    robot = tree("example-robot-data:ur10").with_effects(
+        [
+            DriveFlexibility(joint="elbow_joint"),
+            JointFlexibility(joint="elbow_joint"),
+            DriveFlexibility(joint="wrist_1_joint"),
+            BaseFlexibility(),
+        ]
+    )
+    added = [name for name in robot.coordinates if not name.endswith(":drive")]
+    assert added == [
+        *("base:bend_1", "base:bend_2"),
+        *("elbow_joint:torsion", "elbow_joint:bend_1", "elbow_joint:bend_2", "wrist_1_joint:torsion"),
+    ]
+
+
+def test_hardening_without_a_flexible_drive_is_refused_by_the_robot_file(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        'urdf = "example-robot-data:ur10"\n[[effects]]\ntype = "stiffness_hardening"\njoint = "elbow_joint"\ncubic = 1.0\n'
+    )
+    with pytest.raises(ValueError, match=r"robot\.toml: effect 1: elbow_joint\.stiffness_hardening needs a drive_flex"):
+        load_robot(path)
+
+
+def test_hardening_without_a_flexible_drive_is_refused_in_python():
+    robot = tree("rx90b").with_effects([StiffnessHardening(joint="joint_2", cubic=1.0)])
+    with pytest.raises(ValueError, match="'joint_2' has no coordinate 'torsion'"):
+        robot.inverse_dynamics(*np.zeros((3, 6)))
+
+
+# ---- gravity spring -----------------------------------------------------------------------------------------
+
+
+def test_a_gravity_spring_without_anchors_is_refused():
+    table = {"type": "gravity_spring", "joint": "a", "stiffness": 1.0, "prestress": 1.0}
+    with pytest.raises(ValueError, match=r"here \(gravity_spring\): key 'anchors' is missing"):
+        effect_from_table(table, "here", ["a"])
+    robot = tree("rx90b").with_effects([GravitySpring(joint="joint_2", stiffness=1.0, prestress=1.0)])
+    with pytest.raises(ValueError, match=r"joint_2\.gravity_spring: anchors have no value"):
+        robot.inverse_dynamics(*np.zeros((3, 6)))
+
+
+def test_a_gravity_spring_pulls_its_anchors_together_with_the_stated_force():
+    anchors = np.array([[0.1, -0.2, 0.3], [0.2, 0.1, 0.4]])
+    spring = GravitySpring(joint="joint_2", stiffness=2e3, prestress=50.0, anchors=tuple(anchors.ravel()))
+    robot = tree("rx90b").with_effects([spring])
+    q = np.array([0.3, 0.7, 0.1, 0.2, -0.4, 0.5])
+    rest = np.zeros(6)
+    fixed, moving = anchors[0], pin.AngleAxis(0.7, np.array([0.0, 1.0, 0.0])).matrix() @ anchors[1]
+    line = moving - fixed
+    pull = 2e3 * (np.linalg.norm(line) - np.linalg.norm(anchors[1] - anchors[0])) + 50.0
+    torque = np.cross(moving, -pull * line / np.linalg.norm(line))[1]  # what the spring does to the child
+    force = spring.force(robot.motion(q, rest, rest))[0]
+    np.testing.assert_allclose(force, [0, -torque, 0, 0, 0, 0], rtol=1e-12, atol=1e-12)
+
+
+# ---- payload and base tilt ----------------------------------------------------------------------------------
+
+
+def test_a_payload_adds_its_kinetic_energy_and_its_weight():
+    centre, mass = np.array([0.03, -0.05, 0.12]), 2.5
+    bare = tree("rx90b")
+    robot = bare.with_effects([Payload(frame="tool0", mass=mass, centre=tuple(centre))])
+    q = np.array([0.3, 0.7, 0.1, 0.2, -0.4, 0.5])
+    data = bare.model.createData()
+    jacobian = pin.computeFrameJacobian(bare.model, data, q, bare.model.getFrameId("tool0"), pin.LOCAL_WORLD_ALIGNED)
+    arm = data.oMf[bare.model.getFrameId("tool0")].rotation @ centre
+    velocity = jacobian[:3] - pin.skew(arm) @ jacobian[3:]
+    added = robot.mass_matrix(q) - bare.mass_matrix(q)
+    np.testing.assert_allclose(added, mass * velocity.T @ velocity, rtol=0, atol=1e-12 * np.abs(added).max())
+    weight = robot.inverse_dynamics(q, 0 * q, 0 * q) - bare.inverse_dynamics(q, 0 * q, 0 * q)
+    np.testing.assert_allclose(weight, mass * 9.81 * velocity[2], rtol=0, atol=1e-12 * np.abs(weight).max())
+
+
+def test_base_tilt_is_the_gravity_of_a_turned_base_up_to_the_square_of_the_angle():
+    angles = np.array([0.01, -0.02])
+    bare = tree("rx90b")
+    robot = bare.with_effects([BaseTilt(angle_x=angles[0], angle_y=angles[1])])
+    q = np.array([0.3, 0.7, 0.1, 0.2, -0.4, 0.5])
+    model = bare.model.copy()
+    model.gravity.linear = pin.exp3(np.array([*angles, 0.0])).T @ np.array([0.0, 0.0, -9.81])
+    exact = pin.computeGeneralizedGravity(model, model.createData(), q)
+    level = bare.inverse_dynamics(q, 0 * q, 0 * q)
+    tilted = robot.inverse_dynamics(q, 0 * q, 0 * q)
+    assert np.abs(exact - tilted).max() <= 0.5 * (angles @ angles) * np.abs(level).max() * 1.1
+    assert np.abs(exact - level).max() > 10 * np.abs(exact - tilted).max()
+
+
+def test_effects_that_move_coordinates_or_need_others_say_so():
+    types = catalogue()
+    assert [n for n, c in types.items() if c.virtual] == ["base_flexibility", "drive_flexibility", "joint_flexibility"]
+    assert types["stiffness_hardening"].needs == ("drive_flexibility",)
