@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -170,19 +170,19 @@ def _with_values(
 ) -> Effect:
     """Values that an engineer would find plausible, of a size that stands out of the noise."""
     torque = base.inverse_dynamics(motion.q, motion.v, motion.a)
-    shapes = {
+    shapes: dict[str, Callable[[], list[float]]] = {
         "gear_ripple": lambda: [float(rng.integers(6, 41))],
         "stribeck_friction": lambda: [float(rng.uniform(0.05, 0.3)), float(rng.uniform(0.8, 1.6))],
         "viscous_power_friction": lambda: [float(rng.uniform(0.4, 0.65))],
     }
-    if effect.shape_names():
+    if effect.type_name() in shapes:
         effect = effect.with_shape(shapes[effect.type_name()]())
-    mix = {
+    mix: dict[str, Callable[[], Array]] = {
         "gear_ripple": lambda: rng.normal(size=2),
         "joint_coupling": lambda: np.array([0.1, 1.0, 0.5]) * rng.uniform(0.5, 1.5, 3),
         "joint_spring": lambda: np.array([1.0, rng.uniform(-0.5, 0.5)]),
     }
-    coefficients = np.atleast_1d(mix.get(effect.type_name(), lambda: np.ones(1))())
+    coefficients = mix[effect.type_name()]() if effect.type_name() in mix else np.ones(1)
     force = effect.columns(motion) @ coefficients
     rows = np.flatnonzero(force.any(axis=0))
     noise = TORQUE_NOISE * np.sqrt((torque**2).mean(axis=0)) * np.sqrt(2 * CUTOFF_HZ / SAMPLE_RATE_HZ)

@@ -183,9 +183,9 @@ class Robot:
         for name, x in zip(("q", "v", "a"), arrays, strict=True):
             if x.ndim != 2 or x.shape[1] != n or x.shape[0] not in (1, samples):
                 raise ValueError(f"{name} has shape {np.shape(x)}; expected ({n},) or (N, {n}) for {self.name}")
-        arrays = [np.ascontiguousarray(np.broadcast_to(x, (samples, n))) for x in arrays]
+        q, v, a = (np.ascontiguousarray(np.broadcast_to(x, (samples, n))) for x in arrays)
         t = np.zeros(samples) if time is None else np.asarray(time, dtype=float)
-        return Motion(self.layout, *arrays, t, self._tree_motion)
+        return Motion(self.layout, q, v, a, t, self._tree_motion)
 
     def _tree_motion(self, motion: Motion) -> _RobotTreeMotion:
         return _RobotTreeMotion(self, motion)
@@ -231,7 +231,7 @@ class Robot:
         out = np.empty((len(motion), self.model.nv, len(self.parameter_entries)))
         for i, e in enumerate(self.parameter_entries):
             out[:, :, i] = (links if e.source < 0 else per_effect[e.source])[:, :, e.column]
-        return out if np.ndim(q) == 2 else out[0]
+        return out if 2 in (np.ndim(q), np.ndim(v), np.ndim(a)) else out[0]
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Generalised forces for a motion, every declared effect included (left side of equation 3.65).
@@ -250,7 +250,7 @@ class Robot:
         force = self.link_torque(motion)
         for effect in self.effects:
             force = force + effect.force(motion)
-        return force if np.ndim(q) == 2 else force[0]
+        return force if 2 in (np.ndim(q), np.ndim(v), np.ndim(a)) else force[0]
 
     def link_torque(self, motion: Motion) -> Array:
         """Inverse dynamics of the links alone, shape (N, n), N m."""
@@ -593,7 +593,8 @@ def _read_effects(tables: Any, path: Path, joints: Sequence[str], frames: Sequen
             if other.type_name() == effect.type_name() and not effect.repeats:
                 raise ValueError(f"{where}: {effect.label} is declared twice")
             if effect.type_name() in other.replaces or other.type_name() in effect.replaces:
-                raise ValueError(f"{where}: {effect.type_name()} and {other.type_name()} exclude each other on one joint")
+                both = f"{effect.type_name()} and {other.type_name()}"
+                raise ValueError(f"{where}: {both} exclude each other on one joint")
         effects.append(effect)
     for i, effect in enumerate(effects, start=1):
         for needed in effect.needs:

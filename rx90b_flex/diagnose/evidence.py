@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.regression import Regression
 
 BINS = 24
@@ -84,14 +83,14 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
     return tuple(sorted(found, key=lambda d: -d.score))
 
 
-def _shifts(samples: int, rng: np.random.Generator) -> Array:
+def _shifts(samples: int, rng: np.random.Generator) -> Indices:
     return rng.integers(samples // 20 + 1, samples - samples // 20, SHUFFLES)
 
 
-def _excess(power: Array, mask: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def _excess(power: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Array]:
     """Power in part of the samples beyond the mean elsewhere: (joints,), and (joints, shuffles) for shifted masks."""
 
-    def beyond(at: Array) -> Array:
+    def beyond(at: Mask) -> Array:
         return np.asarray(power[at].sum(axis=0) - at.sum() * power[~at].mean(axis=0))
 
     return beyond(mask), np.stack([beyond(np.roll(mask, s)) for s in _shifts(len(mask), rng)], axis=1)
@@ -119,14 +118,14 @@ def _dependences(
     return out
 
 
-def at_rest(regression: Regression) -> Array:
+def at_rest(regression: Regression) -> Mask:
     """Samples of the fit at which no joint moves, shape (N,), bool."""
     speed = [np.abs(s.motion.v[:: s.factor][s.kept]) for s in regression.stretches]
     fastest = np.max([v.max(axis=0) for v in speed], axis=0)
     return np.concatenate([(v <= REST * np.maximum(fastest, 1e-12)).all(axis=1) for v in speed])
 
 
-def _explained(residual: Array, edges: NDArray[np.intp]) -> Array:
+def _explained(residual: Array, edges: Indices) -> Array:
     """Power of the means over consecutive runs of samples, shape (joints,)."""
     sums = np.add.reduceat(residual, edges[:-1], axis=0)
     power: Array = (sums**2 / np.diff(edges)[:, None]).sum(axis=0)

@@ -125,7 +125,8 @@ def write_result(
         for prediction in result.predictions:
             name = f"prediction_{prediction.recording.name}.csv"
             (at / name).write_text(prediction_table(prediction), encoding="utf-8")
-        save_robot(closed_loop_robot(result), at)
+        # known links are written as they were given, even if no body could have them
+        save_robot(closed_loop_robot(result), at, allow_inconsistent=not result.model.links_fitted)
         for write in extra:
             write(result, at)
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from rx90b_flex.effects import Effect, Sites, catalogue
-from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
 from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, NormalEquations, solve_weighted
 from rx90b_flex.identify.regression import Regression
@@ -100,7 +100,7 @@ class _Base:
     """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
 
     shared: _Shared
-    kept: Array  # places of the base's columns among the shared ones
+    kept: Indices  # places of the base's columns among the shared ones
     prior: Array
 
     @property
@@ -146,14 +146,8 @@ class _Base:
     @cached_property
     def held_out(self) -> Array:
         """Weighted squared error on each block when it is held out, shape (blocks,)."""
-        return np.array(
-            [
-                power - 2 * cross @ theta + theta @ gram @ theta
-                for power, cross, gram, (theta, _) in zip(
-                    self.powers, self.crosses, self.grams, self.without, strict=True
-                )
-            ]
-        )
+        parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
+        return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
 
     @cached_property
     def residual(self) -> Array:
@@ -171,14 +165,14 @@ class _Base:
         """Weighted squared error of each joint on all blocks."""
         return self.weight * (self.residual**2).sum(axis=1)
 
-    def with_base(self, rows: Array, columns: Array, samples: slice = slice(None)) -> Array:
+    def with_base(self, rows: Indices, columns: Array, samples: slice = slice(None)) -> Array:
         """Weighted products of the base's columns with candidate ones (N, rows, k); shape (p, k)."""
         out = sum(
             self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i]) for i, j in enumerate(rows)
         )
         return np.asarray(out)[self.kept]
 
-    def products(self, rows: Array, columns: Array, block: slice) -> tuple[Array, Array, Array]:
+    def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:
         """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
         weight = self.weight[rows]
         c = columns[block]
@@ -189,15 +183,15 @@ class _Base:
             np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
         )
 
-    def apart(self, rows: Array, columns: Array) -> Array:
+    def apart(self, rows: Indices, columns: Array) -> Array:
         """What of candidate columns (N, rows, k) the base does not explain, shape (joints, N, k)."""
         _, inverse = self.whole
         out = -self._times(inverse @ self.with_base(rows, columns))
         out[rows] += columns.transpose(1, 0, 2)
         return out
 
-    def gains(self, rows: Array, columns: Array, k: int) -> Array:
-        """Drop of the weighted squared error for many candidates of k columns each; columns (N, rows, M * k) -> (M,)."""
+    def gains(self, rows: Indices, columns: Array, k: int) -> Array:
+        """Drop of the weighted squared error for many candidates of k columns each; (N, rows, M * k) -> (M,)."""
         _, inverse = self.whole
         many = columns.shape[2] // k
         with_base = self.with_base(rows, columns).reshape(-1, many, k)
@@ -399,7 +393,7 @@ class Search:
             )
         return out
 
-    def _evidence(self, effect: Effect, base: _Base, rows: Array, columns: Array, beta: Array) -> tuple[float, bool]:
+    def _evidence(self, effect: Effect, base: _Base, rows: Indices, columns: Array, beta: Array) -> tuple[float, bool]:
         """Wald test of the coefficients under coloured residuals, and whether they can be what they claim to be.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
@@ -431,7 +425,7 @@ class Search:
         inside = bool(((effect.shape > 1.01 * low) & (effect.shape < 0.99 * high)).all())
         return p_value, lawful and inside
 
-    def _shape_columns(self, effect: Effect, rows: Array, beta: Array) -> Array:
+    def _shape_columns(self, effect: Effect, rows: Indices, beta: Array) -> Array:
         """Derivative of the effect's torque by its shape parameters, shape (N, rows, s)."""
         out = [np.zeros((len(self.regression), len(rows), 0))]
         for step in np.diag(1e-4 * np.abs(effect.shape)):

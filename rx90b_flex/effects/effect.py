@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.law import Law, LawFunction
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
@@ -287,7 +287,7 @@ class JointEffect(Effect):
 
     joint: str
     side: ClassVar[str] = "joint"  # acts on the joint angle theta, or on the "drive" angle alone
-    law: ClassVar[LawFunction | None] = None  # compiled form, with coefficients, then shape, as its parameters
+    law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; its parameters: coefficients, then shape
     law_stores: ClassVar[bool] = False  # whether that law is the gradient of `potential`
 
     @property
@@ -380,7 +380,7 @@ def catalogue() -> dict[str, type[Effect]]:
             if not getattr(sub, "__abstractmethods__", None) and not sub.__name__.startswith("_"):
                 found[sub.type_name()] = sub
 
-    visit(Effect)
+    visit(Effect)  # type: ignore[type-abstract]
     return dict(sorted(found.items()))
 
 

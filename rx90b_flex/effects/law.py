@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class Law:
     damping: float = 0.0
     stiffness: float = 0.0
     function: LawFunction | None = None
-    parameters: Array = np.zeros(0)
+    parameters: Array = field(default_factory=lambda: np.zeros(0))
     stores: bool = False
 
 

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.identify.coloured import Spectrum, residual_spectrum, scatter
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
@@ -93,7 +93,7 @@ class Solution:
         return len(self.theta) - self.null.shape[1]
 
     @property
-    def determined(self) -> np.ndarray:
+    def determined(self) -> Mask:
         """Whether each parameter is determined by itself, shape (p,), bool."""
         return np.linalg.norm(self.null, axis=1) < 1e-3
 
@@ -444,7 +444,8 @@ class _Fit:
         gram = d.T @ d
         diagonal = np.diag(gram)
         gram = gram + damping * np.diag(np.where(diagonal > 0, diagonal, 1.0))
-        return np.linalg.lstsq(gram, d.T @ r, rcond=None)[0]
+        step: Array = np.linalg.lstsq(gram, d.T @ r, rcond=None)[0]
+        return step
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution = self.solution

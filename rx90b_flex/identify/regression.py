@@ -6,11 +6,12 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from rx90b_flex.effects import Effect, Motion
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
     Recording,
@@ -120,7 +121,7 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     keep_every = working * factor
     return Stretch(
         recording,
-        robot.motion(*sampled, time=time - recording.time[0]),
+        robot.motion(sampled[0], sampled[1], sampled[2], time - recording.time[0]),
         time[::factor][kept],
         torque[::keep_every][kept],
         rate / keep_every,
@@ -165,7 +166,7 @@ class Regression:
         return np.concatenate([s.torque for s in self.stretches])
 
     @cached_property
-    def rows(self) -> Array:
+    def rows(self) -> Indices:
         """Coordinate of each joint of the campaign, shape (joints,)."""
         return np.array([self.robot.layout.index(j) for j in self.joints])
 
@@ -176,7 +177,7 @@ class Regression:
         out[:, rows] = columns
         return out
 
-    def compact(self, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    def compact(self, effects: Sequence[Effect]) -> tuple[Indices, Array]:
         """Columns of effects in one place side by side: the joints where they are not zero, and (N, rows, sum of k)."""
         parts = [self._factored(s, effects) for s in self.stretches]
         rows = np.unique(np.concatenate([r for r, _ in parts]))
@@ -185,7 +186,7 @@ class Regression:
             out[span][:, np.searchsorted(rows, here)] = columns
         return rows, out
 
-    def _factored(self, stretch: Stretch, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    def _factored(self, stretch: Stretch, effects: Sequence[Effect]) -> tuple[Indices, Array]:
         factors = [e.factors(stretch.motion) for e in effects]
         if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
             port = factors[0][0][self.rows]  # type: ignore[index]
@@ -224,7 +225,7 @@ class Regression:
     def spans(self) -> tuple[slice, ...]:
         """Samples of each stretch."""
         ends = np.cumsum([0, *(len(s) for s in self.stretches)])
-        return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     def blocks(self, at_least: int = 8, correlation_s: float = 0.5) -> tuple[slice, ...]:
         """Contiguous blocks for held-out tests: about `at_least` or more in all, each longer than the correlation."""
@@ -235,7 +236,7 @@ class Regression:
             samples = span.stop - span.start
             parts = max(1, round(samples / stretch.rate_hz / length))
             edges = np.linspace(span.start, span.stop, parts + 1).astype(int)
-            out += [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            out += [slice(int(a), int(b)) for a, b in pairwise(edges)]
         return tuple(out)
 
 

@@ -7,7 +7,9 @@ loop over lanes. Nothing here knows of robots or effects: only of arrays.
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numba
@@ -17,6 +19,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from rx90b_flex.effects.law import Law, LawFunction
 from rx90b_flex.effects.motion import Array
 
 # L-stable, and the smaller of the two error constants that (1 - 1/sqrt 2, 1 + 1/sqrt 2) give
@@ -72,6 +75,8 @@ class Scratch(NamedTuple):
     inertia: Array  # (n, 3, 3)
     by_x: Array  # (m,) slopes of the laws
     by_rate: Array  # (m,)
+    late_by_x: Array  # (m,)
+    late_by_rate: Array  # (m,)
     out: Array  # (3,) what a law writes
     system: Array  # (n, n)
     generalised: Array  # (n,)
@@ -89,7 +94,7 @@ def tree_of(model: pin.Model) -> Tree:
     if model.nq != n or model.njoints != n + 1:
         raise ValueError(f"{model.name}: {model.njoints - 1} joints with {model.nq} positions; one each is expected")
     axes = np.array([np.ravel(model.joints[i].createData().S) for i in range(1, n + 1)])
-    prismatic = ~axes[:, 3:].any(axis=1)
+    prismatic = np.logical_not(axes[:, 3:].any(axis=1))
     placements = [model.jointPlacements[i] for i in range(1, n + 1)]
     rotation = np.array([p.rotation for p in placements])
     offset = np.array([p.translation for p in placements])
@@ -98,10 +103,10 @@ def tree_of(model: pin.Model) -> Tree:
     packed = dynamic[:, [4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(n, 3, 3)
     return Tree(
         parent=np.array([int(model.parents[i]) - 1 for i in range(1, n + 1)], dtype=np.int64),
-        prismatic=prismatic.astype(np.int64),
-        turned=(np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > 0).astype(np.int64),
-        shifted=(offset.any(axis=1) | prismatic).astype(np.int64),
-        heavy=dynamic.any(axis=1).astype(np.int64),
+        prismatic=np.array(prismatic, dtype=np.int64),
+        turned=np.array((rotation != np.eye(3)).any(axis=(1, 2)), dtype=np.int64),
+        shifted=np.array(offset.any(axis=1) | prismatic, dtype=np.int64),
+        heavy=np.array(dynamic.any(axis=1), dtype=np.int64),
         rotation=np.ascontiguousarray(rotation),
         offset=np.ascontiguousarray(offset),
         axis=np.where(prismatic[:, None], axes[:, :3], axes[:, 3:]),
@@ -114,14 +119,43 @@ def tree_of(model: pin.Model) -> Tree:
 
 def scratch_for(n: int, laws: int) -> Scratch:
     """Working memory for n coordinates and that many laws."""
-    three = [np.zeros((n, 3)) for _ in range(7)]
-    composite = (np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3)))
-    slopes = (np.zeros(laws), np.zeros(laws), np.zeros(3))
-    rows = [np.zeros(n) for _ in range(7)]
-    return Scratch(np.zeros((n, 3, 3)), *three, *composite, *slopes, np.zeros((n, n)), *rows)
+    sizes: dict[str, tuple[int, ...]] = dict.fromkeys(("rotation", "inertia"), (n, 3, 3))
+    sizes |= dict.fromkeys(("axis", "arm", "spin", "turn", "lift", "force", "torque", "moment"), (n, 3))
+    sizes |= dict.fromkeys(("by_x", "by_rate", "late_by_x", "late_by_rate"), (laws,))
+    sizes |= {"out": (3,), "system": (n, n)}
+    return Scratch(**{name: np.zeros(sizes.get(name, (n,))) for name in Scratch._fields})
 
 
+# lower error bounds than IEEE's for the sum of two products, and nothing else: no reordering, so runs repeat to the bit
 compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
+
+LAW_SIGNATURE = types.void(
+    types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
+)
+
+
+@functools.cache
+def compiled_law(function: LawFunction) -> Any:
+    """A law of an effect as a C function; its `address` is good as long as the process lives."""
+    return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)  # type: ignore[no-untyped-call]
+
+
+def laws_of(laws: Sequence[Law], n: int) -> Laws:
+    """The arrays of scalar laws on n coordinates."""
+    ports = [np.flatnonzero(law.port) for law in laws]
+    width = max([len(p) for p in ports], default=1)
+    length = max([len(law.parameters) for law in laws], default=1)
+    place = np.zeros((len(laws), width), dtype=np.int64)
+    weight = np.zeros((len(laws), width))
+    parameters = np.zeros((len(laws), max(length, 1)))
+    for m, (law, port) in enumerate(zip(laws, ports, strict=True)):
+        place[m, : len(port)] = port
+        weight[m, : len(port)] = law.port[port]
+        parameters[m, : len(law.parameters)] = law.parameters
+    linear = (np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness"))
+    address = [0 if law.function is None else int(compiled_law(law.function).address) for law in laws]
+    stores = [law.stores for law in laws]
+    return Laws(place, weight, *linear, np.array(address, np.int64), np.array(stores, np.int64), parameters)
 
 
 @intrinsic
@@ -399,19 +433,19 @@ def scatter(laws, m, torque, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def law_forces(laws, s, q, v, a, out):  # type: ignore[no-untyped-def]
-    """Add the laws' generalised forces to `out`; slopes go to the scratch. Returns the power that they dissipate, W."""
+def law_forces(laws, s, q, v, a, by_x, by_rate, out):  # type: ignore[no-untyped-def]
+    """Add the laws' generalised forces to `out`; their slopes go to `by_x` and `by_rate`. Returns the power that they dissipate, W."""
     lost = 0.0
     for m in range(len(laws.inertia)):
         x, rate = combine(laws, m, q), combine(laws, m, v)
         torque = laws.stiffness[m] * x + laws.damping[m] * rate + laws.inertia[m] * combine(laws, m, a)
-        s.by_x[m], s.by_rate[m] = laws.stiffness[m], laws.damping[m]
+        by_x[m], by_rate[m] = laws.stiffness[m], laws.damping[m]
         lost += laws.damping[m] * rate * rate
         if laws.address[m] != 0:
-            _call(laws.address[m], x, rate, laws.parameters[m].ctypes.data, s.out.ctypes.data)
+            _call(laws.address[m], x, rate, laws.parameters[m].ctypes.data, s.out.ctypes.data)  # type: ignore[call-arg]
             torque += s.out[0]
-            s.by_x[m] += s.out[1]
-            s.by_rate[m] += s.out[2]
+            by_x[m] += s.out[1]
+            by_rate[m] += s.out[2]
             if not laws.stores[m]:
                 lost += s.out[0] * rate
         scatter(laws, m, torque, out)
@@ -459,3 +493,144 @@ def solve(system, x):  # type: ignore[no-untyped-def]
         for j in range(k + 1, n):
             total -= system[k, j] * x[j]
         x[k] = total / system[k, k]
+
+
+# ---- one step of the integrator -----------------------------------------------------------------------------
+#
+# Verwer's two-stage Rosenbrock-W method ROS2 on y = (q, v), y' = F(y):
+#
+#   (1 - g h J) k_1 = h F(y),   (1 - g h J) k_2 = h F(y + k_1) - 2 k_1,   y <- y + 3/2 k_1 + 1/2 k_2
+#
+# Second order for any J, L-stable for the true J. J here holds what is stiff (mass matrix, slopes of the effects) and leaves out
+# the slow rest (how gravity and Coriolis forces change along a step). With M a = u - f(q, v), D = df/dv and K = df/dq, eliminating
+# the positions leaves one system of n equations a step, A = M + g h D + (g h)^2 K.
+
+
+class Extra(NamedTuple):
+    """What effects without a compiled law add at one stage, for each lane."""
+
+    used: bool
+    force: Array  # (lanes, n)
+    inertia: Array  # (lanes, n, n)
+    damping: Array  # (lanes, n, n)
+    stiffness: Array  # (lanes, n, n)
+
+
+def no_extra() -> Extra:
+    """All effects have compiled laws."""
+    return Extra(False, np.zeros((1, 1)), *(np.zeros((1, 1, 1)) for _ in range(3)))
+
+
+@compiled
+def _add_dense(matrix, lane, scale, x, out):  # type: ignore[no-untyped-def]
+    n = len(x)
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += matrix[lane, i, j] * x[j]
+        out[i] += scale * total
+
+
+@compiled
+def _add_extra_to_system(extra, lane, gh, system):  # type: ignore[no-untyped-def]
+    n = len(system)
+    for i in range(n):
+        for j in range(i):
+            system[i, j] = system[j, i]
+    for i in range(n):
+        for j in range(n):
+            more = extra.inertia[lane, i, j] + gh * extra.damping[lane, i, j]
+            system[i, j] += more + gh * gh * extra.stiffness[lane, i, j]
+
+
+@compiled
+def _factor_general(system):  # type: ignore[no-untyped-def]
+    """L and U in place; no pivots, since inertia outweighs what makes the matrix unsymmetric."""
+    n = len(system)
+    for k in range(n):
+        inverse = 1.0 / system[k, k]
+        for i in range(k + 1, n):
+            scale = system[i, k] * inverse
+            system[i, k] = scale
+            for j in range(k + 1, n):
+                system[i, j] -= scale * system[k, j]
+
+
+@compiled
+def _solve_general(system, x):  # type: ignore[no-untyped-def]
+    n = len(x)
+    for i in range(n):
+        for j in range(i):
+            x[i] -= system[i, j] * x[j]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= system[i, j] * x[j]
+        x[i] /= system[i, i]
+
+
+@compiled
+def first_stage(tree, laws, s, extra, lane, q, v, torque, h):  # type: ignore[no-untyped-def]
+    """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch. Returns the power dissipated at y, W.
+
+    `extra.force` is the effects' force less `extra.inertia` times the acceleration that it was taken at.
+    """
+    n, gh = len(q), GAMMA * h
+    s.a[:] = 0.0
+    inverse_dynamics(tree, s, q, v, s.a, s.generalised)
+    lost = law_forces(laws, s, q, v, s.a, s.by_x, s.by_rate, s.generalised)
+    mass_matrix(tree, s, s.system)
+    _add_laws_to_system(laws, s, gh, gh * gh, s.system)
+    for i in range(n):
+        s.right[i] = h * (torque[i] - s.generalised[i])
+    for m in range(len(laws.inertia)):
+        scatter(laws, m, -gh * h * s.by_x[m] * combine(laws, m, v), s.right)
+    if extra.used:
+        for i in range(n):
+            s.right[i] -= h * extra.force[lane, i]
+        _add_dense(extra.stiffness, lane, -gh * h, v, s.right)
+        _add_extra_to_system(extra, lane, gh, s.system)
+        _factor_general(s.system)
+    else:
+        factor(s.system)
+    s.k_v[:] = s.right
+    if extra.used:
+        _solve_general(s.system, s.k_v)
+    else:
+        solve(s.system, s.k_v)
+    for i in range(n):
+        s.k_q[i] = h * v[i] + gh * s.k_v[i]
+        s.q[i] = q[i] + s.k_q[i]
+        s.v[i] = v[i] + s.k_v[i]
+        s.a[i] = s.k_v[i] / h
+    return lost
+
+
+@compiled
+def second_stage(tree, laws, s, extra, late_force, lane, q, v, torque, h):  # type: ignore[no-untyped-def]
+    """k_2, then q and v moved on by a step. `late_force` (lanes, n): the extra effects' force at y + k_1.
+
+    The accelerations at y + k_1 are asked for about k_1 / h: what remains of the mass matrix's change along the step is
+    then of second order.
+    """
+    n, gh = len(q), GAMMA * h
+    inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
+    law_forces(laws, s, s.q, s.v, s.a, s.late_by_x, s.late_by_rate, s.generalised)
+    # right = h (u - f) - M k_1 - g h K r, with M k_1 from the first stage's equation and r = h v - 2 k_q
+    for i in range(n):
+        s.right[i] = h * (torque[i] - s.generalised[i]) - s.right[i]
+        s.q[i] = h * s.v[i] - 2.0 * s.k_q[i]
+    for m in range(len(laws.inertia)):
+        rate, x = combine(laws, m, s.k_v), combine(laws, m, s.q)
+        scatter(laws, m, gh * (s.by_rate[m] * rate + s.by_x[m] * (gh * rate - x)), s.right)
+    if extra.used:
+        for i in range(n):
+            s.right[i] -= h * late_force[lane, i]
+        _add_dense(extra.damping, lane, gh, s.k_v, s.right)
+        _add_dense(extra.stiffness, lane, gh * gh, s.k_v, s.right)
+        _add_dense(extra.stiffness, lane, -gh, s.q, s.right)
+        _solve_general(s.system, s.right)
+    else:
+        solve(s.system, s.right)
+    for i in range(n):
+        q[i] += 1.5 * s.k_q[i] + 0.5 * (s.q[i] + gh * s.right[i])
+        v[i] += 1.5 * s.k_v[i] + 0.5 * s.right[i]

@@ -1,0 +1,159 @@
+"""Claims about the robots of the source: table D.1's 78 parameters, table 5.1's frequencies, the gravity spring."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rx90b_flex.robot import Robot, load_robot
+
+# ---- table D.1 ----------------------------------------------------------------------------------------------
+
+LINKS = [  # m; s x y z; J xx yy zz xy xz yz
+    [43.2, 4.36e-2, 1.68, 4.23, 8.26e-1, 5.81e-1, 2.45e-1, 5.14e-2, -4.17e-3, -1.65e-1],
+    [18.0, 1.80e-4, 1.41, 3.50, 1.09, 9.46e-1, 1.40e-1, 8.59e-5, 6.50e-5, -2.40e-1],
+    [16.4, 1.64e-4, -1.47, -1.14e-1, 1.83e-1, 4.29e-2, 1.80e-1, 1.15e-4, 1.01e-4, -6.20e-3],
+    [11.4, 1.15e-2, 1.14e-4, 2.90, 9.15e-1, 9.14e-1, 5.61e-2, -9.90e-3, -2.83e-3, 7.10e-5],
+]
+STIFFNESS = [[2.8e5, 4.4e5, 4.4e5], [2.7e5, 2.4e5, 2.4e5], [1.0e5, 2.1e5, 2.1e5], [0.9e5, 1.6e5, 1.6e5]]
+VALUES = np.r_[
+    np.ravel(LINKS),  # 1-40
+    [1.36, 1.36, 0.692, 0.310],  # 41-44, drive inertia
+    [2.03e4, 1.66e3],  # 45-46, gravity spring
+    [18.6, 66.3, 32.6, 62.1, 8.12, 21.1, 8.84, 17.2],  # 47-54, asperity torque and viscous coefficient
+    np.ravel(STIFFNESS),  # 55-66
+    1e-3 * np.ravel(STIFFNESS),  # 67-78, damping
+]
+LINK_NAMES = ["mass", "s_x", "s_y", "s_z", "J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz"]
+HINGES = ["drive_flexibility.{}", "joint_flexibility.{}_1", "joint_flexibility.{}_2"]
+NAMES = [
+    *(f"link_{j}.{name}" for j in range(1, 5) for name in LINK_NAMES),
+    *(f"joint_{j}.drive_inertia.inertia" for j in range(1, 5)),
+    *("joint_2.gravity_spring.stiffness", "joint_2.gravity_spring.prestress"),
+    *(
+        f"joint_{j}.{name}"
+        for j in range(1, 5)
+        for name in ("stribeck_friction.torque", "viscous_power_friction.coefficient")
+    ),
+    *(f"joint_{j}.{hinge.format('stiffness')}" for j in range(1, 5) for hinge in HINGES),
+    *(f"joint_{j}.{hinge.format('damping')}" for j in range(1, 5) for hinge in HINGES),
+]
+
+
+def test_the_four_axis_model_has_the_78_parameters_of_table_d1_in_its_order():
+    robot = load_robot("rx90b_4dof")
+    assert list(robot.parameter_names) == NAMES
+    np.testing.assert_allclose(robot.parameters, VALUES, rtol=1e-12, atol=1e-15)
+
+
+def test_74_of_the_78_columns_are_independent_and_the_rest_are_masses_at_hinges():
+    """What no motion can tell, by name.
+
+    - The mass of link 1: all three of its axes go through its node, which stays where it is.
+    - A point mass at the hinge of joint k = 2, 3, 4 turns with neither link k-1 nor link k about that hinge, so it may
+      belong to either: link_k.mass against link_(k-1)'s mass, s and J of a point mass at the hinge. Joint 4's hinge is at
+      joint 3's, so there it is link_4.mass against link_3.mass alone.
+
+    The source finds 59 essential parameters: its motion is small in many of the remaining 74 directions.
+    """
+    robot = load_robot("rx90b_4dof")
+    rng = np.random.default_rng(1)
+    state = rng.uniform(-1, 1, (3, 200, 16))
+    columns = robot.regressor(*state).reshape(-1, 78)
+    size = np.linalg.norm(columns, axis=0)
+    singular = np.linalg.svd(columns / np.where(size > 0, size, 1.0), compute_uv=False)
+    assert (singular > 1e-2).sum() == 74
+    assert (singular < 1e-12).sum() == 4
+
+    null = np.zeros((4, 78))
+    null[0, NAMES.index("link_1.mass")] = 1.0
+    for row, (joint, hinge) in enumerate([(2, [0, 0, 0.32]), (3, [0, 0, 0.45]), (4, [0, 0, 0])], start=1):
+        null[row, NAMES.index(f"link_{joint}.mass")] = 1.0
+        first = NAMES.index(f"link_{joint - 1}.mass")
+        null[row, first : first + 10] -= point_mass(np.array(hinge))
+    assert np.linalg.matrix_rank(null) == 4
+    assert np.abs(columns @ null.T).max() <= 1e-12 * size.max()
+
+
+def point_mass(place: np.ndarray) -> np.ndarray:
+    """Ten parameters of 1 kg at a place."""
+    moments = place @ place * np.eye(3) - np.outer(place, place)
+    return np.r_[1.0, place, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+
+
+# ---- tables 5.1 and 6.3: the arm stretched horizontally ---------------------------------------------------------
+
+TABLE_5_1 = {  # Hz, without the rigid-body poles and zeros
+    "resonance": [31.3, 41.0, 52.2, 71.3, 82.6, 99.1, 144.7, 249.8, 381.5],
+    "joint_1": [14.8, 38.7, 51.7, 70.5, 81.8, 99.1, 144.5, 247.9, 381.5],
+    "joint_2": [20.3, 32.3, 49.9, 59.2, 78.4, 95.3, 143.6, 249.1, 381.5],
+    "joint_3": [31.3, 40.4, 49.5, 52.2, 79.8, 99.1, 144.6, 249.8, 381.5],
+}
+TABLE_6_3 = np.array([[17.02, 0.01, 0.01], [0.01, 13.87, 3.20], [0.01, 3.20, 2.55]])  # kg m^2
+
+
+def horizontal(robot: Robot) -> np.ndarray:
+    q = np.zeros(robot.model.nv)
+    q[robot.coordinates.index("joint_2:drive")] = np.pi / 2
+    return q
+
+
+def test_the_horizontal_arm_has_the_36_frequencies_of_table_5_1_within_8_percent():
+    robot = load_robot("rx90b_3dof")
+    lin = robot.linearize(horizontal(robot))
+    found = {"resonance": lin.frequencies_hz()[3:]}
+    found |= {joint: lin.antiresonances_hz(joint)[2:] for joint in robot.joints}
+    expected = np.array(list(TABLE_5_1.values()))
+    ratios = np.array(list(found.values())) / expected
+    print("\nundamped frequencies, Hz: table 5.1, this model")
+    print("mode " + "".join(f"{name:>18}" for name in TABLE_5_1))
+    for mode in range(9):
+        pairs = (f"{TABLE_5_1[name][mode]:9.1f}{found[name][mode]:8.1f} " for name in TABLE_5_1)
+        print(f"{mode + 1:4} " + "".join(pairs))
+    rms = np.sqrt(np.mean((ratios - 1) ** 2))
+    print(f"RMS deviation {100 * rms:.2f} % (of the logarithm {100 * np.sqrt(np.mean(np.log(ratios) ** 2)):.2f} %)")
+    assert rms < 0.08
+
+
+def test_the_horizontal_arm_has_about_the_rigid_mass_matrix_of_table_6_3():
+    robot = load_robot("rx90b_3dof")
+    drives = [robot.coordinates.index(f"{j}:drive") for j in robot.joints]
+    mass = robot.mass_matrix(horizontal(robot))[np.ix_(drives, drives)]
+    print("\nrigid mass matrix, kg m^2: table 6.3, this model")
+    for row in range(3):
+        print("  ".join(f"{TABLE_6_3[row, k]:6.2f}{mass[row, k]:7.2f}" for k in range(3)))
+    # 16.4/14.1/2.5/3.7 against 17.0/13.9/2.6/3.2: the wrist and its place are choices
+    assert np.abs(mass - TABLE_6_3).max() < 0.7
+
+
+# ---- gravity spring -----------------------------------------------------------------------------------------
+
+
+FOREARM = 9.81 * (2.90 - 0.114)  # N m: s_z of links 3 and 4 past the elbow
+WRIST = 9.81 * 3.0 * 0.5  # N m: wrist and tool
+
+
+@pytest.mark.parametrize(
+    "name, forearm", [("rx90b_4dof", FOREARM), ("rx90b", FOREARM + WRIST), ("rx90b_rigid", FOREARM + WRIST)]
+)
+def test_the_gravity_spring_removes_what_turns_with_joint_2_alone_and_leaves_the_forearm(name, forearm):
+    """Over joint 2's range. The forearm's part turns with joint_2 + joint_3: with joint 3 at 180 degrees it has changed sign."""
+    robot = load_robot(name).rigid()
+    second, third = (robot.coordinates.index(f"joint_{j}:drive") for j in (2, 3))
+    q = np.zeros((97, robot.model.nv))
+    q[:, second] = np.linspace(-2.4, 2.4, len(q))
+    (spring,) = (e for e in robot.effects if e.type_name() == "gravity_spring")
+
+    def gravity(joint_3: float) -> np.ndarray:
+        q[:, third] = joint_3
+        return robot.link_torque(robot.motion(q, 0 * q, 0 * q))[:, second]
+
+    straight, folded = gravity(0.0), gravity(np.pi)
+    alone, with_forearm = (straight + folded) / 2, (straight - folded) / 2
+    left = alone + spring.force(robot.motion(q, 0 * q, 0 * q))[:, second]
+    print(
+        f"\n{name}: {np.abs(alone).max():.1f} N m turn with joint 2 alone, {np.abs(left).max():.4f} N m of it are left;"
+    )
+    print(f"the forearm's {np.abs(with_forearm).max():.1f} N m are left to the drives")
+    assert np.abs(left).max() <= 0.05 * np.abs(alone).max()
+    assert np.abs(with_forearm).max() == pytest.approx(forearm, rel=0.01)
