@@ -158,6 +158,15 @@ class Robot:
         )
 
     @cached_property
+    def _effect_places(self) -> list[list[int]]:
+        """Columns of each effect's coefficients in the regressor."""
+        places: list[list[int]] = [[0] * len(effect.coefficient_names) for effect in self.effects]
+        for i, entry in enumerate(self.parameter_entries):
+            if entry.source >= 0:
+                places[entry.source][entry.column] = i
+        return places
+
+    @cached_property
     def link_parameter_places(self) -> Array:
         """Where each link parameter stands in pinocchio's vector of ten a joint, shape (10 * bodies,)."""
         return np.concatenate([10 * (joint - 1) + _TO_TABLE_ORDER for _, joint in self.bodies])
@@ -227,10 +236,16 @@ class Robot:
         """
         motion = self.motion(q, v, a)
         links = self.link_regressor(motion)
-        per_effect = [effect.columns(motion) for effect in self.effects]
-        out = np.empty((len(motion), self.model.nv, len(self.parameter_entries)))
-        for i, e in enumerate(self.parameter_entries):
-            out[:, :, i] = (links if e.source < 0 else per_effect[e.source])[:, :, e.column]
+        out = np.zeros((len(motion), self.model.nv, len(self.parameter_entries)))
+        out[:, :, : links.shape[2]] = links  # they come first in the order of the parameters
+        for effect, at in zip(self.effects, self._effect_places, strict=True):
+            factors = effect.factors(motion)
+            if factors is None:
+                out[:, :, at] = effect.columns(motion)
+                continue
+            port, basis = factors
+            for row in np.flatnonzero(port):
+                out[:, row, at] = port[row] * basis
         return out if 2 in (np.ndim(q), np.ndim(v), np.ndim(a)) else out[0]
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:

@@ -29,9 +29,8 @@ def draw_effect(kind: str, robot: Robot, rng: np.random.Generator) -> tuple[Effe
     # a type that no search can try has no places of its own: then any joint
     places = cls.everywhere(sites) or [cls(joint=j) for j in robot.joints]  # type: ignore[call-arg]
     effect = places[rng.integers(len(places))]
-    needed = [
-        other for name in cls.needs for other in catalogue()[name].everywhere(sites) if other.place == effect.place
-    ]
+    others = [e for name in cls.needs for e in catalogue()[name].everywhere(sites)]
+    needed = [e for e in others if e.place == effect.place]
     return (*(_with_values(e, rng) for e in needed), _with_values(effect, rng))
 
 

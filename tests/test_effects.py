@@ -106,9 +106,8 @@ def test_each_flexibility_adds_its_coordinates_in_tree_order():
 
 def test_hardening_without_a_flexible_drive_is_refused_by_the_robot_file(tmp_path):
     path = tmp_path / "robot.toml"
-    path.write_text(
-        'urdf = "example-robot-data:ur10"\n[[effects]]\ntype = "stiffness_hardening"\njoint = "elbow_joint"\ncubic = 1.0\n'
-    )
+    entry = '[[effects]]\ntype = "stiffness_hardening"\njoint = "elbow_joint"\ncubic = 1.0\n'
+    path.write_text('urdf = "example-robot-data:ur10"\n' + entry)
     with pytest.raises(ValueError, match=r"robot\.toml: effect 1: elbow_joint\.stiffness_hardening needs a drive_flex"):
         load_robot(path)
 

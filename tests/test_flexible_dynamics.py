@@ -98,7 +98,7 @@ def test_drive_and_torsion_turn_the_links_alike(name):
 
 @pytest.mark.parametrize("name", FLEXIBLE)
 def test_in_joint_angles_the_mass_matrix_couples_no_drive_with_anything(name):
-    """(3.79), (3.80): the drives' rows are the drive inertias, the rest is the links' mass matrix in (theta, eps2, eps3)."""
+    """(3.79), (3.80): drive rows hold the drive inertias, the rest is the links' mass matrix in (theta, eps2, eps3)."""
     robot = load_robot(name)
     links = robot.with_effects([e for e in robot.effects if e.type_name() != "drive_inertia" or e.joint >= "joint_5"])
     dynamics = robot.in_joint_angles()

@@ -1,0 +1,318 @@
+"""The CS8 motion controller: six independent digital controllers (PHYSICS.md, "Closed loop"; sections 3.1 and 6.6.1)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rx90b_flex.effects import close_match
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.linearize import Linearization
+from rx90b_flex.robot import Robot, robots_folder
+
+ComplexArray = NDArray[np.complex128]
+
+GAINS = ("position_gain", "velocity_gain", "integral_gain")
+STEPS = ("position_step", "velocity_step", "torque_step")
+
+
+@dataclass(frozen=True)
+class JointController:
+    """One joint's controller, joint side.
+
+    ``torque = position_gain (r - e) + velocity_gain (r' - e') + integral_gain * integral(r - e) + feed-forward``, with e and e' as
+    the resolver shows them.
+
+    Attributes
+    ----------
+    name : str
+    position_gain, velocity_gain, integral_gain : float
+        N m/rad, N m s/rad, N m/(rad s).
+    position_step, velocity_step, torque_step : float
+        Quantisation of resolver and current, rad, rad/s, N m; 0: none.
+    torque_limit : float
+        N m. The command is held there; `CS8.overload_time_s` at the limit ends a run.
+    """
+
+    name: str
+    position_gain: float
+    velocity_gain: float
+    integral_gain: float
+    position_step: float
+    velocity_step: float
+    torque_step: float
+    torque_limit: float
+
+
+@dataclass(frozen=True)
+class CS8:
+    """Motion controller of all joints.
+
+    Attributes
+    ----------
+    joints : tuple of JointController
+    reference_rate_hz, controller_rate_hz, log_rate_hz : float
+        References and feed-forward arrive at the first rate; a cubic (references) and a straight line (feed-forward) take them to
+        the second, where the controller runs. The log is decimated to the third. Both ratios are whole numbers.
+    log_cutoff_hz : float
+        Cutoff of the anti-alias filter before the log (90 Hz in section 6.6.1). Linear phase, its delay taken out.
+    current_bandwidth_hz : float
+        Of the first-order current loop behind the zero-order hold; 0: ideal. What acts on the robot during a sample is the mean
+        of that exponential over the sample.
+    overload_time_s : float
+        How long a torque may stay at its limit before the amplifier switches off.
+    """
+
+    joints: tuple[JointController, ...]
+    reference_rate_hz: float = 250.0
+    controller_rate_hz: float = 4000.0
+    log_rate_hz: float = 250.0
+    log_cutoff_hz: float = 90.0
+    current_bandwidth_hz: float = 0.0
+    overload_time_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("reference_rate_hz", "log_rate_hz"):
+            ratio = self.controller_rate_hz / getattr(self, name)
+            if not (ratio >= 1.0 and abs(ratio - round(ratio)) < 1e-9):
+                raise ValueError(
+                    f"{name} is {getattr(self, name):g}; expected a whole fraction of {self.controller_rate_hz:g}"
+                )
+        if not 0.0 < self.log_cutoff_hz < 0.5 * self.log_rate_hz:
+            raise ValueError(f"log_cutoff_hz is {self.log_cutoff_hz:g}; expected 0 to {0.5 * self.log_rate_hz:g}")
+
+    @property
+    def period(self) -> float:
+        """Of the controller, s."""
+        return 1.0 / self.controller_rate_hz
+
+    def for_joints(self, names: Sequence[str]) -> CS8:
+        """The controller of these joints, in this order."""
+        known = {joint.name: joint for joint in self.joints}
+        for name in names:
+            if name not in known:
+                raise ValueError(f"the controller has no joint {name!r}; {close_match(name, list(known))}")
+        return dataclasses.replace(self, joints=tuple(known[name] for name in names))
+
+    def column(self, name: str) -> Array:
+        """One number of every joint, shape (joints,)."""
+        return np.array([getattr(joint, name) for joint in self.joints])
+
+    def ideal(self) -> CS8:
+        """The same controller without quantisation."""
+        return dataclasses.replace(
+            self, joints=tuple(dataclasses.replace(j, **dict.fromkeys(STEPS, 0.0)) for j in self.joints)
+        )
+
+    # ---- linear model -----------------------------------------------------------------------------------
+
+    def frequency_response(self, hz: Array) -> ComplexArray:
+        """Torque over drive angle error, shape (N, joints): the PID with its hold, current loop included; N m/rad."""
+        s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
+        z = np.exp(s * self.period)
+        pid = self.column("position_gain") + self.column("velocity_gain") * s
+        pid = pid + self.column("integral_gain") * self.period * z / (z - 1.0)
+        return pid * self._hold(s, z)
+
+    def _hold(self, s: ComplexArray, z: ComplexArray) -> ComplexArray:
+        """From the commanded torque to the torque that acts."""
+        hold = (1.0 - 1.0 / z) / (s * self.period)
+        if self.current_bandwidth_hz == 0.0:
+            return hold
+        mean, decay = self._current()
+        return hold * ((1.0 - mean) + mean * (1.0 - decay) / (z - decay))
+
+    def _current(self) -> tuple[float, float]:
+        """Share of the old current in a sample's mean, and what is left of it at the sample's end."""
+        if self.current_bandwidth_hz == 0.0:
+            return 0.0, 0.0
+        x = 2.0 * np.pi * self.current_bandwidth_hz * self.period
+        return -math.expm1(-x) / x, math.exp(-x)
+
+    def sensitivity(self, linearization: Linearization, hz: Array) -> ComplexArray:
+        """Drive torque over feed-forward torque, ``S = (1 + C P)^-1``, shape (N, joints, joints).
+
+        With it the torque spectrum that an excitation will have is known before the run.
+
+        Parameters
+        ----------
+        linearization : Linearization
+            Of the robot about the point, with a velocity: at rest friction's slope would hold the drives.
+        hz : array, shape (N,), above 0
+        """
+        hz = np.asarray(hz, dtype=float)
+        own = self.for_joints(linearization.joints)
+        loop = own.frequency_response(hz)[:, :, None] * drive_compliance(linearization, hz)
+        hold = own._hold(s := 2j * np.pi * hz[:, None], np.exp(s * self.period))
+        # what is fed forward passes the same hold as what is fed back
+        return np.asarray(np.linalg.inv(np.eye(len(own.joints)) + loop) * hold[:, None, :])
+
+    def closed_loop(self, linearization: Linearization) -> control.StateSpace:
+        """The sampled closed loop about a point, from feed-forward torque to drive angle and drive torque.
+
+        States: coordinates, rates, integrators, currents. Its poles tell whether the gains are stable there.
+        """
+        own = self.for_joints(linearization.joints)
+        n, m = len(linearization.coordinates), len(own.joints)
+        b = linearization.input_matrix
+        solved = np.linalg.solve(linearization.M, np.hstack([-linearization.K, -linearization.D, b]))
+        rates = np.block([[np.zeros((n, n)), np.eye(n), np.zeros((n, m))], [solved], [np.zeros((m, 2 * n + m))]])
+        step = linalg.expm(rates * self.period)
+        f, g = step[: 2 * n, : 2 * n], step[: 2 * n, 2 * n :]
+        integrate = np.diag(own.column("integral_gain") * self.period)
+        gain = np.hstack([np.diag(own.column("position_gain")) + integrate, np.diag(own.column("velocity_gain"))])
+        pick = linalg.block_diag(b.T, b.T)
+        mean, decay = self._current()
+        one, nothing = np.eye(m), np.zeros((m, m))
+        command = np.hstack([-gain @ pick, one, nothing])
+        torque = (1.0 - mean) * command + mean * np.hstack([np.zeros((m, 2 * n + m)), one])
+        a = np.vstack(
+            [
+                np.hstack([f, np.zeros((2 * n, 2 * m))]) + g @ torque,
+                np.hstack([-integrate @ b.T, np.zeros((m, n)), one, nothing]),
+                (1.0 - decay) * command + decay * np.hstack([np.zeros((m, 2 * n + m)), one]),
+            ]
+        )
+        inputs = np.vstack([(1.0 - mean) * g, nothing, (1.0 - decay) * one])
+        outputs = np.vstack([np.hstack([b.T, np.zeros((m, n + 2 * m))]), torque])
+        through = np.vstack([nothing, (1.0 - mean) * one])
+        names = [joint.name for joint in own.joints]
+        return control.ss(
+            a,
+            inputs,
+            outputs,
+            through,
+            self.period,
+            inputs=[f"{name}:feedforward" for name in names],
+            outputs=[f"{name}:{what}" for what in ("angle", "torque") for name in names],
+        )
+
+
+def drive_compliance(linearization: Linearization, hz: Array) -> ComplexArray:
+    """Drive angle over drive torque, shape (N, joints, joints), rad per N m."""
+    s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None, None]
+    dynamic = linearization.M * s**2 + linearization.D * s + linearization.K
+    b = linearization.input_matrix
+    return np.asarray(b.T @ np.linalg.solve(dynamic, np.broadcast_to(b.astype(complex), (len(s), *b.shape))))
+
+
+# ---- gains ----------------------------------------------------------------------------------------------------
+
+
+def rigid_inertia(robot: Robot, pose: Array) -> Array:
+    """Inertia that each drive turns with the other drives and all hinges stiff, shape (joints,), kg m^2.
+
+    Parameters
+    ----------
+    pose : array, shape (joints,), rad
+    """
+    q = np.zeros(robot.model.nv)
+    q[drive_places(robot)] = pose
+    return np.diag(robot.input_matrix.T @ robot.mass_matrix(q) @ robot.input_matrix).copy()
+
+
+def drive_places(robot: Robot) -> NDArray[np.int64]:
+    """Where the drive angles stand among the coordinates, shape (joints,)."""
+    return np.argmax(robot.input_matrix, axis=0).astype(np.int64)
+
+
+def design_gains(inertia: Array, bandwidth_hz: float, damping: float, integral_hz: float) -> tuple[Array, Array, Array]:
+    """Gains that give each joint, as one rigid inertia J, the poles of ``(s^2 + 2 damping w s + w^2)(s + w_i)``.
+
+    Then ``velocity_gain = J (2 damping w + w_i)``, ``position_gain = J (w^2 + 2 damping w w_i)``, ``integral_gain = J w^2 w_i``.
+
+    Returns
+    -------
+    position, velocity and integral gain, each of inertia's shape.
+    """
+    w, slow = 2.0 * np.pi * bandwidth_hz, 2.0 * np.pi * integral_hz
+    velocity = 2.0 * damping * w
+    return inertia * (w * w + velocity * slow), inertia * (velocity + slow), inertia * w * w * slow
+
+
+def design_cs8(
+    robot: Robot, pose: Array, bandwidth_hz: float = 5.0, damping: float = 0.8, integral_hz: float = 0.5
+) -> CS8:
+    """A controller for any robot: gains from `design_gains` on its rigid inertia, limits from its URDF.
+
+    Quantisation: a 16-bit resolver behind a gear of 100 (1e-6 rad), speed from its difference over about 1/100 s, and 12 bits of
+    current.
+    """
+    inertia = rigid_inertia(robot, pose)
+    gains = design_gains(inertia, bandwidth_hz, damping, integral_hz)
+    limits = np.asarray(robot.tree.upperEffortLimit, dtype=float)
+    joints = []
+    for j, name in enumerate(robot.joints):
+        limit = float(limits[j])
+        steps = (1.0e-6, 1.0e-4, 2.0 * limit / 4096 if limit < 1e6 else 0.0)
+        joints.append(JointController(name, *(float(gain[j]) for gain in gains), *steps, limit))
+    return CS8(tuple(joints))
+
+
+def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
+    """Read a controller file; without one, the RX90B's (``urdf/cs8.toml``).
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and the key.
+    """
+    path = robots_folder() / "cs8.toml" if source is None else Path(source)
+    try:
+        with path.open("rb") as file:
+            table = tomllib.load(file)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such controller file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    entries = table.pop("joint", [])
+    if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
+        raise ValueError(f"{path}: key 'joint' is missing; expected one [[joint]] table a joint")
+    settings = [f.name for f in dataclasses.fields(CS8) if f.name != "joints"]
+    numbers = _numbers(table, settings, [], str(path))
+    fields = [f.name for f in dataclasses.fields(JointController) if f.name != "name"]
+    joints = []
+    for i, entry in enumerate(entries, start=1):
+        where = f"{path}: joint {i}"
+        name = entry.pop("name", None)
+        if not isinstance(name, str):
+            raise ValueError(f"{where}: name is {name!r}; expected a joint's name")
+        joints.append(JointController(name, **_numbers(entry, fields, fields, f"{where} ({name})")))
+    try:
+        return CS8(tuple(joints), **numbers)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str], where: str) -> dict[str, float]:
+    for key, value in table.items():
+        if key not in allowed:
+            raise ValueError(f"{where}: unknown key {key!r}; {close_match(key, allowed)}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+            raise ValueError(f"{where}: {key} is {value!r}; expected a number of 0 or more")
+    for key in needed:
+        if key not in table:
+            raise ValueError(f"{where}: key {key!r} is missing")
+    return {key: float(value) for key, value in table.items()}
+
+
+def save_cs8(controller: CS8, path: str | os.PathLike[str]) -> None:
+    """Write a controller file that `load_cs8` reads back as the same controller."""
+    lines = [
+        f"{f.name} = {getattr(controller, f.name)!r}" for f in dataclasses.fields(CS8) if f.name != "joints"
+    ]
+    for joint in controller.joints:
+        lines += ["", "[[joint]]", f'name = "{joint.name}"']
+        lines += [f"{k} = {v!r}" for k, v in dataclasses.asdict(joint).items() if k != "name"]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,188 @@
+"""Compiled sampling loop: controller, current loop, checks and log around the integrator, for lanes of runs."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.kernels import Integers, compiled, first_stage, second_stage
+
+RUNNING, OVERLOAD, ANGLE_LIMIT, OVERSPEED, DIVERGED = range(5)
+
+
+class Loop(NamedTuple):
+    """The controller in numbers, one a joint unless said otherwise."""
+
+    drive: Integers  # (joints,) coordinate of each drive
+    period: float  # s
+    substeps: int  # steps of the integrator a period
+    position_gain: Array  # N m/rad
+    velocity_gain: Array  # N m s/rad
+    integral_gain: Array  # N m/(rad s)
+    position_step: Array  # rad, 0 for no quantisation
+    velocity_step: Array  # rad/s
+    torque_step: Array  # N m
+    torque_limit: Array  # N m
+    current_rate: Array  # 1/s, of the first-order current loop; 0 for an ideal one
+    overload_samples: int
+    lower: Array  # rad
+    upper: Array  # rad
+    speed: Array  # rad/s
+
+
+class Lanes(NamedTuple):
+    """State of all lanes between two samples."""
+
+    q: Array  # (lanes, n)
+    v: Array  # (lanes, n)
+    a: Array  # (lanes, n) of the last stage, where effects ask for it
+    integral: Array  # (lanes, joints) N m
+    current: Array  # (lanes, joints) N m, behind the current loop, now
+    held: Array  # (lanes, joints) N m, mean over the sample
+    overloaded: Integers  # (lanes, joints) samples at the limit without a break
+    lost: Array  # (lanes,) W, dissipated at the last step's start; NaN before the first
+    work: Array  # (lanes,) J
+    dissipated: Array  # (lanes,) J
+    status: Integers  # (lanes,)
+    joint: Integers  # (lanes,) where a lane ended
+    sample: Integers  # (lanes,) when
+
+
+class Inputs(NamedTuple):
+    """A chunk of inputs at the controller's rate."""
+
+    first: int  # number of the chunk's first sample
+    position: Array  # (lanes, samples, joints) rad, reference
+    velocity: Array  # (lanes, samples, joints) rad/s, reference
+    feedforward: Array  # (lanes, samples, joints) N m
+    position_noise: Array  # (lanes, samples, joints) rad; no samples where there is none
+    velocity_noise: Array  # (lanes, samples, joints) rad/s
+
+
+class Logs(NamedTuple):
+    """A chunk of logs: measured signals at the controller's rate, states every `stride` samples."""
+
+    stride: int
+    position: Array  # (lanes, samples, joints) rad
+    velocity: Array  # (lanes, samples, joints) rad/s
+    torque: Array  # (lanes, samples, joints) N m, mean over one period centred on the sample
+    q: Array  # (lanes, states, n)
+    v: Array  # (lanes, states, n)
+    work: Array  # (lanes, states) J
+    dissipated: Array  # (lanes, states) J
+
+
+@compiled
+def _rounded(x, step):  # type: ignore[no-untyped-def]
+    return x if step == 0.0 else step * math.floor(x / step + 0.5)
+
+
+@compiled
+def _end(lanes, lane, status, joint, sample):  # type: ignore[no-untyped-def]
+    lanes.status[lane] = status
+    lanes.joint[lane] = joint
+    lanes.sample[lane] = sample
+
+
+@compiled
+def _check(loop, lanes, lane, sample):  # type: ignore[no-untyped-def]
+    for i in range(lanes.q.shape[1]):
+        if not (math.isfinite(lanes.q[lane, i]) and math.isfinite(lanes.v[lane, i])):
+            _end(lanes, lane, DIVERGED, -1, sample)
+            return
+    for j in range(len(loop.drive)):
+        angle, speed = lanes.q[lane, loop.drive[j]], lanes.v[lane, loop.drive[j]]
+        if abs(speed) > loop.speed[j]:
+            _end(lanes, lane, OVERSPEED, j, sample)
+        elif angle < loop.lower[j] or angle > loop.upper[j]:
+            _end(lanes, lane, ANGLE_LIMIT, j, sample)
+        elif lanes.overloaded[lane, j] >= loop.overload_samples:
+            _end(lanes, lane, OVERLOAD, j, sample)
+
+
+@compiled
+def control(loop, lanes, inputs, logs, lane, k, torque):  # type: ignore[no-untyped-def]
+    """One sample of the controller for one lane: measure, command, current loop, log, check.
+
+    `torque` (n,) receives the drive torques that act until the next sample.
+    """
+    for j in range(len(loop.drive)):
+        i = loop.drive[j]
+        angle, speed = lanes.q[lane, i], lanes.v[lane, i]
+        if inputs.position_noise.shape[1] > 0:
+            angle += inputs.position_noise[lane, k, j]
+            speed += inputs.velocity_noise[lane, k, j]
+        angle, speed = _rounded(angle, loop.position_step[j]), _rounded(speed, loop.velocity_step[j])
+        error = inputs.position[lane, k, j] - angle
+        more = loop.integral_gain[j] * loop.period * error
+        command = loop.position_gain[j] * error + loop.velocity_gain[j] * (inputs.velocity[lane, k, j] - speed)
+        command += lanes.integral[lane, j] + more + inputs.feedforward[lane, k, j]
+        limit = loop.torque_limit[j]
+        if abs(command) > limit:
+            # the integrator waits, unless it would help out of the limit
+            if command * more < 0.0:
+                lanes.integral[lane, j] += more
+            command = math.copysign(limit, command)
+            lanes.overloaded[lane, j] += 1
+        else:
+            lanes.integral[lane, j] += more
+            lanes.overloaded[lane, j] = 0
+        command = _rounded(command, loop.torque_step[j])
+        before = lanes.held[lane, j]
+        if loop.current_rate[j] > 0.0:
+            x = loop.current_rate[j] * loop.period
+            missing = lanes.current[lane, j] - command
+            lanes.held[lane, j] = command - missing * math.expm1(-x) / x
+            lanes.current[lane, j] = command + missing * math.exp(-x)
+        else:
+            lanes.held[lane, j] = lanes.current[lane, j] = command
+        torque[i] = lanes.held[lane, j]
+        logs.position[lane, k, j], logs.velocity[lane, k, j] = angle, speed
+        logs.torque[lane, k, j] = 0.5 * (before + lanes.held[lane, j])
+    if k % logs.stride == 0:
+        at = k // logs.stride
+        for i in range(lanes.q.shape[1]):
+            logs.q[lane, at, i], logs.v[lane, at, i] = lanes.q[lane, i], lanes.v[lane, i]
+        logs.work[lane, at], logs.dissipated[lane, at] = lanes.work[lane], lanes.dissipated[lane]
+    _check(loop, lanes, lane, inputs.first + k)
+
+
+@compiled
+def begin(tree, laws, scratch, loop, extra, lanes, lane, torque):  # type: ignore[no-untyped-def]
+    """First stage of a step of one lane, with its share of work and dissipation."""
+    h = loop.period / loop.substeps
+    lost = first_stage(tree, laws, scratch, extra, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    # the trapezoidal rule joins steps: each start closes the step before
+    if not math.isnan(lanes.lost[lane]):
+        lanes.dissipated[lane] += 0.5 * h * (lanes.lost[lane] + lost)
+    lanes.lost[lane] = lost
+    for j in range(len(loop.drive)):
+        lanes.work[lane] -= torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+
+
+@compiled
+def finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque):  # type: ignore[no-untyped-def]
+    """Second stage of a step of one lane."""
+    h = loop.period / loop.substeps
+    second_stage(tree, laws, scratch, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    for j in range(len(loop.drive)):
+        lanes.work[lane] += torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+
+
+@compiled
+def run(tree, laws, scratch, loop, extra, lanes, inputs, logs, samples):  # type: ignore[no-untyped-def]
+    """Advance all running lanes by that many samples; every effect has a compiled law."""
+    torque = np.zeros(lanes.q.shape[1])
+    for lane in range(len(lanes.status)):
+        for k in range(samples):
+            if lanes.status[lane] != RUNNING:
+                break
+            control(loop, lanes, inputs, logs, lane, k, torque)
+            if lanes.status[lane] != RUNNING:
+                break
+            for _ in range(loop.substeps):
+                begin(tree, laws, scratch, loop, extra, lanes, lane, torque)
+                finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque)
