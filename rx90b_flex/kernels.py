@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numba
@@ -19,8 +20,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law import Law, LawFunction
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Motion
 
 # L-stable, and the smaller of the two error constants that (1 - 1/sqrt 2, 1 + 1/sqrt 2) give
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
@@ -115,15 +117,6 @@ def tree_of(model: pin.Model) -> Tree:
         inertia=np.ascontiguousarray(packed),
         gravity=np.array(model.gravity.linear, dtype=float),
     )
-
-
-def scratch_for(n: int, laws: int) -> Scratch:
-    """Working memory for n coordinates and that many laws."""
-    sizes: dict[str, tuple[int, ...]] = dict.fromkeys(("rotation", "inertia"), (n, 3, 3))
-    sizes |= dict.fromkeys(("axis", "arm", "spin", "turn", "lift", "force", "torque", "moment"), (n, 3))
-    sizes |= dict.fromkeys(("by_x", "by_rate", "late_by_x", "late_by_rate"), (laws,))
-    sizes |= {"out": (3,), "system": (n, n)}
-    return Scratch(**{name: np.zeros(sizes.get(name, (n,))) for name in Scratch._fields})
 
 
 # lower error bounds than IEEE's for the sum of two products, and nothing else: no reordering, so runs repeat to the bit
@@ -413,6 +406,47 @@ def mass_matrix(tree, s, out):  # type: ignore[no-untyped-def]
             _hang(s, i, parent, tree.shifted[i])
 
 
+_SCRATCH_MATRICES = 2 * 9 + 8 * 3 + 8  # numbers a coordinate, without the square matrix
+
+
+def scratch_size(n: int, laws: int) -> int:
+    """Numbers that `scratch_in` needs for n coordinates and that many laws."""
+    return _SCRATCH_MATRICES * n + n * n + 4 * laws + 3
+
+
+@compiled
+def scratch_in(memory, n, m):  # type: ignore[no-untyped-def]
+    """Working memory for n coordinates and m laws, laid out in a flat array."""
+    three, at = 3 * n, 27 * n + 15 * n
+    rows = at + 4 * m + 3 + n * n
+    return Scratch(
+        memory[: 9 * n].reshape((n, 3, 3)),
+        memory[9 * n : 12 * n].reshape((n, 3)),
+        memory[12 * n : 15 * n].reshape((n, 3)),
+        memory[15 * n : 18 * n].reshape((n, 3)),
+        memory[18 * n : 21 * n].reshape((n, 3)),
+        memory[21 * n : 24 * n].reshape((n, 3)),
+        memory[24 * n : 27 * n].reshape((n, 3)),
+        memory[27 * n : 30 * n].reshape((n, 3)),
+        memory[rows : rows + n],
+        memory[30 * n : 30 * n + three].reshape((n, 3)),
+        memory[33 * n : at].reshape((n, 3, 3)),
+        memory[at : at + m],
+        memory[at + m : at + 2 * m],
+        memory[at + 2 * m : at + 3 * m],
+        memory[at + 3 * m : at + 4 * m],
+        memory[at + 4 * m : at + 4 * m + 3],
+        memory[at + 4 * m + 3 : rows].reshape((n, n)),
+        memory[rows + n : rows + 2 * n],
+        memory[rows + 2 * n : rows + 3 * n],
+        memory[rows + 3 * n : rows + 4 * n],
+        memory[rows + 4 * n : rows + 5 * n],
+        memory[rows + 5 * n : rows + 6 * n],
+        memory[rows + 6 * n : rows + 7 * n],
+        memory[rows + 7 * n : rows + 8 * n],
+    )
+
+
 # ---- scalar laws --------------------------------------------------------------------------------------------
 
 
@@ -510,6 +544,7 @@ class Extra(NamedTuple):
     """What effects without a compiled law add at one stage, for each lane."""
 
     used: bool
+    lost: Array  # (lanes,) W, dissipated
     force: Array  # (lanes, n)
     inertia: Array  # (lanes, n, n)
     damping: Array  # (lanes, n, n)
@@ -518,7 +553,7 @@ class Extra(NamedTuple):
 
 def no_extra() -> Extra:
     """All effects have compiled laws."""
-    return Extra(False, np.zeros((1, 1)), *(np.zeros((1, 1, 1)) for _ in range(3)))
+    return Extra(False, np.zeros(1), np.zeros((1, 1)), *(np.zeros((1, 1, 1)) for _ in range(3)))
 
 
 @compiled
@@ -587,6 +622,7 @@ def first_stage(tree, laws, s, extra, lane, q, v, torque, h):  # type: ignore[no
     if extra.used:
         for i in range(n):
             s.right[i] -= h * extra.force[lane, i]
+        lost += extra.lost[lane]
         _add_dense(extra.stiffness, lane, -gh * h, v, s.right)
         _add_extra_to_system(extra, lane, gh, s.system)
         _factor_general(s.system)
@@ -634,3 +670,39 @@ def second_stage(tree, laws, s, extra, late_force, lane, q, v, torque, h):  # ty
     for i in range(n):
         q[i] += 1.5 * s.k_q[i] + 0.5 * (s.q[i] + gh * s.right[i])
         v[i] += 1.5 * s.k_v[i] + 0.5 * s.right[i]
+
+
+# ---- a robot --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A robot in arrays: its tree, the effects that have compiled laws, and those that do not.
+
+    Attributes
+    ----------
+    tree, laws : arrays
+    others : tuple of Effect
+        Asked for `force` and `derivatives` at each step.
+    """
+
+    tree: Tree
+    laws: Laws
+    others: tuple[Effect, ...]
+
+    def scratch(self, lanes: int) -> Array:
+        """Working memory, one row a lane."""
+        return np.zeros((lanes, scratch_size(len(self.tree.parent), len(self.laws.inertia))))
+
+
+def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion) -> Plant:
+    """The arrays of a model and its effects; `motion` is any sample."""
+    laws: list[Law] = []
+    others = []
+    for effect in effects:
+        own = effect.laws(motion)
+        if own is None:
+            others.append(effect)
+        else:
+            laws += own
+    return Plant(tree_of(model), laws_of(laws, model.nv), tuple(others))

@@ -51,8 +51,8 @@ def test_74_of_the_78_columns_are_independent_and_the_rest_are_masses_at_hinges(
 
     - The mass of link 1: all three of its axes go through its node, which stays where it is.
     - A point mass at the hinge of joint k = 2, 3, 4 turns with neither link k-1 nor link k about that hinge, so it may
-      belong to either: link_k.mass against link_(k-1)'s mass, s and J of a point mass at the hinge. Joint 4's hinge is at
-      joint 3's, so there it is link_4.mass against link_3.mass alone.
+      belong to either: link_k.mass against link_(k-1)'s mass, s and J of a point mass at the hinge. Joint 4's hinge is
+      at joint 3's, so there it is link_4.mass against link_3.mass alone.
 
     The source finds 59 essential parameters: its motion is small in many of the remaining 74 directions.
     """
@@ -137,7 +137,7 @@ WRIST = 9.81 * 3.0 * 0.5  # N m: wrist and tool
     "name, forearm", [("rx90b_4dof", FOREARM), ("rx90b", FOREARM + WRIST), ("rx90b_rigid", FOREARM + WRIST)]
 )
 def test_the_gravity_spring_removes_what_turns_with_joint_2_alone_and_leaves_the_forearm(name, forearm):
-    """Over joint 2's range. The forearm's part turns with joint_2 + joint_3: with joint 3 at 180 degrees it has changed sign."""
+    """Over joint 2's range. The forearm's part turns with joint_2 + joint_3: it changes sign as joint 3 folds over."""
     robot = load_robot(name).rigid()
     second, third = (robot.coordinates.index(f"joint_{j}:drive") for j in (2, 3))
     q = np.zeros((97, robot.model.nv))

@@ -265,8 +265,6 @@ class Search:
                 here = [e for e in self.model.effects if e.place == effect.place]
                 if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
                     continue
-                if not set(cls.needs) <= {e.type_name() for e in here}:
-                    continue
                 if any(type(e) is cls and not cls.repeats for e in here):
                     continue
                 if any(cls.type_name() in e.replaces for e in here):

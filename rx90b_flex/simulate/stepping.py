@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.kernels import Integers, compiled, first_stage, second_stage
+from rx90b_flex.kernels import Integers, compiled, first_stage, scratch_in, second_stage
 
 RUNNING, OVERLOAD, ANGLE_LIMIT, OVERSPEED, DIVERGED = range(5)
 
@@ -173,16 +173,60 @@ def finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque):  # type
 
 
 @compiled
-def run(tree, laws, scratch, loop, extra, lanes, inputs, logs, samples):  # type: ignore[no-untyped-def]
+def run(tree, laws, memory, loop, extra, lanes, inputs, logs, samples):  # type: ignore[no-untyped-def]
     """Advance all running lanes by that many samples; every effect has a compiled law."""
-    torque = np.zeros(lanes.q.shape[1])
+    n = lanes.q.shape[1]
+    torque = np.zeros(n)
+    scratch = scratch_in(memory[0], n, len(laws.inertia))
     for lane in range(len(lanes.status)):
         for k in range(samples):
-            if lanes.status[lane] != RUNNING:
-                break
-            control(loop, lanes, inputs, logs, lane, k, torque)
+            if lanes.status[lane] == RUNNING:
+                control(loop, lanes, inputs, logs, lane, k, torque)
             if lanes.status[lane] != RUNNING:
                 break
             for _ in range(loop.substeps):
                 begin(tree, laws, scratch, loop, extra, lanes, lane, torque)
                 finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque)
+
+
+# The same, one part of a step at a time, for effects that Python works out in between.
+
+
+@compiled
+def control_all(loop, lanes, inputs, logs, k, torque):  # type: ignore[no-untyped-def]
+    """`control` of all running lanes; `torque` (lanes, n)."""
+    for lane in range(len(lanes.status)):
+        if lanes.status[lane] == RUNNING:
+            control(loop, lanes, inputs, logs, lane, k, torque[lane])
+
+
+@compiled
+def begin_all(tree, laws, memory, loop, extra, lanes, torque, q, v):  # type: ignore[no-untyped-def]
+    """`begin` of all running lanes; `q`, `v` and `lanes.a` receive the points where the second stage wants its forces."""
+    n = lanes.q.shape[1]
+    for lane in range(len(lanes.status)):
+        if lanes.status[lane] == RUNNING:
+            scratch = scratch_in(memory[lane], n, len(laws.inertia))
+            begin(tree, laws, scratch, loop, extra, lanes, lane, torque[lane])
+            q[lane], v[lane], lanes.a[lane] = scratch.q, scratch.v, scratch.a
+
+
+@compiled
+def finish_all(tree, laws, memory, loop, extra, late, lanes, torque):  # type: ignore[no-untyped-def]
+    """`finish` of all running lanes."""
+    for lane in range(len(lanes.status)):
+        if lanes.status[lane] == RUNNING:
+            scratch = scratch_in(memory[lane], lanes.q.shape[1], len(laws.inertia))
+            finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque[lane])
+
+
+@compiled
+def decimate(buffer, weights, stride, out):  # type: ignore[no-untyped-def]
+    """Every `stride`-th sample of a filtered signal: buffer (lanes, samples, channels), out (lanes, outputs, channels)."""
+    for lane in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            for c in range(out.shape[2]):
+                out[lane, k, c] = 0.0
+            for t in range(len(weights)):
+                for c in range(out.shape[2]):
+                    out[lane, k, c] += weights[t] * buffer[lane, k * stride + t, c]
