@@ -3,6 +3,7 @@
 from importlib.metadata import PackageNotFoundError, version
 
 from rx90b_flex.diagnose.close import ClosedLoop, close_loop
+from rx90b_flex.identify.inverse_eigenvalue import DriveParameters, drive_parameters
 from rx90b_flex.robot import Robot, load_robot
 
 try:
@@ -10,4 +11,4 @@ try:
 except PackageNotFoundError:  # a source tree that is not installed
     __version__ = "0+unknown"
 
-__all__ = ["ClosedLoop", "Robot", "__version__", "close_loop", "load_robot"]
+__all__ = ["ClosedLoop", "DriveParameters", "Robot", "__version__", "close_loop", "drive_parameters", "load_robot"]

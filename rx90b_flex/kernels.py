@@ -122,9 +122,7 @@ def tree_of(model: pin.Model) -> Tree:
 # lower error bounds than IEEE's for the sum of two products, and nothing else: no reordering, so runs repeat to the bit
 compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
 
-LAW_SIGNATURE = types.void(
-    types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64)
-)
+LAW_SIGNATURE = types.void(types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64))
 
 
 @functools.cache
@@ -145,7 +143,9 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
         place[m, : len(port)] = port
         weight[m, : len(port)] = law.port[port]
         parameters[m, : len(law.parameters)] = law.parameters
-    linear = (np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness"))
+    linear = (
+        np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness")
+    )
     address = [0 if law.function is None else int(compiled_law(law.function).address) for law in laws]
     stores = [law.stores for law in laws]
     return Laws(place, weight, *linear, np.array(address, np.int64), np.array(stores, np.int64), parameters)

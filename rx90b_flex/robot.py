@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +19,9 @@ from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.joint_angles import JointAngleDynamics
 from rx90b_flex.linearize import Linearization, linearize
+
+if TYPE_CHECKING:
+    from rx90b_flex.kernels import Plant
 
 LINK_PARAMETERS = ("mass", "s_x", "s_y", "s_z", "J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")
 LINK_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
@@ -124,6 +127,14 @@ class Robot:
             if _is_intermediate(self.layout.names, joint - 1):
                 virtual_links.add(joint)
         return tuple((found[j], j) for j in range(1, self.model.njoints) if j not in virtual_links)
+
+    @cached_property
+    def plant(self) -> Plant:
+        """Tree and effects as arrays for compiled code, made once."""
+        from rx90b_flex.kernels import plant_of  # here, since loading the compiler takes half a second
+
+        rest = np.zeros(self.model.nv)
+        return plant_of(self.model, self.effects, self.motion(rest, rest, rest))
 
     # ---- parameters -------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from independent import TWO_JOINTS, ur10
 
@@ -97,8 +98,6 @@ def test_a_named_example_robot_is_the_tree_of_example_robot_data():
     assert robot.joints == tuple(model.names)[1:]
     rng = np.random.default_rng(0)
     q, v, a = rng.uniform(-1, 1, (3, 6))
-    import pinocchio as pin
-
     expected = pin.rnea(model, model.createData(), q, v, a)
     np.testing.assert_allclose(robot.inverse_dynamics(q, v, a), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
@@ -211,7 +210,7 @@ REFUSED = {
     ),
     "a power that is out of range": (
         effect("viscous_power_friction", joint='"elbow"', coefficient=1, power=5),
-        "power is 5; expected 0.1 to 3 -",
+        "power is 5; expected 0.1 to 3",
     ),
     "a Stribeck velocity of zero": (
         effect("stribeck_friction", joint='"elbow"', torque=1, velocity=0, power=1),

@@ -410,7 +410,7 @@ def effect_from_table(table: Mapping[str, Any], where: str, joints: Sequence[str
     types = catalogue()
     if "type" not in table:
         raise ValueError(f"{where}: key 'type' is missing")
-    if table["type"] not in types:
+    if not isinstance(table["type"], str) or table["type"] not in types:
         raise ValueError(f"{where}: unknown effect type {table['type']!r}; {close_match(str(table['type']), list(types))}")
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"

@@ -1,0 +1,44 @@
+"""The robot under its controller: trajectories, the CS8, closed-loop simulation."""
+
+from rx90b_flex.simulate.closed_loop import Noise, RawLog, Simulation, simulate, simulate_lanes, static_start
+from rx90b_flex.simulate.cs8 import (
+    CS8,
+    JointController,
+    design_cs8,
+    design_gains,
+    drive_compliance,
+    load_cs8,
+    rigid_inertia,
+    save_cs8,
+)
+from rx90b_flex.simulate.trajectories import (
+    Trajectory,
+    from_recording,
+    multisine,
+    sine_excitation,
+    square_wave,
+    straight_line,
+)
+
+__all__ = [
+    "CS8",
+    "JointController",
+    "Noise",
+    "RawLog",
+    "Simulation",
+    "Trajectory",
+    "design_cs8",
+    "design_gains",
+    "drive_compliance",
+    "from_recording",
+    "load_cs8",
+    "multisine",
+    "rigid_inertia",
+    "save_cs8",
+    "simulate",
+    "simulate_lanes",
+    "sine_excitation",
+    "square_wave",
+    "static_start",
+    "straight_line",
+]

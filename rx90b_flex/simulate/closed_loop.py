@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.kernels import Extra, Plant, no_extra
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording, Role
@@ -26,6 +27,8 @@ from rx90b_flex.simulate import stepping
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.stepping import Inputs, Lanes, Logs, Loop
 from rx90b_flex.simulate.trajectories import Trajectory
+
+Indices = NDArray[np.int64]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
 FILTER_ATTENUATION_DB = 80.0
@@ -184,9 +187,9 @@ def simulate(
     role: Role = "identification",
 ) -> Simulation:
     """One run of a robot under its controller: `simulate_lanes` with one lane."""
-    return simulate_lanes(
-        robot, controller, [trajectory], noise=noise, rng=rng, substeps=substeps, raw=raw, role=role
-    )[0]
+    return simulate_lanes(robot, controller, [trajectory], noise=noise, rng=rng, substeps=substeps, raw=raw, role=role)[
+        0
+    ]
 
 
 def simulate_lanes(
@@ -296,6 +299,93 @@ def static_start(robot: Robot, position: Array, velocity: Array) -> tuple[Array,
     return q, v, robot.input_matrix.T @ robot.inverse_dynamics(q, v, rest)
 
 
+class _Jump(NamedTuple):
+    """The last sample of a reference before it moves faster than the robot may."""
+
+    sample: int
+    joint: int
+    speed: float
+
+
+def _reference_jump(trajectory: Trajectory, speed: Array) -> _Jump | None:
+    steps = np.abs(np.diff(trajectory.position, axis=0)) * trajectory.rate_hz
+    rates = np.maximum(steps, np.abs(trajectory.velocity[1:]))
+    over = np.argwhere(rates > speed)
+    if len(over) == 0:
+        return None
+    sample, joint = int(over[0, 0]), int(over[0, 1])
+    return _Jump(sample, joint, float(rates[sample, joint]))
+
+
+def micro_interpolate(position: Array, velocity: Array, rows: Indices, up: int, rate_hz: float) -> tuple[Array, Array]:
+    """References between samples: the cubic that has position and velocity of both ends.
+
+    Parameters
+    ----------
+    position, velocity : array, shape (lanes, N, joints)
+    rows : intervals, each from its sample to the next; behind the last sample the reference goes on with its last velocity.
+    up : points an interval.
+
+    Returns
+    -------
+    position, velocity : array, shape (lanes, len(rows) * up, joints)
+    """
+    lanes, count, joints = position.shape
+    after = np.minimum(rows + 1, count - 1)
+    x0, v0, v1 = position[:, rows, None], velocity[:, rows, None] / rate_hz, velocity[:, after, None] / rate_hz
+    x1 = np.where((rows + 1 < count)[:, None, None], position[:, after, None], x0 + v0)
+    s = (np.arange(up) / up)[:, None]
+    # Hermite's form, in the unit interval
+    more = x1 - x0 - v0
+    bend = v1 - v0
+    x = x0 + v0 * s + (3.0 * more - bend) * s**2 + (bend - 2.0 * more) * s**3
+    v = v0 + 2.0 * (3.0 * more - bend) * s + 3.0 * (bend - 2.0 * more) * s**2
+    shape = lanes, len(rows) * up, joints
+    return np.ascontiguousarray(x.reshape(shape)), np.ascontiguousarray(rate_hz * v.reshape(shape))
+
+
+class _Decimator:
+    """The anti-alias filter before the log: linear phase, its delay taken out, fed chunk by chunk.
+
+    The ends are continued by the first and the last value.
+    """
+
+    def __init__(self, controller: CS8, stride: int) -> None:
+        width = FILTER_TRANSITION * controller.log_cutoff_hz / (0.5 * controller.controller_rate_hz)
+        taps, beta = signal.kaiserord(FILTER_ATTENUATION_DB, width)
+        self.half = -(-taps // 2 // stride) * stride
+        window = ("kaiser", beta)
+        rate = controller.controller_rate_hz
+        self.weights = signal.firwin(2 * self.half + 1, controller.log_cutoff_hz, window=window, fs=rate)
+        self.stride = stride
+        self.waiting: Array | None = None
+
+    def push(self, samples: Array) -> Array:
+        """Add (lanes, samples, channels), take what is ready, (lanes, outputs, channels)."""
+        if self.waiting is None:
+            self.waiting = np.repeat(samples[:, :1], self.half, axis=1)
+        buffer = np.concatenate([self.waiting, samples], axis=1)
+        ready = max(0, (buffer.shape[1] - len(self.weights)) // self.stride + 1)
+        out = np.zeros((buffer.shape[0], ready, buffer.shape[2]))
+        stepping.decimate(buffer, self.weights, self.stride, out)
+        self.waiting = np.ascontiguousarray(buffer[:, ready * self.stride :])
+        return out
+
+    def finish(self) -> Array:
+        """What the last samples still owe."""
+        assert self.waiting is not None
+        return self.push(np.repeat(self.waiting[:, -1:], self.half, axis=1))
+
+
+def _tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
+    data, tip = model.createData(), model.getFrameId(frame)
+    out = np.empty((len(q), 4, 4))
+    for k, row in enumerate(q):
+        pin.framesForwardKinematics(model, data, row)
+        out[k] = data.oMf[tip].homogeneous
+    return out
+
+
 # ---- the runner -------------------------------------------------------------------------------------------------
 
 
@@ -326,8 +416,8 @@ class _Runner:
         self.position = np.stack([t.position for t in job.trajectories])
         self.velocity = np.stack([t.velocity for t in job.trajectories])
         self.torque = np.stack([t.torque for t in job.trajectories])
-        self.lanes = self._start()
         self.jumps = [_reference_jump(t, self.loop.speed) for t in job.trajectories]
+        self.lanes = self._start()
 
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
@@ -340,6 +430,7 @@ class _Runner:
         q, v, torque = (np.stack(x) for x in zip(*found, strict=True))
         count, joints = torque.shape
         whole = [np.zeros(count, dtype=np.int64) for _ in range(3)]
+        jumps = [(self.samples, 0) if jump is None else (jump.sample * self.up, jump.joint) for jump in self.jumps]
         return Lanes(
             q=q,
             v=v,
@@ -354,6 +445,7 @@ class _Runner:
             status=whole[0],
             joint=whole[1],
             sample=whole[2],
+            stop=np.array(jumps, dtype=np.int64),
         )
 
     def run(self) -> list[Simulation]:
@@ -361,7 +453,7 @@ class _Runner:
         size = max(round(CHUNK_S * self.job.controller.controller_rate_hz) // (self.up * self.stride), 1)
         size *= self.up * self.stride
         joints = len(self.job.robot.joints)
-        filtered = _Decimator(self.job.controller, self.stride, len(self.lanes.status), 3 * joints)
+        filtered = _Decimator(self.job.controller, self.stride)
         states: list[tuple[Array, ...]] = []
         raw: list[Array] = []
         logged: list[Array] = []
@@ -384,7 +476,9 @@ class _Runner:
 
     def _inputs(self, first: int, samples: int) -> Inputs:
         rows = np.arange(first // self.up, (first + samples) // self.up)
-        position, velocity = micro_interpolate(self.position, self.velocity, rows, self.up, self.job.trajectories[0].rate_hz)
+        position, velocity = micro_interpolate(
+            self.position, self.velocity, rows, self.up, self.job.trajectories[0].rate_hz
+        )
         after = np.minimum(rows + 1, self.torque.shape[1] - 1)
         part = (np.arange(self.up) / self.up)[:, None]
         torque = self.torque[:, rows, None] * (1.0 - part) + self.torque[:, after, None] * part
@@ -428,32 +522,11 @@ class _Runner:
     # ---- advancing --------------------------------------------------------------------------------------
 
     def _advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        for first, last in self._stretches(inputs.first, samples):
-            part = inputs, logs
-            if (first, last) != (0, samples):
-                part = _rows(inputs, logs, first, last)
+        if self.plant.others:
+            self._advance_by_parts(inputs, logs, samples)
+        else:
             tree, laws = self.plant.tree, self.plant.laws
-            if self.plant.others:
-                self._advance_by_parts(*part, last - first)
-            else:
-                stepping.run(tree, laws, self.memory, self.loop, no_extra(), self.lanes, *part, last - first)
-            self._stop_at_jumps(inputs.first + last)
-
-    def _stretches(self, first: int, samples: int) -> list[tuple[int, int]]:
-        """Parts of a chunk between jumps of the references, from sample to sample."""
-        ends = {jump[0] * self.up - first for jump in self.jumps if jump is not None}
-        ends = {end for end in ends if 0 <= end < samples}
-        edges = sorted({0, samples, *ends})
-        return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)] if 0 not in ends else [
-            (0, 0),
-            *zip(edges[:-1], edges[1:], strict=True),
-        ]
-
-    def _stop_at_jumps(self, sample: int) -> None:
-        for lane, jump in enumerate(self.jumps):
-            if jump is not None and jump[0] * self.up == sample and self.lanes.status[lane] == stepping.RUNNING:
-                self.lanes.status[lane] = stepping.JUMP
-                self.lanes.joint[lane], self.lanes.sample[lane] = jump[1], sample
+            stepping.run(tree, laws, self.memory, self.loop, no_extra(), self.lanes, inputs, logs, samples)
 
     def _advance_by_parts(self, inputs: Inputs, logs: Logs, samples: int) -> None:
         """The loop of `stepping.run`, with the effects that have no compiled law asked for their forces in between."""
@@ -490,7 +563,7 @@ class _Runner:
             force += own
             for total, slope in zip(slopes, effect.derivatives(motion), strict=True):
                 total += slope
-            lost += _dissipated(effect, own, motion, still, robot)
+            lost += _dissipated(effect, own, motion, still)
         # the compiled step wants the part that does not depend on the acceleration
         force -= np.einsum("lij,lj->li", slopes[2], lanes.a)
         by_q, by_v, by_a = (np.ascontiguousarray(x) for x in slopes)
@@ -550,9 +623,9 @@ class _Runner:
             return f"{at} the motion diverged: coordinates are no longer finite"
         name, place = self.job.robot.joints[joint], int(self.loop.drive[joint])
         if status == stepping.JUMP:
-            speed = self.jumps[lane]
-            assert speed is not None
-            return f"{at} the reference of {name} jumps: {speed[2]:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
+            jump = self.jumps[lane]
+            assert jump is not None
+            return f"{at} the reference of {name} jumps: {jump.speed:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
         if status == stepping.OVERLOAD:
             held = 1e3 * self.job.controller.overload_time_s
             return f"{at} the torque of {name} has been at its limit of {self.loop.torque_limit[joint]:g} N m for {held:g} ms"
@@ -563,15 +636,16 @@ class _Runner:
         return f"{at} {name} is at {self.lanes.q[lane, place]:.4g} rad, outside its limits {limits}"
 
 
-def _rows(inputs: Inputs, logs: Logs, first: int, last: int) -> tuple[Inputs, Logs]:
-    """A stretch of a chunk, as views; it begins at a sample whose state is logged."""
-    sub = Inputs(inputs.first + first, *(np.ascontiguousarray(x[:, first:last]) for x in inputs[1:]))
-    del sub
-    raise NotImplementedError
+def _dissipated(effect: Effect, force: Array, motion: Motion, still: Motion) -> Array:
+    """Power that an effect without a compiled law takes out of the motion for good, shape (lanes,), W.
 
-
-def _dissipated(effect: Effect, force: Array, motion: object, still: object, robot: Robot) -> Array:
-    raise NotImplementedError
+    What it asks for beyond its force at rest (which its `potential` holds) and beyond what goes into kinetic energy.
+    """
+    if effect.part in ("links", "drives"):
+        return np.zeros(len(motion))
+    if not effect.needs_load:
+        force = effect.force(dataclasses.replace(motion, a=np.zeros_like(motion.a)))
+    return np.asarray(np.sum((force - effect.force(still)) * motion.v, axis=1))
 
 
 def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:

@@ -309,9 +309,7 @@ def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str
 
 def save_cs8(controller: CS8, path: str | os.PathLike[str]) -> None:
     """Write a controller file that `load_cs8` reads back as the same controller."""
-    lines = [
-        f"{f.name} = {getattr(controller, f.name)!r}" for f in dataclasses.fields(CS8) if f.name != "joints"
-    ]
+    lines = [f"{f.name} = {getattr(controller, f.name)!r}" for f in dataclasses.fields(CS8) if f.name != "joints"]
     for joint in controller.joints:
         lines += ["", "[[joint]]", f'name = "{joint.name}"']
         lines += [f"{k} = {v!r}" for k, v in dataclasses.asdict(joint).items() if k != "name"]

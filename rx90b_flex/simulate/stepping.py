@@ -10,7 +10,7 @@ import numpy as np
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.kernels import Integers, compiled, first_stage, scratch_in, second_stage
 
-RUNNING, OVERLOAD, ANGLE_LIMIT, OVERSPEED, DIVERGED = range(5)
+RUNNING, OVERLOAD, ANGLE_LIMIT, OVERSPEED, DIVERGED, JUMP = range(6)
 
 
 class Loop(NamedTuple):
@@ -49,6 +49,7 @@ class Lanes(NamedTuple):
     status: Integers  # (lanes,)
     joint: Integers  # (lanes,) where a lane ended
     sample: Integers  # (lanes,) when
+    stop: Integers  # (lanes, 2) sample at which a lane's reference jumps, and the joint
 
 
 class Inputs(NamedTuple):
@@ -101,6 +102,8 @@ def _check(loop, lanes, lane, sample):  # type: ignore[no-untyped-def]
             _end(lanes, lane, ANGLE_LIMIT, j, sample)
         elif lanes.overloaded[lane, j] >= loop.overload_samples:
             _end(lanes, lane, OVERLOAD, j, sample)
+    if sample >= lanes.stop[lane, 0]:
+        _end(lanes, lane, JUMP, lanes.stop[lane, 1], sample)
 
 
 @compiled
