@@ -27,13 +27,15 @@ Out = Annotated[Path, typer.Option("--out", help="Folder for the results; made i
 @contextmanager
 def _progress() -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error, with the present step as its text."""
+    console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description:<36}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=console,
         transient=True,
+        disable=not console.is_terminal,  # in a pipe it would leave an empty line
     )
     with bar:
         task = bar.add_task("reading", total=1.0)

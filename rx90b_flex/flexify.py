@@ -389,9 +389,11 @@ def moving_joints(urdf: yourdfpy.URDF) -> tuple[str, ...]:
 
 
 def neutral_position(urdf: yourdfpy.URDF, joint_name: str) -> float:
-    """Position (rad, m) at which a joint is held when it must not move: zero, or the limit nearest to zero.
+    """Position (rad, m) at which a joint is held when it must not move: zero, as pinocchio's neutral configuration.
 
-    A mimic joint follows its leader: multiplier times the leader's neutral position plus offset, whatever its limits.
+    Limits do not count: a joint whose range leaves zero out is held at zero all the same.
+
+    A mimic joint follows its leader: its offset, and so on up the chain, times each multiplier.
 
     Raises
     ------
@@ -407,11 +409,7 @@ def neutral_position(urdf: yourdfpy.URDF, joint_name: str) -> float:
             raise ValueError(f"mimic joints {', '.join(visited)} mimic each other in a circle")
         visited.append(joint.mimic.joint)
         joint = _joint(urdf, joint.mimic.joint)
-    neutral = 0.0
-    if joint.type in ("revolute", "prismatic") and joint.limit is not None:
-        lower, upper = _range(joint)
-        neutral = min(max(0.0, lower), upper)
-    return position + factor * neutral
+    return position
 
 
 def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:

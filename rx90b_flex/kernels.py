@@ -75,6 +75,8 @@ class Scratch(NamedTuple):
     mass: Array  # (n,) of everything that hangs on the joint
     moment: Array  # (n, 3)
     inertia: Array  # (n, 3, 3)
+    torques: Array  # (m,) of the laws
+    late_torques: Array  # (m,)
     by_x: Array  # (m,) slopes of the laws
     by_rate: Array  # (m,)
     late_by_x: Array  # (m,)
@@ -120,7 +122,7 @@ def tree_of(model: pin.Model) -> Tree:
 
 
 # lower error bounds than IEEE's for the sum of two products, and nothing else: no reordering, so runs repeat to the bit
-compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
+compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}, forceinline=True)
 
 LAW_SIGNATURE = types.void(types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64))
 
@@ -375,7 +377,9 @@ def _hang(s, i, parent, shifted):  # type: ignore[no-untyped-def]
 def mass_matrix(tree, s, out):  # type: ignore[no-untyped-def]
     """Mass matrix of the links, upper triangle, from the places and inertias that `inverse_dynamics` left behind."""
     n = len(tree.parent)
-    out[:, :] = 0.0
+    for i in range(n):
+        for k in range(i, n):
+            out[i, k] = 0.0
     for i in range(n - 1, -1, -1):
         parent = tree.parent[i]
         wx, wy, wz = s.axis[i, 0], s.axis[i, 1], s.axis[i, 2]
@@ -411,14 +415,14 @@ _SCRATCH_MATRICES = 2 * 9 + 8 * 3 + 8  # numbers a coordinate, without the squar
 
 def scratch_size(n: int, laws: int) -> int:
     """Numbers that `scratch_in` needs for n coordinates and that many laws."""
-    return _SCRATCH_MATRICES * n + n * n + 4 * laws + 3
+    return _SCRATCH_MATRICES * n + n * n + 6 * laws + 3
 
 
 @compiled
 def scratch_in(memory, n, m):  # type: ignore[no-untyped-def]
     """Working memory for n coordinates and m laws, laid out in a flat array."""
     three, at = 3 * n, 27 * n + 15 * n
-    rows = at + 4 * m + 3 + n * n
+    rows = at + 6 * m + 3 + n * n
     return Scratch(
         memory[: 9 * n].reshape((n, 3, 3)),
         memory[9 * n : 12 * n].reshape((n, 3)),
@@ -435,8 +439,10 @@ def scratch_in(memory, n, m):  # type: ignore[no-untyped-def]
         memory[at + m : at + 2 * m],
         memory[at + 2 * m : at + 3 * m],
         memory[at + 3 * m : at + 4 * m],
-        memory[at + 4 * m : at + 4 * m + 3],
-        memory[at + 4 * m + 3 : rows].reshape((n, n)),
+        memory[at + 4 * m : at + 5 * m],
+        memory[at + 5 * m : at + 6 * m],
+        memory[at + 6 * m : at + 6 * m + 3],
+        memory[at + 6 * m + 3 : rows].reshape((n, n)),
         memory[rows + n : rows + 2 * n],
         memory[rows + 2 * n : rows + 3 * n],
         memory[rows + 3 * n : rows + 4 * n],
@@ -467,8 +473,11 @@ def scatter(laws, m, torque, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def law_forces(laws, s, q, v, a, by_x, by_rate, out):  # type: ignore[no-untyped-def]
-    """Add the laws' generalised forces to `out`; their slopes go to `by_x` and `by_rate`. Returns the power that they dissipate, W."""
+def law_forces(laws, s, q, v, a, torques, by_x, by_rate, out):  # type: ignore[no-untyped-def]
+    """Add the laws' generalised forces to `out`; each law's torque and slopes to the other arrays.
+
+    Returns the power that they dissipate, W.
+    """
     lost = 0.0
     for m in range(len(laws.inertia)):
         x, rate = combine(laws, m, q), combine(laws, m, v)
@@ -482,6 +491,7 @@ def law_forces(laws, s, q, v, a, by_x, by_rate, out):  # type: ignore[no-untyped
             by_rate[m] += s.out[2]
             if not laws.stores[m]:
                 lost += s.out[0] * rate
+        torques[m] = torque
         scatter(laws, m, torque, out)
     return lost
 
@@ -504,10 +514,11 @@ def _add_laws_to_system(laws, s, by_rate, by_x, system):  # type: ignore[no-unty
 
 @compiled
 def factor(system):  # type: ignore[no-untyped-def]
-    """U with ``U.T diag(U)^-1 U = system`` in place, from the upper triangle of a symmetric matrix."""
+    """U of ``U.T diag(1 / d) U = system`` in place, from the upper triangle of a symmetric matrix; 1 / d on its diagonal."""
     n = len(system)
     for k in range(n):
         inverse = 1.0 / system[k, k]
+        system[k, k] = inverse
         for i in range(k + 1, n):
             scale = system[k, i] * inverse
             for j in range(i, n):
@@ -519,14 +530,14 @@ def solve(system, x):  # type: ignore[no-untyped-def]
     """Solve with what `factor` left, in place."""
     n = len(x)
     for k in range(n):
-        scale = x[k] / system[k, k]
+        x[k] *= system[k, k]
         for j in range(k + 1, n):
-            x[j] -= scale * system[k, j]
+            x[j] -= x[k] * system[k, j]
     for k in range(n - 1, -1, -1):
-        total = x[k]
+        total = 0.0
         for j in range(k + 1, n):
-            total -= system[k, j] * x[j]
-        x[k] = total / system[k, k]
+            total += system[k, j] * x[j]
+        x[k] -= total * system[k, k]
 
 
 # ---- one step of the integrator -----------------------------------------------------------------------------
@@ -610,9 +621,10 @@ def first_stage(tree, laws, s, extra, lane, q, v, torque, h):  # type: ignore[no
     `extra.force` is the effects' force less `extra.inertia` times the acceleration that it was taken at.
     """
     n, gh = len(q), GAMMA * h
-    s.a[:] = 0.0
+    for i in range(n):
+        s.a[i] = 0.0
     inverse_dynamics(tree, s, q, v, s.a, s.generalised)
-    lost = law_forces(laws, s, q, v, s.a, s.by_x, s.by_rate, s.generalised)
+    lost = law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
     mass_matrix(tree, s, s.system)
     _add_laws_to_system(laws, s, gh, gh * gh, s.system)
     for i in range(n):
@@ -628,7 +640,8 @@ def first_stage(tree, laws, s, extra, lane, q, v, torque, h):  # type: ignore[no
         _factor_general(s.system)
     else:
         factor(s.system)
-    s.k_v[:] = s.right
+    for i in range(n):
+        s.k_v[i] = s.right[i]
     if extra.used:
         _solve_general(s.system, s.k_v)
     else:
@@ -642,15 +655,36 @@ def first_stage(tree, laws, s, extra, lane, q, v, torque, h):  # type: ignore[no
 
 
 @compiled
+def _bend(laws, s, h):  # type: ignore[no-untyped-def]
+    """How far the laws' torques at y + k_1 are from where their slopes at y put them, as an angle that a step errs by, rad."""
+    most = 0.0
+    for m in range(len(laws.inertia)):
+        if laws.address[m] == 0:
+            continue
+        rate, x = combine(laws, m, s.k_v), combine(laws, m, s.k_q)
+        missed = s.late_torques[m] - laws.inertia[m] * combine(laws, m, s.a)
+        missed -= s.torques[m] + s.by_rate[m] * rate + s.by_x[m] * x
+        lightest = 0.0
+        for w in range(laws.place.shape[1]):
+            if laws.weight[m, w] != 0.0:  # inverse pivots: of the inertia that this coordinate turns, or more
+                lightest = max(lightest, s.system[laws.place[m, w], laws.place[m, w]])
+        most = max(most, abs(missed) * lightest)
+    return h * h * most
+
+
+@compiled
 def second_stage(tree, laws, s, extra, late_force, lane, q, v, torque, h):  # type: ignore[no-untyped-def]
-    """k_2, then q and v moved on by a step. `late_force` (lanes, n): the extra effects' force at y + k_1.
+    """k_2, then q and v moved on by a step. Returns how much the laws bend along it, rad.
+
+    `late_force` (lanes, n) is the extra effects' force at y + k_1.
 
     The accelerations at y + k_1 are asked for about k_1 / h: what remains of the mass matrix's change along the step is
     then of second order.
     """
     n, gh = len(q), GAMMA * h
     inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
-    law_forces(laws, s, s.q, s.v, s.a, s.late_by_x, s.late_by_rate, s.generalised)
+    law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
+    bend = _bend(laws, s, h)
     # right = h (u - f) - M k_1 - g h K r, with M k_1 from the first stage's equation and r = h v - 2 k_q
     for i in range(n):
         s.right[i] = h * (torque[i] - s.generalised[i]) - s.right[i]
@@ -670,6 +704,7 @@ def second_stage(tree, laws, s, extra, late_force, lane, q, v, torque, h):  # ty
     for i in range(n):
         q[i] += 1.5 * s.k_q[i] + 0.5 * (s.q[i] + gh * s.right[i])
         v[i] += 1.5 * s.k_v[i] + 0.5 * s.right[i]
+    return bend
 
 
 # ---- a robot --------------------------------------------------------------------------------------------------

@@ -515,7 +515,8 @@ def robots_folder() -> Path:
 
 def robot_names() -> tuple[str, ...]:
     """Names that `load_robot` knows."""
-    return tuple(sorted(p.stem for p in robots_folder().glob("*.toml")))
+    # a robot file names a URDF; the controller's file beside it does not
+    return tuple(sorted(p.stem for p in robots_folder().glob("*.toml") if "urdf" in _read_toml(p)))
 
 
 def load_robot(source: str | os.PathLike[str]) -> Robot:
@@ -535,6 +536,8 @@ def load_robot(source: str | os.PathLike[str]) -> Robot:
     text = str(source)
     if text.startswith("example-robot-data:"):
         return _from_urdf(text, text.split(":", 1)[1], None, "fitted")
+    if text in robot_names():  # before the files: a folder or file of that name must not hide the robot
+        return _from_file(robots_folder() / f"{text}.toml")
     path = Path(source)
     if path.suffix == ".toml":
         return _from_file(path)
@@ -542,8 +545,6 @@ def load_robot(source: str | os.PathLike[str]) -> Robot:
         raise ValueError(f"{path} is a folder; expected a robot file or a URDF")
     if path.suffix or path.exists():
         return _from_urdf(path, path.stem, None, "fitted")
-    if text in robot_names():
-        return _from_file(robots_folder() / f"{text}.toml")
     raise ValueError(f"unknown robot {text!r}: no such file, and {close_match(text, robot_names())}")
 
 

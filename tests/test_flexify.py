@@ -448,9 +448,9 @@ def test_a_mimic_joint_is_held_where_its_leaders_neutral_position_puts_it_and_sa
     normal = fx.normalise(urdf)
     assert fx.moving_joints(normal) == ("leader",)
     np.testing.assert_allclose(
-        joint_of(normal, "first").origin[:3, :3], pin.rpy.rpyToMatrix(0, 0, 2 * 0.5 + 0.1), atol=4 * EPS
+        joint_of(normal, "first").origin[:3, :3], pin.rpy.rpyToMatrix(0, 0, 0.1), atol=4 * EPS
     )
-    assert fx.neutral_position(urdf, "second") == -(2 * 0.5 + 0.1)
+    assert fx.neutral_position(urdf, "second") == -0.1
     assert [note.split(":")[0] for note in fx.normalisation_notes(urdf)] == [
         "joint 'first' mimics 'leader'",
         "joint 'second' mimics 'first'",
@@ -508,14 +508,11 @@ def test_locked_joints_give_pinocchios_reduced_model():
     )
 
 
-def test_a_joint_whose_limits_exclude_zero_is_held_at_the_nearer_limit():
-    urdf = example_robot("panda")  # its joint 4 ends at -0.0698 rad
-    position = fx.neutral_position(urdf, "panda_joint4")
-    assert position == joint_of(urdf, "panda_joint4").limit.upper < 0
+def test_joints_are_held_where_pinocchios_neutral_configuration_has_them_whatever_their_limits():
+    urdf = example_robot("panda")
+    assert joint_of(urdf, "panda_joint4").limit.upper < 0  # its range leaves zero out
     full, locked = model(urdf), model(fx.lock(urdf, ["panda_joint1"]))
-    q = np.zeros(full.nq)
-    for name in full.names[1:]:
-        q[full.joints[full.getJointId(name)].idx_q] = fx.neutral_position(urdf, name)
+    q = pin.neutral(full)
     data, locked_data = full.createData(), locked.createData()
     pin.framesForwardKinematics(full, data, q)
     pin.framesForwardKinematics(locked, locked_data, np.zeros(1))
@@ -526,10 +523,12 @@ def test_a_joint_whose_limits_exclude_zero_is_held_at_the_nearer_limit():
     )
 
 
-def test_a_prismatic_joint_is_locked_along_its_axis(read):
-    content = '<origin xyz="1 0 0"/><axis xyz="0 0 2"/><limit lower="0.5" upper="1" effort="1" velocity="1"/>'
-    urdf = read(robot(link("a"), link("b"), joint("slide", "a", "b", "prismatic", content)))
-    assert np.array_equal(joint_of(fx.lock(urdf, []), "slide").origin[:3, 3], [1, 0, 0.5])
+def test_a_prismatic_mimic_joint_is_locked_along_its_axis(read):
+    content = '<origin xyz="1 0 0"/><axis xyz="0 0 2"/><limit lower="0" upper="1" effort="1" velocity="1"/>'
+    follower = content + '<mimic joint="slide" offset="0.5"/>'
+    slides = [joint("slide", "a", "b", "prismatic", content), joint("follow", "b", "c", "prismatic", follower)]
+    urdf = read(robot(*(link(name) for name in "abc"), *slides))
+    assert np.array_equal(joint_of(fx.lock(urdf, []), "follow").origin[:3, 3], [1, 0, 0.5])
 
 
 def test_locking_keeps_the_origin_of_a_joint_at_zero_bit_for_bit():

@@ -1,11 +1,19 @@
-"""Claims about the robots of the source: table D.1's 78 parameters, table 5.1's frequencies, the gravity spring."""
+"""Claims about the robots of the source: table D.1's 78 parameters, table 5.1's frequencies, the gravity spring, and
+the flexible URDF that comes with them.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
+from pathlib import Path
 
-from rx90b_flex.robot import Robot, load_robot
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+from typer.testing import CliRunner
+
+from rx90b_flex.cli import app
+from rx90b_flex.robot import Robot, load_robot, robot_names, robots_folder
 
 # ---- table D.1 ----------------------------------------------------------------------------------------------
 
@@ -157,3 +165,58 @@ def test_the_gravity_spring_removes_what_turns_with_joint_2_alone_and_leaves_the
     print(f"the forearm's {np.abs(with_forearm).max():.1f} N m are left to the drives")
     assert np.abs(left).max() <= 0.05 * np.abs(alone).max()
     assert np.abs(with_forearm).max() == pytest.approx(forearm, rel=0.01)
+
+
+# ---- urdf/rx90b_flex.urdf ---------------------------------------------------------------------------------------
+
+FLEXIBLE_URDF = robots_folder() / "rx90b_flex.urdf"
+
+
+def test_the_command_writes_the_flexible_urdf_that_comes_with_the_package_byte_for_byte(tmp_path: Path):
+    """If it does not: ``rx90b-flex flexify rx90b --out urdf/rx90b_flex.urdf`` after a change of rx90b.urdf or .toml."""
+    out = tmp_path / "again.urdf"
+    result = CliRunner().invoke(app, ["flexify", "rx90b", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert out.read_bytes() == FLEXIBLE_URDF.read_bytes()
+
+
+def test_the_flexible_urdf_loads_in_pinocchio_as_the_model_of_the_robot():
+    assert pin.buildModelFromUrdf(str(FLEXIBLE_URDF)) == load_robot("rx90b").model
+
+
+def test_the_flexible_urdf_loads_in_yourdfpy_and_bends_where_it_should():
+    urdf = yourdfpy.URDF.load(str(FLEXIBLE_URDF))
+    assert urdf.validate()
+    virtual = [f"joint_{j}_{kind}" for j in range(1, 5) for kind in ("torsion", "bend_1", "bend_2")]
+    assert sorted(urdf.actuated_joint_names) == sorted([*load_robot("rx90b").joints, *virtual])
+    # joint_1's hinge is 0.1 m above the floor, the flange 1.305 m above that; bend_2 of an axis z is about y
+    urdf.update_cfg({"joint_1_bend_2": 0.01})
+    place = urdf.get_transform("tool0")[:3, 3]
+    np.testing.assert_allclose(place, [1.305 * np.sin(0.01), 0, 0.1 + 1.305 * np.cos(0.01)], rtol=0, atol=1e-12)
+
+
+def test_the_flexible_urdf_shows_in_meshcat():
+    visualizer = pytest.importorskip("pinocchio.visualize").MeshcatVisualizer
+    model = pin.buildModelFromUrdf(str(FLEXIBLE_URDF))
+    shapes = pin.buildGeomFromUrdf(model, str(FLEXIBLE_URDF), pin.GeometryType.VISUAL)
+    viewer = visualizer(model, shapes, shapes)
+    viewer.initViewer(open=False)
+    try:
+        viewer.loadViewerModel()
+        viewer.display(np.full(model.nq, 0.05))
+        shown = {viewer.getViewerNodeName(shape, pin.GeometryType.VISUAL) for shape in shapes.geometryObjects}
+    finally:
+        viewer.viewer.window.server_proc.kill()
+    assert len(shown) == sum(len(link.visuals) for link in yourdfpy.URDF.load(str(FLEXIBLE_URDF)).robot.links)
+    assert {name.split("/")[-1].rsplit("_", 1)[0] for name in shown} == {
+        "base_link",
+        *(f"link_{j}" for j in range(1, 7)),
+    }
+
+
+def test_the_flexible_urdf_is_no_robot_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A robot is a robot file: the bare tree would be a robot without springs at its hinges."""
+    monkeypatch.chdir(tmp_path)  # the checkout has a folder of that name
+    assert "rx90b_flex" not in robot_names()
+    with pytest.raises(ValueError, match="unknown robot 'rx90b_flex': no such file, and did you mean"):
+        load_robot("rx90b_flex")

@@ -161,5 +161,7 @@ def check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: is a file; expected a folder to write into")
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not existing.is_dir():
+        raise ValueError(f"{folder}: {existing} is a file; expected a folder to write into")
     if not os.access(existing, os.W_OK):
         raise ValueError(f"{folder}: {existing} cannot be written")

@@ -409,7 +409,7 @@ class _Fit:
         solution = fit_weighted(normal, self.prior, sigma)
         return float((normal.squares(solution.theta) / sigma**2).sum())
 
-    def refined(self, rounds: int = 25) -> _Fit:
+    def refined(self, rounds: int = 100) -> _Fit:
         """Gauss-Newton steps in the shape parameters, coefficients projected out (variable projection)."""
         fit = self
         if not len(self.shape):

@@ -542,6 +542,9 @@ class _Runner:
                 time = (inputs.first + k) * loop.period + sub * h
                 extra = self._extra(time)
                 stepping.begin_all(tree, laws, memory, loop, extra, lanes, torque, q, v)
+                if sub == 0 and k % logs.stride == 0:
+                    running = lanes.status == stepping.RUNNING
+                    logs.dissipated[running, k // logs.stride] = lanes.dissipated[running]
                 late = self._force(q, v, lanes.a, time + h)
                 stepping.finish_all(tree, laws, memory, loop, extra, late, lanes, torque)
 
@@ -662,7 +665,8 @@ def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:
         velocity_step=controller.column("velocity_step"),
         torque_step=controller.column("torque_step"),
         torque_limit=controller.column("torque_limit"),
-        current_rate=np.full(len(controller.joints), 2.0 * np.pi * controller.current_bandwidth_hz),
+        current_mean=controller.current_loop[0],
+        current_left=controller.current_loop[1],
         overload_samples=max(1, round(controller.overload_time_s * controller.controller_rate_hz)),
         lower=np.array(tree.lowerPositionLimit, dtype=float),
         upper=np.array(tree.upperPositionLimit, dtype=float),

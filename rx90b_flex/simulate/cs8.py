@@ -130,10 +130,11 @@ class CS8:
         hold = (1.0 - 1.0 / z) / (s * self.period)
         if self.current_bandwidth_hz == 0.0:
             return hold
-        mean, decay = self._current()
+        mean, decay = self.current_loop
         return hold * ((1.0 - mean) + mean * (1.0 - decay) / (z - decay))
 
-    def _current(self) -> tuple[float, float]:
+    @property
+    def current_loop(self) -> tuple[float, float]:
         """Share of the old current in a sample's mean, and what is left of it at the sample's end."""
         if self.current_bandwidth_hz == 0.0:
             return 0.0, 0.0
@@ -173,7 +174,7 @@ class CS8:
         integrate = np.diag(own.column("integral_gain") * self.period)
         gain = np.hstack([np.diag(own.column("position_gain")) + integrate, np.diag(own.column("velocity_gain"))])
         pick = linalg.block_diag(b.T, b.T)
-        mean, decay = self._current()
+        mean, decay = self.current_loop
         one, nothing = np.eye(m), np.zeros((m, m))
         command = np.hstack([-gain @ pick, one, nothing])
         torque = (1.0 - mean) * command + mean * np.hstack([np.zeros((m, 2 * n + m)), one])

@@ -10,6 +10,7 @@ import numpy as np
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.kernels import Integers, compiled, first_stage, scratch_in, second_stage
 
+DIVISION = 8
 RUNNING, OVERLOAD, ANGLE_LIMIT, OVERSPEED, DIVERGED, JUMP = range(6)
 
 
@@ -19,6 +20,7 @@ class Loop(NamedTuple):
     drive: Integers  # (joints,) coordinate of each drive
     period: float  # s
     substeps: int  # steps of the integrator a period
+    tolerance: float  # rad; a step along which the laws bend more is divided
     position_gain: Array  # N m/rad
     velocity_gain: Array  # N m s/rad
     integral_gain: Array  # N m/(rad s)
@@ -26,7 +28,8 @@ class Loop(NamedTuple):
     velocity_step: Array  # rad/s
     torque_step: Array  # N m
     torque_limit: Array  # N m
-    current_rate: Array  # 1/s, of the first-order current loop; 0 for an ideal one
+    current_mean: float  # share of the old current in the mean of a sample; 0 for an ideal current loop
+    current_left: float  # what is left of the old current at the sample's end
     overload_samples: int
     lower: Array  # rad
     upper: Array  # rad
@@ -43,12 +46,13 @@ class Lanes(NamedTuple):
     current: Array  # (lanes, joints) N m, behind the current loop, now
     held: Array  # (lanes, joints) N m, mean over the sample
     overloaded: Integers  # (lanes, joints) samples at the limit without a break
-    lost: Array  # (lanes,) W, dissipated at the last step's start; NaN before the first
+    open: Array  # (lanes,) s, half the last step: what its end still adds to the dissipation, per W
     work: Array  # (lanes,) J
     dissipated: Array  # (lanes,) J
     status: Integers  # (lanes,)
     joint: Integers  # (lanes,) where a lane ended
     sample: Integers  # (lanes,) when
+    divided: Integers  # (lanes,) steps that were taken in `DIVISION` parts
     stop: Integers  # (lanes, 2) sample at which a lane's reference jumps, and the joint
 
 
@@ -135,13 +139,9 @@ def control(loop, lanes, inputs, logs, lane, k, torque):  # type: ignore[no-unty
             lanes.overloaded[lane, j] = 0
         command = _rounded(command, loop.torque_step[j])
         before = lanes.held[lane, j]
-        if loop.current_rate[j] > 0.0:
-            x = loop.current_rate[j] * loop.period
-            missing = lanes.current[lane, j] - command
-            lanes.held[lane, j] = command - missing * math.expm1(-x) / x
-            lanes.current[lane, j] = command + missing * math.exp(-x)
-        else:
-            lanes.held[lane, j] = lanes.current[lane, j] = command
+        missing = lanes.current[lane, j] - command
+        lanes.held[lane, j] = command + loop.current_mean * missing
+        lanes.current[lane, j] = command + loop.current_left * missing
         torque[i] = lanes.held[lane, j]
         logs.position[lane, k, j], logs.velocity[lane, k, j] = angle, speed
         logs.torque[lane, k, j] = 0.5 * (before + lanes.held[lane, j])
@@ -149,38 +149,55 @@ def control(loop, lanes, inputs, logs, lane, k, torque):  # type: ignore[no-unty
         at = k // logs.stride
         for i in range(lanes.q.shape[1]):
             logs.q[lane, at, i], logs.v[lane, at, i] = lanes.q[lane, i], lanes.v[lane, i]
+        # the end of the last step's trapezoid is not known yet; `dissipated` is put right from `power` below
         logs.work[lane, at], logs.dissipated[lane, at] = lanes.work[lane], lanes.dissipated[lane]
     _check(loop, lanes, lane, inputs.first + k)
 
 
 @compiled
-def begin(tree, laws, scratch, loop, extra, lanes, lane, torque):  # type: ignore[no-untyped-def]
+def begin(tree, laws, scratch, loop, extra, lanes, lane, torque, h):  # type: ignore[no-untyped-def]
     """First stage of a step of one lane, with its share of work and dissipation."""
-    h = loop.period / loop.substeps
     lost = first_stage(tree, laws, scratch, extra, lane, lanes.q[lane], lanes.v[lane], torque, h)
-    # the trapezoidal rule joins steps: each start closes the step before
-    if not math.isnan(lanes.lost[lane]):
-        lanes.dissipated[lane] += 0.5 * h * (lanes.lost[lane] + lost)
-    lanes.lost[lane] = lost
+    # the trapezoidal rule: each step's start closes the step before
+    lanes.dissipated[lane] += lanes.open[lane] * lost + 0.5 * h * lost
+    lanes.open[lane] = 0.5 * h
     for j in range(len(loop.drive)):
         lanes.work[lane] -= torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+    return lost
 
 
 @compiled
-def finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque):  # type: ignore[no-untyped-def]
+def finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque, h):  # type: ignore[no-untyped-def]
     """Second stage of a step of one lane."""
-    h = loop.period / loop.substeps
-    second_stage(tree, laws, scratch, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    bend = second_stage(tree, laws, scratch, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h)
     for j in range(len(loop.drive)):
         lanes.work[lane] += torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+    return bend
+
+
+@compiled
+def _keep(lanes, lane, kept):  # type: ignore[no-untyped-def]
+    n = lanes.q.shape[1]
+    for i in range(n):
+        kept[i], kept[n + i] = lanes.q[lane, i], lanes.v[lane, i]
+    kept[2 * n], kept[2 * n + 1], kept[2 * n + 2] = lanes.work[lane], lanes.dissipated[lane], lanes.open[lane]
+
+
+@compiled
+def _put_back(lanes, lane, kept):  # type: ignore[no-untyped-def]
+    n = lanes.q.shape[1]
+    for i in range(n):
+        lanes.q[lane, i], lanes.v[lane, i] = kept[i], kept[n + i]
+    lanes.work[lane], lanes.dissipated[lane], lanes.open[lane] = kept[2 * n], kept[2 * n + 1], kept[2 * n + 2]
 
 
 @compiled
 def run(tree, laws, memory, loop, extra, lanes, inputs, logs, samples):  # type: ignore[no-untyped-def]
     """Advance all running lanes by that many samples; every effect has a compiled law."""
     n = lanes.q.shape[1]
-    torque = np.zeros(n)
+    torque, kept = np.zeros(n), np.zeros(2 * n + 3)
     scratch = scratch_in(memory[0], n, len(laws.inertia))
+    h = loop.period / loop.substeps
     for lane in range(len(lanes.status)):
         for k in range(samples):
             if lanes.status[lane] == RUNNING:
@@ -188,8 +205,15 @@ def run(tree, laws, memory, loop, extra, lanes, inputs, logs, samples):  # type:
             if lanes.status[lane] != RUNNING:
                 break
             for _ in range(loop.substeps):
-                begin(tree, laws, scratch, loop, extra, lanes, lane, torque)
-                finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque)
+                _keep(lanes, lane, kept)
+                begin(tree, laws, scratch, loop, extra, lanes, lane, torque, h)
+                bend = finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque, h)
+                if bend > loop.tolerance:
+                    lanes.divided[lane] += 1
+                    _put_back(lanes, lane, kept)
+                    for _ in range(DIVISION):
+                        begin(tree, laws, scratch, loop, extra, lanes, lane, torque, h / DIVISION)
+                        finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque, h / DIVISION)
 
 
 # The same, one part of a step at a time, for effects that Python works out in between.
@@ -204,23 +228,25 @@ def control_all(loop, lanes, inputs, logs, k, torque):  # type: ignore[no-untype
 
 
 @compiled
-def begin_all(tree, laws, memory, loop, extra, lanes, torque, q, v):  # type: ignore[no-untyped-def]
+def begin_all(tree, laws, memory, loop, extra, lanes, torque, h, q, v):  # type: ignore[no-untyped-def]
     """`begin` of all running lanes; `q`, `v` and `lanes.a` receive the points where the second stage wants its forces."""
     n = lanes.q.shape[1]
     for lane in range(len(lanes.status)):
         if lanes.status[lane] == RUNNING:
             scratch = scratch_in(memory[lane], n, len(laws.inertia))
-            begin(tree, laws, scratch, loop, extra, lanes, lane, torque[lane])
+            begin(tree, laws, scratch, loop, extra, lanes, lane, torque[lane], h)
             q[lane], v[lane], lanes.a[lane] = scratch.q, scratch.v, scratch.a
 
 
 @compiled
-def finish_all(tree, laws, memory, loop, extra, late, lanes, torque):  # type: ignore[no-untyped-def]
-    """`finish` of all running lanes."""
+def finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h):  # type: ignore[no-untyped-def]
+    """`finish` of all running lanes; returns the largest bend."""
+    bend = 0.0
     for lane in range(len(lanes.status)):
         if lanes.status[lane] == RUNNING:
             scratch = scratch_in(memory[lane], lanes.q.shape[1], len(laws.inertia))
-            finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque[lane])
+            bend = max(bend, finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque[lane], h))
+    return bend
 
 
 @compiled
