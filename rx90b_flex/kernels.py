@@ -1,8 +1,8 @@
-"""Compiled dynamics of a tree: inverse dynamics, mass matrix, scalar laws and one step of the integrator.
+"""Compiled code: dynamics of a tree, scalar laws, the integrator's step, and the sampling loop around it.
 
-Newton-Euler in world axes about the joints' own origins. The virtual hinges of a flexible joint share their origin and carry no
-mass, so that most of a flexible tree costs one plane rotation a hinge. Everything here is for one lane (one run); the callers
-loop over lanes. Nothing here knows of robots or effects: only of arrays.
+Newton-Euler in world axes about the joints' own origins. The virtual hinges of a flexible joint share their origin and
+carry no mass, so that most of a flexible tree costs one plane rotation a hinge. Everything here is for one lane (one
+run); the callers loop over lanes. Nothing here knows of robots or effects: only of arrays.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numba
@@ -49,7 +50,9 @@ class Tree(NamedTuple):
 
 
 class Laws(NamedTuple):
-    """Torques that depend on one combination of the coordinates, x = sum of weight * q: linear part and compiled law."""
+    """Torques that depend on one combination of the coordinates, x = sum of weight * q: linear part and compiled
+    law.
+    """
 
     place: Integers  # (m, w) coordinates of the combination
     weight: Array  # (m, w) zero where there are fewer
@@ -121,16 +124,19 @@ def tree_of(model: pin.Model) -> Tree:
     )
 
 
-# lower error bounds than IEEE's for the sum of two products, and nothing else: no reordering, so runs repeat to the bit
+# Forced inline: a call would copy the hundreds of words that describe these arrays. No reordering of sums: runs repeat
+# to the bit. The cache on disk knows a function's own file alone, so all functions that call each other stand in this
+# one.
 compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"}, forceinline=True)
 
-LAW_SIGNATURE = types.void(types.float64, types.float64, types.CPointer(types.float64), types.CPointer(types.float64))
+_NUMBERS = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+LAW_SIGNATURE = types.void(types.float64, types.float64, _NUMBERS, _NUMBERS)
 
 
 @functools.cache
 def compiled_law(function: LawFunction) -> Any:
     """A law of an effect as a C function; its `address` is good as long as the process lives."""
-    return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)  # type: ignore[no-untyped-call]
+    return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)
 
 
 def laws_of(laws: Sequence[Law], n: int) -> Laws:
@@ -145,12 +151,21 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
         place[m, : len(port)] = port
         weight[m, : len(port)] = law.port[port]
         parameters[m, : len(law.parameters)] = law.parameters
-    linear = (
+    inertia, damping, stiffness = (
         np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness")
     )
     address = [0 if law.function is None else int(compiled_law(law.function).address) for law in laws]
     stores = [law.stores for law in laws]
-    return Laws(place, weight, *linear, np.array(address, np.int64), np.array(stores, np.int64), parameters)
+    return Laws(
+        place,
+        weight,
+        inertia,
+        damping,
+        stiffness,
+        np.array(address, dtype=np.int64),
+        np.array(stores, dtype=np.int64),
+        parameters,
+    )
 
 
 @intrinsic
@@ -514,7 +529,9 @@ def _add_laws_to_system(laws, s, by_rate, by_x, system):  # type: ignore[no-unty
 
 @compiled
 def factor(system):  # type: ignore[no-untyped-def]
-    """U of ``U.T diag(1 / d) U = system`` in place, from the upper triangle of a symmetric matrix; 1 / d on its diagonal."""
+    """U of ``U.T diag(1 / d) U = system`` in place, from the upper triangle of a symmetric matrix; 1 / d on its
+    diagonal.
+    """
     n = len(system)
     for k in range(n):
         inverse = 1.0 / system[k, k]
@@ -540,15 +557,36 @@ def solve(system, x):  # type: ignore[no-untyped-def]
         x[k] -= total * system[k, k]
 
 
+@compiled
+def accelerations(tree, laws, memory, drive, q, v, drive_torque):  # type: ignore[no-untyped-def]
+    """Accelerations under drive torques; not finite where the mass matrix is singular."""
+    n = len(q)
+    out = np.zeros(n)
+    s = scratch_in(memory, n, len(laws.inertia))
+    for i in range(n):
+        s.a[i] = 0.0
+    inverse_dynamics(tree, s, q, v, s.a, s.generalised)
+    law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
+    mass_matrix(tree, s, s.system)
+    _add_laws_to_system(laws, s, 0.0, 0.0, s.system)
+    for j in range(len(drive)):
+        out[drive[j]] = drive_torque[j]
+    for i in range(n):
+        out[i] -= s.generalised[i]
+    factor(s.system)
+    solve(s.system, out)
+    return out
+
+
 # ---- one step of the integrator -----------------------------------------------------------------------------
 #
 # Verwer's two-stage Rosenbrock-W method ROS2 on y = (q, v), y' = F(y):
 #
 #   (1 - g h J) k_1 = h F(y),   (1 - g h J) k_2 = h F(y + k_1) - 2 k_1,   y <- y + 3/2 k_1 + 1/2 k_2
 #
-# Second order for any J, L-stable for the true J. J here holds what is stiff (mass matrix, slopes of the effects) and leaves out
-# the slow rest (how gravity and Coriolis forces change along a step). With M a = u - f(q, v), D = df/dv and K = df/dq, eliminating
-# the positions leaves one system of n equations a step, A = M + g h D + (g h)^2 K.
+# Second order for any J, L-stable for the true J. J here holds what is stiff (mass matrix, slopes of the effects) and
+# leaves out the slow rest (how gravity and Coriolis forces change along a step). With M a = u - f(q, v), D = df/dv and
+# K = df/dq, eliminating the positions leaves one system of n equations a step, A = M + g h D + (g h)^2 K.
 
 
 class Extra(NamedTuple):
@@ -591,10 +629,11 @@ def _add_extra_to_system(extra, lane, gh, system):  # type: ignore[no-untyped-de
 
 @compiled
 def _factor_general(system):  # type: ignore[no-untyped-def]
-    """L and U in place; no pivots, since inertia outweighs what makes the matrix unsymmetric."""
+    """L and U in place, 1 / U_kk on the diagonal; no pivots: inertia outweighs what makes the matrix unsymmetric."""
     n = len(system)
     for k in range(n):
         inverse = 1.0 / system[k, k]
+        system[k, k] = inverse
         for i in range(k + 1, n):
             scale = system[i, k] * inverse
             system[i, k] = scale
@@ -611,7 +650,7 @@ def _solve_general(system, x):  # type: ignore[no-untyped-def]
     for i in range(n - 1, -1, -1):
         for j in range(i + 1, n):
             x[i] -= system[i, j] * x[j]
-        x[i] /= system[i, i]
+        x[i] *= system[i, i]
 
 
 @compiled
@@ -656,7 +695,9 @@ def first_stage(tree, laws, s, extra, lane, q, v, torque, h):  # type: ignore[no
 
 @compiled
 def _bend(laws, s, h):  # type: ignore[no-untyped-def]
-    """How far the laws' torques at y + k_1 are from where their slopes at y put them, as an angle that a step errs by, rad."""
+    """How far the laws' torques at y + k_1 are from where their slopes at y put them, as an angle that a step errs by,
+    rad.
+    """
     most = 0.0
     for m in range(len(laws.inertia)):
         if laws.address[m] == 0:
@@ -707,16 +748,279 @@ def second_stage(tree, laws, s, extra, late_force, lane, q, v, torque, h):  # ty
     return bend
 
 
+# ---- the sampling loop ----------------------------------------------------------------------------------------
+#
+# Controller, current loop, checks and log around the integrator. It stands in this file because the compiler's cache of
+# a function knows only the function's own file.
+
+DIVISION = 8
+RUNNING, OVERLOAD, ANGLE_LIMIT, OVERSPEED, DIVERGED, JUMP = range(6)
+
+
+class Loop(NamedTuple):
+    """The controller in numbers, one a joint unless said otherwise."""
+
+    drive: Integers  # (joints,) coordinate of each drive
+    period: float  # s
+    substeps: int  # steps of the integrator a period
+    tolerance: float  # rad; a step along which the laws bend more is divided
+    position_gain: Array  # N m/rad
+    velocity_gain: Array  # N m s/rad
+    integral_gain: Array  # N m/(rad s)
+    position_step: Array  # rad, 0 for no quantisation
+    velocity_step: Array  # rad/s
+    torque_step: Array  # N m
+    torque_limit: Array  # N m
+    current_mean: float  # share of the old current in the mean of a sample; 0 for an ideal current loop
+    current_left: float  # what is left of the old current at the sample's end
+    overload_samples: int
+    lower: Array  # rad
+    upper: Array  # rad
+    speed: Array  # rad/s
+
+
+class Lanes(NamedTuple):
+    """State of all lanes between two samples."""
+
+    q: Array  # (lanes, n)
+    v: Array  # (lanes, n)
+    a: Array  # (lanes, n) of the last stage, where effects ask for it
+    integral: Array  # (lanes, joints) N m
+    current: Array  # (lanes, joints) N m, behind the current loop, now
+    held: Array  # (lanes, joints) N m, mean over the sample
+    overloaded: Integers  # (lanes, joints) samples at the limit without a break
+    open: Array  # (lanes,) s, half the last step: what its end still adds to the dissipation, per W
+    work: Array  # (lanes,) J
+    dissipated: Array  # (lanes,) J
+    status: Integers  # (lanes,)
+    joint: Integers  # (lanes,) where a lane ended
+    sample: Integers  # (lanes,) when
+    closed: Array  # (lanes,) J, dissipated up to the last step's start
+    divided: Integers  # (lanes,) steps that were taken in `DIVISION` parts
+    stop: Integers  # (lanes, 2) sample at which a lane's reference jumps, and the joint
+
+
+class Inputs(NamedTuple):
+    """A chunk of inputs at the controller's rate."""
+
+    first: int  # number of the chunk's first sample
+    position: Array  # (lanes, samples, joints) rad, reference
+    velocity: Array  # (lanes, samples, joints) rad/s, reference
+    feedforward: Array  # (lanes, samples, joints) N m
+    position_noise: Array  # (lanes, samples, joints) rad; no samples where there is none
+    velocity_noise: Array  # (lanes, samples, joints) rad/s
+
+
+class Logs(NamedTuple):
+    """A chunk of logs: measured signals at the controller's rate, states every `stride` samples."""
+
+    stride: int
+    position: Array  # (lanes, samples, joints) rad
+    velocity: Array  # (lanes, samples, joints) rad/s
+    torque: Array  # (lanes, samples, joints) N m, mean over one period centred on the sample
+    q: Array  # (lanes, states, n)
+    v: Array  # (lanes, states, n)
+    work: Array  # (lanes, states) J
+    dissipated: Array  # (lanes, states) J
+
+
+@compiled
+def _rounded(x, step):  # type: ignore[no-untyped-def]
+    return x if step == 0.0 else step * math.floor(x / step + 0.5)
+
+
+@compiled
+def _end(lanes, lane, status, joint, sample):  # type: ignore[no-untyped-def]
+    lanes.status[lane] = status
+    lanes.joint[lane] = joint
+    lanes.sample[lane] = sample
+
+
+@compiled
+def _check(loop, lanes, lane, sample):  # type: ignore[no-untyped-def]
+    for i in range(lanes.q.shape[1]):
+        if not (math.isfinite(lanes.q[lane, i]) and math.isfinite(lanes.v[lane, i])):
+            _end(lanes, lane, DIVERGED, -1, sample)
+            return
+    for j in range(len(loop.drive)):
+        angle, speed = lanes.q[lane, loop.drive[j]], lanes.v[lane, loop.drive[j]]
+        if abs(speed) > loop.speed[j]:
+            _end(lanes, lane, OVERSPEED, j, sample)
+        elif angle < loop.lower[j] or angle > loop.upper[j]:
+            _end(lanes, lane, ANGLE_LIMIT, j, sample)
+        elif lanes.overloaded[lane, j] >= loop.overload_samples:
+            _end(lanes, lane, OVERLOAD, j, sample)
+    if sample >= lanes.stop[lane, 0]:
+        _end(lanes, lane, JUMP, lanes.stop[lane, 1], sample)
+
+
+@compiled
+def control(loop, lanes, inputs, logs, lane, k, torque):  # type: ignore[no-untyped-def]
+    """One sample of the controller for one lane: measure, command, current loop, log, check.
+
+    `torque` (n,) receives the drive torques that act until the next sample.
+    """
+    for j in range(len(loop.drive)):
+        i = loop.drive[j]
+        angle, speed = lanes.q[lane, i], lanes.v[lane, i]
+        if inputs.position_noise.shape[1] > 0:
+            angle += inputs.position_noise[lane, k, j]
+            speed += inputs.velocity_noise[lane, k, j]
+        angle, speed = _rounded(angle, loop.position_step[j]), _rounded(speed, loop.velocity_step[j])
+        error = inputs.position[lane, k, j] - angle
+        more = loop.integral_gain[j] * loop.period * error
+        command = loop.position_gain[j] * error + loop.velocity_gain[j] * (inputs.velocity[lane, k, j] - speed)
+        command += lanes.integral[lane, j] + more + inputs.feedforward[lane, k, j]
+        limit = loop.torque_limit[j]
+        if abs(command) > limit:
+            # the integrator waits, unless it would help out of the limit
+            if command * more < 0.0:
+                lanes.integral[lane, j] += more
+            command = math.copysign(limit, command)
+            lanes.overloaded[lane, j] += 1
+        else:
+            lanes.integral[lane, j] += more
+            lanes.overloaded[lane, j] = 0
+        command = _rounded(command, loop.torque_step[j])
+        before = lanes.held[lane, j]
+        missing = lanes.current[lane, j] - command
+        lanes.held[lane, j] = command + loop.current_mean * missing
+        lanes.current[lane, j] = command + loop.current_left * missing
+        torque[i] = lanes.held[lane, j]
+        logs.position[lane, k, j], logs.velocity[lane, k, j] = angle, speed
+        logs.torque[lane, k, j] = 0.5 * (before + lanes.held[lane, j])
+    if k % logs.stride == 0:
+        at = k // logs.stride
+        for i in range(lanes.q.shape[1]):
+            logs.q[lane, at, i], logs.v[lane, at, i] = lanes.q[lane, i], lanes.v[lane, i]
+        # what the last step's end adds to the dissipation is known in the next `begin`, which logs it again
+        logs.work[lane, at], logs.dissipated[lane, at] = lanes.work[lane], lanes.dissipated[lane]
+    _check(loop, lanes, lane, inputs.first + k)
+
+
+@compiled
+def begin(tree, laws, scratch, loop, extra, lanes, lane, torque, h):  # type: ignore[no-untyped-def]
+    """First stage of a step of one lane, with its share of work and dissipation."""
+    lost = first_stage(tree, laws, scratch, extra, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    # the trapezoidal rule: each step's start closes the step before
+    lanes.closed[lane] = lanes.dissipated[lane] + lanes.open[lane] * lost
+    lanes.dissipated[lane] = lanes.closed[lane] + 0.5 * h * lost
+    lanes.open[lane] = 0.5 * h
+    for j in range(len(loop.drive)):
+        lanes.work[lane] -= torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+
+
+@compiled
+def finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque, h):  # type: ignore[no-untyped-def]
+    """Second stage of a step of one lane."""
+    bend = second_stage(tree, laws, scratch, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    for j in range(len(loop.drive)):
+        lanes.work[lane] += torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+    return bend
+
+
+@compiled
+def _keep(lanes, lane, kept):  # type: ignore[no-untyped-def]
+    n = lanes.q.shape[1]
+    for i in range(n):
+        kept[i], kept[n + i] = lanes.q[lane, i], lanes.v[lane, i]
+    kept[2 * n], kept[2 * n + 1], kept[2 * n + 2] = lanes.work[lane], lanes.dissipated[lane], lanes.open[lane]
+
+
+@compiled
+def _put_back(lanes, lane, kept):  # type: ignore[no-untyped-def]
+    n = lanes.q.shape[1]
+    for i in range(n):
+        lanes.q[lane, i], lanes.v[lane, i] = kept[i], kept[n + i]
+    lanes.work[lane], lanes.dissipated[lane], lanes.open[lane] = kept[2 * n], kept[2 * n + 1], kept[2 * n + 2]
+
+
+@compiled
+def run(tree, laws, memory, loop, extra, lanes, inputs, logs, samples):  # type: ignore[no-untyped-def]
+    """Advance all running lanes by that many samples; every effect has a compiled law."""
+    n = lanes.q.shape[1]
+    torque, kept = np.zeros(n), np.zeros(2 * n + 3)
+    scratch = scratch_in(memory[0], n, len(laws.inertia))
+    h = loop.period / loop.substeps
+    for lane in range(len(lanes.status)):
+        for k in range(samples):
+            if lanes.status[lane] == RUNNING:
+                control(loop, lanes, inputs, logs, lane, k, torque)
+            if lanes.status[lane] != RUNNING:
+                break
+            for part in range(loop.substeps):
+                _keep(lanes, lane, kept)
+                begin(tree, laws, scratch, loop, extra, lanes, lane, torque, h)
+                if part == 0 and k % logs.stride == 0:
+                    logs.dissipated[lane, k // logs.stride] = lanes.closed[lane]
+                bend = finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque, h)
+                if bend > loop.tolerance:
+                    lanes.divided[lane] += 1
+                    _put_back(lanes, lane, kept)
+                    for _ in range(DIVISION):
+                        begin(tree, laws, scratch, loop, extra, lanes, lane, torque, h / DIVISION)
+                        finish(tree, laws, scratch, loop, extra, extra.force, lanes, lane, torque, h / DIVISION)
+
+
+# The same, one part of a step at a time, for effects that Python works out in between.
+
+
+@compiled
+def control_all(loop, lanes, inputs, logs, k, torque):  # type: ignore[no-untyped-def]
+    """`control` of all running lanes; `torque` (lanes, n)."""
+    for lane in range(len(lanes.status)):
+        if lanes.status[lane] == RUNNING:
+            control(loop, lanes, inputs, logs, lane, k, torque[lane])
+
+
+@compiled
+def begin_all(tree, laws, memory, loop, extra, lanes, torque, h, q, v):  # type: ignore[no-untyped-def]
+    """`begin` of all running lanes; `q`, `v` and `lanes.a` receive the points where the second stage wants its
+    forces.
+    """
+    n = lanes.q.shape[1]
+    for lane in range(len(lanes.status)):
+        if lanes.status[lane] == RUNNING:
+            scratch = scratch_in(memory[lane], n, len(laws.inertia))
+            begin(tree, laws, scratch, loop, extra, lanes, lane, torque[lane], h)
+            q[lane], v[lane], lanes.a[lane] = scratch.q, scratch.v, scratch.a
+
+
+@compiled
+def finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h):  # type: ignore[no-untyped-def]
+    """`finish` of all running lanes; returns the largest bend."""
+    bend = 0.0
+    for lane in range(len(lanes.status)):
+        if lanes.status[lane] == RUNNING:
+            scratch = scratch_in(memory[lane], lanes.q.shape[1], len(laws.inertia))
+            bend = max(bend, finish(tree, laws, scratch, loop, extra, late, lanes, lane, torque[lane], h))
+    return bend
+
+
+@compiled
+def decimate(buffer, weights, stride, out):  # type: ignore[no-untyped-def]
+    """Every `stride`-th sample of a filtered signal: buffer (lanes, samples, channels), out (lanes, outputs,
+    channels).
+    """
+    for lane in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            for c in range(out.shape[2]):
+                out[lane, k, c] = 0.0
+            for t in range(len(weights)):
+                for c in range(out.shape[2]):
+                    out[lane, k, c] += weights[t] * buffer[lane, k * stride + t, c]
+
+
 # ---- a robot --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A robot in arrays: its tree, the effects that have compiled laws, and those that do not.
+    """A robot in arrays: its tree, the effects that have compiled laws, and those that have none.
 
     Attributes
     ----------
-    tree, laws : arrays
+    tree, laws, drives : arrays
     others : tuple of Effect
         Asked for `force` and `derivatives` at each step.
     """
@@ -724,13 +1028,23 @@ class Plant:
     tree: Tree
     laws: Laws
     others: tuple[Effect, ...]
+    drives: Integers  # (joints,) where the drive angles stand among the coordinates
+
+    @cached_property
+    def _memory(self) -> Array:
+        return self.scratch(1)[0]
+
+    def accelerations(self, q: Array, v: Array, drive_torque: Array) -> Array:
+        """Accelerations of the tree and the effects with compiled laws, shape (n,)."""
+        a: Array = accelerations(self.tree, self.laws, self._memory, self.drives, q, v, drive_torque)
+        return a
 
     def scratch(self, lanes: int) -> Array:
         """Working memory, one row a lane."""
         return np.zeros((lanes, scratch_size(len(self.tree.parent), len(self.laws.inertia))))
 
 
-def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion) -> Plant:
+def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives: Integers) -> Plant:
     """The arrays of a model and its effects; `motion` is any sample."""
     laws: list[Law] = []
     others = []
@@ -740,4 +1054,4 @@ def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion) -> Pla
             others.append(effect)
         else:
             laws += own
-    return Plant(tree_of(model), laws_of(laws, model.nv), tuple(others))
+    return Plant(tree_of(model), laws_of(laws, model.nv), tuple(others), drives)

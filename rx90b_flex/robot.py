@@ -134,7 +134,8 @@ class Robot:
         from rx90b_flex.kernels import plant_of  # here, since loading the compiler takes half a second
 
         rest = np.zeros(self.model.nv)
-        return plant_of(self.model, self.effects, self.motion(rest, rest, rest))
+        drives = np.argmax(self.input_matrix, axis=0).astype(np.int64)
+        return plant_of(self.model, self.effects, self.motion(rest, rest, rest), drives)
 
     # ---- parameters -------------------------------------------------------------------------------------
 
@@ -339,6 +340,8 @@ class Robot:
         torque = np.asarray(drive_torque, dtype=float)
         if torque.shape != (len(self.joints),):
             raise ValueError(f"drive_torque has shape {torque.shape}; expected ({len(self.joints)},) for {self.name}")
+        if not self.plant.others:
+            return self._compiled_forward_dynamics(q, v, torque)
         force = self.input_matrix @ torque
         a = np.zeros(self.model.nv)
         mass = self.mass_matrix(q)
@@ -362,6 +365,16 @@ class Robot:
         mass = np.diag(self.in_joint_angles().mass_matrix(np.zeros(self.model.nv)))
         twisting = [j for j in self.joints if self.layout.index(j, "torsion") is not None]
         return tuple(j for j in twisting if mass[self.layout.names.index(f"{j}:drive")] <= 1e-12 * mass.max())
+
+    def _compiled_forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
+        q, v = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(v, dtype=float)
+        n = (self.model.nv,)
+        if q.shape != n or v.shape != n:
+            raise ValueError(f"q and v have shapes {q.shape} and {v.shape}; expected {n} for {self.name}")
+        a = self.plant.accelerations(q, v, np.ascontiguousarray(torque))
+        if not np.isfinite(a[0]):  # the substitution ends there and carries along what is not finite
+            raise ValueError(f"{self.name}: no accelerations: singular mass matrix, or q, v or drive_torque not finite")
+        return a
 
     # ---- other robots from this one ---------------------------------------------------------------------
 

@@ -178,6 +178,11 @@ def test_what_no_effect_explains_is_traced_to_the_joint_that_it_acts_on(outside)
     assert [d.score for d in where] == sorted((d.score for d in where), reverse=True)
 
 
+def test_what_no_effect_explains_is_traced_to_the_signal_that_it_depends_on(outside):
+    """The angle of another joint, although forward and backward friction cancel over it."""
+    assert outside.result.unexplained.where[0].signal == "wrist_1_joint position"
+
+
 # ---- files --------------------------------------------------------------------------------------------------
 
 
@@ -501,6 +506,14 @@ def test_the_noise_floor_from_repeats_is_the_noise_that_was_put_in(tmp_path):
 
 def test_without_repeats_the_noise_floor_is_not_known(plain):
     assert plain["noise_floor"] is None
+
+
+def test_the_ends_of_a_recording_do_not_spoil_the_noise_floor_of_a_heavy_arm(written):
+    """Where accelerations are least certain, at the ends, inertia of 10 kg m^2 multiplies what they are off by."""
+    expected = np.array(NOISE) * passed()
+    free = 2 * PERIOD_S * RATE_HZ / 2 * passed() ** 2  # one of two periods, in each of two recordings
+    limit = DEVIATIONS / np.sqrt(2 * free)
+    assert written.content["noise_floor"]["torque_rms"] == pytest.approx(expected, rel=limit)
 
 
 def test_the_noise_floor_is_counted_on_identification_recordings_in_the_same_units_as_the_errors(written):

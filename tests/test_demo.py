@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
+import io
 import json
 import tomllib
 from pathlib import Path
@@ -96,9 +97,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("demo") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", ["rx90b-flex", "demo", "--out", str(out), "--seed", "1", "--hidden", "gear_ripple"])
-        import contextlib
-        import io
-
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed), pytest.raises(SystemExit) as ended:
             cli.main()
@@ -150,6 +148,18 @@ def test_a_hidden_effect_is_found_on_its_joint(tmp_path, kind):
 
 
 @pytest.mark.slow
+def test_where_nothing_is_hidden_nothing_is_found_in_49_of_50_seeds(tmp_path):
+    """First, for it is the longest: the other worker has the effects in the meantime."""
+    alarms = {}
+    for seed in QUIET_SEEDS:
+        found = found_by(make_demonstration(seed, NOTHING), tmp_path / str(seed))
+        if found:
+            alarms[seed] = found
+    print(f"\nnothing hidden: nothing found in {len(QUIET_SEEDS) - len(alarms)} of {len(QUIET_SEEDS)} seeds; {alarms}")
+    assert len(alarms) <= 1, alarms
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HIDDEN)
 def test_a_hidden_effect_is_found_on_its_joint_in_nine_of_ten_seeds(tmp_path, kind):
     """Found: it is the first that was added, on its joint, and has not been taken out again."""
@@ -161,18 +171,3 @@ def test_a_hidden_effect_is_found_on_its_joint_in_nine_of_ten_seeds(tmp_path, ki
             missed[seed] = (hidden_in(d), found)
     print(f"\n{kind}: found in {len(SEEDS) - len(missed)} of {len(SEEDS)} seeds; missed {missed}")
     assert len(missed) <= 1, missed
-
-
-@pytest.fixture(scope="session")
-def quiet_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("quiet")
-
-
-FALSE_ALARMS: dict[int, object] = {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(5))
-def test_where_nothing_is_hidden_nothing_is_found_in_49_of_50_seeds(tmp_path, part):
-    """Ten seeds a part, so that two workers share them; each part holds the whole bound, so the sum is looked at below."""
-    raise NotImplementedError

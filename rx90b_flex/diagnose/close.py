@@ -239,7 +239,9 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         )
     for recording in campaign.recordings:
         if not recording.torque.any():
-            raise ValueError(f"{recording.source or recording.name}: every torque is zero; errors have no size to go by")
+            raise ValueError(
+                f"{recording.source or recording.name}: every torque is zero; errors have no size to go by"
+            )
     tell("reading", 0.0)
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
     _check_joints(campaign, declared_robot)
@@ -247,8 +249,8 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     if len(data.regression.blocks()) < FEWEST_BLOCKS:
         seconds = sum(r.duration_s for r in campaign.identification)
         raise ValueError(
-            f"{campaign.path}: the recordings with role 'identification' last {seconds:.3g} s in all, too short to hold "
-            f"out parts of them: {FEWEST_BLOCKS} s or more are needed"
+            f"{campaign.path}: the recordings with role 'identification' last {seconds:.3g} s in all; "
+            f"{FEWEST_BLOCKS} s or more are needed, for parts of them are held out"
         )
     fit_links = declared_robot.inertial_parameters == "fitted"
     tell("identifying the declared model", 0.05)

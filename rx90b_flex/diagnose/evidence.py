@@ -10,9 +10,9 @@ import numpy as np
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.regression import Regression
 
-BINS = 24
-SHUFFLES = 400
-MOST_SAMPLES = 4000  # more do not change a score, and cost
+BINS = 12
+SHUFFLES = 200
+MOST_SAMPLES = 3000  # more do not change a score, and cost
 SIGNIFICANCE = 0.01
 STANDSTILL = "standstill"  # name of the signal "no joint moves"
 REST = 1.0e-3  # of a joint's largest speed, below which it rests
@@ -45,8 +45,9 @@ class Dependence:
 def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tuple[Dependence, ...]:
     """Signals that a residual depends on, strongest first.
 
-    The score is the correlation ratio over bins of equal count; its distribution under "no dependence" comes from
-    shifting the residual in time, which keeps both signals' own correlation in time.
+    The score is the correlation ratio over bins of equal count, apart for each direction in which the joint moves (what
+    friction does forward it undoes backward); its distribution under "no dependence" comes from shifting the
+    residual in time, which keeps both signals' own correlation in time.
 
     Parameters
     ----------
@@ -62,25 +63,44 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
     moving = ~resting
     names = [name for name, _ in signals(data[0][0])]
     values = [np.concatenate(parts) for parts in zip(*([v for _, v in signals(r)] for r, _ in data), strict=True)]
-    tests = len(joints) * (len(names) + 1)
+    tests = len(joints) * len(names)
     found: list[Dependence] = []
     if SMALLEST_PART < resting.mean() < 1 - SMALLEST_PART:
         excess, chance = _excess(residual**2, resting, rng)
-        found += _dependences(joints, STANDSTILL, excess, chance, (residual**2).sum(axis=0), tests)
+        # one question a joint, asked before and apart from the search through all signals
+        found += _dependences(joints, STANDSTILL, excess, chance, (residual**2).sum(axis=0), len(joints))
     # at rest every signal has one value and friction any: what else depends on what shows in motion only
     if moving.sum() > 20 * BINS:
-        rest = residual[moving]
-        every = max(1, len(rest) // MOST_SAMPLES)
-        rest, at = rest[::every], np.flatnonzero(moving)[::every]
-        edges = np.linspace(0, len(rest), BINS + 1).astype(int)
-        shifts = _shifts(len(rest), rng)
+        every = max(1, int(moving.sum()) // MOST_SAMPLES)
+        at = np.flatnonzero(moving)[::every]
+        rest = residual[at]
+        forward = [values[names.index(f"{joint} velocity")][at] > 0 for joint in joints]
+        # a shift by s is the residual read at (i - s) modulo N
+        back = (np.arange(len(rest))[:, None] - _shifts(len(rest), rng)) % len(rest)
+        shifted = [r[back] for r in rest.T]
         for name, value in zip(names, values, strict=True):
-            order = np.argsort(value[at], kind="stable")
-            real = _explained(rest[order], edges)
-            # a shift by s is the residual read at (i - s) modulo N
-            chance = np.stack([_explained(rest[(order - s) % len(rest)], edges) for s in shifts], axis=1)
-            found += _dependences(joints, name, real, chance, (rest**2).sum(axis=0), tests)
+            bins = _bins(value[at])
+            real, chance = [], []
+            for j in range(len(joints)):
+                order, edges = _cells(2 * bins + forward[j])
+                real.append(_explained(rest[order, j : j + 1], edges)[0])
+                chance.append(_explained(shifted[j][order], edges))
+            found += _dependences(joints, name, np.array(real), np.stack(chance), (rest**2).sum(axis=0), tests)
     return tuple(sorted(found, key=lambda d: -d.score))
+
+
+def _bins(value: Array) -> Indices:
+    """Which of the bins of equal count each sample falls into, shape (N,)."""
+    rank = np.empty(len(value), dtype=np.intp)
+    rank[np.argsort(value, kind="stable")] = np.arange(len(value))
+    return rank * BINS // len(value)
+
+
+def _cells(cell: Indices) -> tuple[Indices, Indices]:
+    """Order that puts samples of one cell together, and where each cell begins, with the end as the last."""
+    order = np.argsort(cell, kind="stable")
+    begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    return order, np.append(begins, len(cell))
 
 
 def _shifts(samples: int, rng: np.random.Generator) -> Indices:

@@ -12,7 +12,13 @@ from scipy import optimize, stats
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
-from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, NormalEquations, solve_weighted
+from rx90b_flex.identify.least_squares import (
+    CORRELATION_S,
+    Identification,
+    NormalEquations,
+    absorbed_each,
+    solve_weighted,
+)
 from rx90b_flex.identify.regression import Regression
 
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
@@ -308,6 +314,17 @@ class Search:
         return max((s.motion for s in self.regression.stretches), key=len)
 
     @cached_property
+    def longest_lag(self) -> int:
+        """Longest correlation of a residual that tests allow for, samples."""
+        return int(CORRELATION_S * self.regression.stretches[0].rate_hz)
+
+    @cached_property
+    def absorbed(self) -> list[Array]:
+        """What the present model's fit took out of each joint's noise."""
+        weight = self.model.solution.sigma**-2.0
+        return absorbed_each(self.model.columns, weight, self.regression.spans, self.longest_lag)
+
+    @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
         return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates())
@@ -405,9 +422,9 @@ class Search:
         residual = base.residual - apart[:, :, :k] @ beta
         apart = apart.transpose(1, 0, 2)
         spans = self.regression.spans
-        longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
-        share = base.size / len(residual)
-        spectra = [residual_spectrum(r, spans, share, longest) for r in residual]
+        longest = self.longest_lag
+        absorbed = self.absorbed
+        spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(residual, absorbed, strict=True)]
         meat = scatter(apart, base.weight, spectra, spans)
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
         wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta, DETERMINED)

@@ -58,6 +58,6 @@ class JointCoupling(PairEffect):
                 inertia=inertia,
                 damping=viscous,
                 function=CoulombFriction.law,
-                parameters=np.array([coulomb]),
+                parameters=np.array([*CoulombFriction.law_constants, coulomb]),
             ),
         )

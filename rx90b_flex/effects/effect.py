@@ -251,9 +251,9 @@ class Effect(ABC):
         return np.zeros(len(motion))
 
     def laws(self, motion: Motion) -> tuple[Law, ...] | None:
-        """The force as scalar laws, for a compiled simulation; None: it asks for `force` and `derivatives` at each step.
+        """The force as scalar laws, for a compiled simulation; None: that asks for `force` and `derivatives` at each step.
 
-        Optional, and only for speed. ``motion`` is any sample: what the laws need of it is its coordinates and its tree.
+        Optional, and only for speed. ``motion`` is any sample: the laws need its coordinates and its tree.
         """
         return None
 
@@ -287,7 +287,8 @@ class JointEffect(Effect):
 
     joint: str
     side: ClassVar[str] = "joint"  # acts on the joint angle theta, or on the "drive" angle alone
-    law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; its parameters: coefficients, then shape
+    law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; parameters: constants, coefficients, shape
+    law_constants: ClassVar[tuple[float, ...]] = ()
     law_stores: ClassVar[bool] = False  # whether that law is the gradient of `potential`
 
     @property
@@ -307,7 +308,7 @@ class JointEffect(Effect):
         if function is None:
             return None
         port = motion.coordinates.port(self.joint, self.side)
-        values = np.concatenate([self.known_coefficients(), self.known_shape()])
+        values = np.concatenate([self.law_constants, self.known_coefficients(), self.known_shape()])
         return (Law(port, function=function, parameters=values, stores=self.law_stores),)
 
     def factors(self, motion: Motion) -> tuple[Array, Array]:

@@ -18,6 +18,9 @@ from rx90b_flex.effects.reversal import REVERSAL_VELOCITY, reversal, reversal_sl
 class VelocityFriction(JointEffect):
     """Friction whose one column is a function of velocity."""
 
+    # a parameter of the laws, since compiled code on disk would not notice that it changed
+    law_constants: ClassVar[tuple[float, ...]] = (REVERSAL_VELOCITY,)
+
     @abstractmethod
     def column(self, v: Array) -> Array:
         """Torque per unit of the coefficient, shape (N,)."""
@@ -49,11 +52,12 @@ class CoulombFriction(VelocityFriction):
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        ratio = rate / REVERSAL_VELOCITY
-        scale = parameters[0] * 2.0 / math.pi
+        reversal_velocity, torque = parameters[0], parameters[1]
+        ratio = rate / reversal_velocity
+        scale = torque * 2.0 / math.pi
         out[0] = scale * math.atan(ratio)
         out[1] = 0.0
-        out[2] = scale / (REVERSAL_VELOCITY * (1.0 + ratio * ratio))
+        out[2] = scale / (reversal_velocity * (1.0 + ratio * ratio))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +91,9 @@ class AsymmetricFriction(VelocityFriction):
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        out[0] = parameters[0] * abs(rate)
+        out[0] = parameters[1] * abs(rate)
         out[1] = 0.0
-        out[2] = parameters[0] * ((rate > 0.0) - (rate < 0.0))
+        out[2] = parameters[1] * ((rate > 0.0) - (rate < 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +121,11 @@ class ViscousPowerFriction(VelocityFriction):
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        coefficient, power = parameters[0], parameters[1]
+        reversal_velocity, coefficient, power = parameters[0], parameters[1], parameters[2]
         size = abs(rate)
-        ratio = size / REVERSAL_VELOCITY
+        ratio = size / reversal_velocity
         sign = 2.0 / math.pi * math.atan(ratio)
-        slope = 2.0 / math.pi / (REVERSAL_VELOCITY * (1.0 + ratio * ratio))
+        slope = 2.0 / math.pi / (reversal_velocity * (1.0 + ratio * ratio))
         grown = coefficient * size**power
         out[0] = math.copysign(grown * sign, rate)
         out[1] = 0.0
@@ -157,11 +161,12 @@ class StribeckFriction(VelocityFriction):
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        torque, velocity, power = parameters[0], parameters[1], parameters[2]
+        reversal_velocity = parameters[0]
+        torque, velocity, power = parameters[1], parameters[2], parameters[3]
         size = abs(rate)
-        ratio = size / REVERSAL_VELOCITY
+        ratio = size / reversal_velocity
         sign = 2.0 / math.pi * math.atan(ratio)
-        slope = 2.0 / math.pi / (REVERSAL_VELOCITY * (1.0 + ratio * ratio))
+        slope = 2.0 / math.pi / (reversal_velocity * (1.0 + ratio * ratio))
         faded = (size / velocity) ** power
         left = torque * math.exp(-faded)
         out[0] = math.copysign(left * sign, rate)

@@ -60,7 +60,9 @@ class GravitySpring(JointEffect):
         return length - rest, slope, curvature
 
     def _geometry(self, motion: Motion) -> Array:
-        """Parts of ``fixed . R(theta) moving`` (constant, by cosine, by sine), and the anchors' squared distances from the axis."""
+        """Parts of ``fixed . R(theta) moving`` (constant, by cosine, by sine), and the anchors' squared distances from
+        the axis.
+        """
         if self.anchors is None:
             raise ValueError(f"{self.label}: anchors have no value; they cannot be identified")
         fixed, moving = np.asarray(self.anchors, dtype=float).reshape(2, 3)

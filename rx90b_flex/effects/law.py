@@ -17,7 +17,8 @@ LawFunction = Callable[[float, float, Any, Any], None]
 class Law:
     """A torque that depends on one combination of the coordinates, ``x = port @ q``, and acts on it alike.
 
-    ``torque = inertia * x'' + damping * x' + stiffness * x + function``, and ``port * torque`` is the generalised force.
+    ``torque = inertia * x'' + damping * x' + stiffness * x + function``, and ``port * torque`` is the generalised
+    force.
 
     Attributes
     ----------
@@ -25,8 +26,8 @@ class Law:
     inertia, damping, stiffness : float
         The linear part.
     function : callable or None
-        ``function(x, rate, parameters, out)`` writes torque, slope by x and slope by rate to ``out[0:3]``. Plain arithmetic and
-        `math` on numbers, no calls to other functions: the simulation compiles it.
+        ``function(x, rate, parameters, out)`` writes torque, slope by x and slope by rate to ``out[0:3]``. Plain
+        arithmetic and `math` on numbers, no calls to other functions: the simulation compiles it.
     parameters : array
         What the function reads.
     stores : bool

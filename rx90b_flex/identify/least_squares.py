@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Mask
-from rx90b_flex.identify.coloured import Spectrum, residual_spectrum, scatter
+from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
@@ -457,13 +457,18 @@ class _Fit:
             at += k
         spans = regression.spans
         rate = regression.stretches[0].rate_hz
-        share = (solution.rank + len(self.shape)) / residual.shape[1]
-        spectra = tuple(residual_spectrum(r, spans, share, int(CORRELATION_S * rate)) for r in residual.T)
+        longest = int(CORRELATION_S * rate)
+        columns = np.concatenate([self.columns, self.shape_columns], axis=2)
+        spectra = tuple(
+            residual_spectrum(r, spans, absorbed, longest)
+            for r, absorbed in zip(
+                residual.T, absorbed_each(columns, solution.sigma**-2.0, spans, longest), strict=True
+            )
+        )
         size = len(solution.theta) + len(self.shape)
         covariance = np.zeros((size, size))
         if with_covariance:
-            augmented = np.concatenate([self.columns, self.shape_columns], axis=2)
-            covariance = coloured_covariance(augmented, solution.sigma, spectra, spans)
+            covariance = coloured_covariance(columns, solution.sigma, spectra, spans)
         return Identification(
             tuple(effects),
             self.link_parameters,
@@ -476,6 +481,17 @@ class _Fit:
             self.columns,
             self.fit_links,
         )
+
+
+def absorbed_each(columns: Array, weight: Array, spans: Sequence[slice], longest: int) -> list[Array]:
+    """`absorbed_by_fit` of each joint, for columns (N, joints, p) fitted with the inverse variances `weight`."""
+    gram = np.einsum("j,jpq->pq", weight, np.stack([x.T @ x for x in columns.transpose(1, 0, 2)]))
+    diagonal = np.diag(gram)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
+    to_basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
+    return [absorbed_by_fit(np.sqrt(w) * (columns[:, j] @ to_basis), spans, longest) for j, w in enumerate(weight)]
 
 
 def coloured_covariance(columns: Array, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]) -> Array:

@@ -192,14 +192,14 @@ def motion(position: ArrayLike, sample_rate_hz: float, cutoff_hz: float | None =
 
 
 def _continued(position: Array, margin: int) -> Array:
-    """Positions continued at both ends by the cubic that fits the `margin` samples there best.
+    """Positions continued at both ends by the quartic that fits the `margin` samples there best.
 
-    A reflection has no acceleration at the end, and off-centre differences amplify noise; a fitted cubic keeps the
-    acceleration that the motion has there.
+    A reflection has no acceleration at the end, and off-centre differences amplify noise; a fitted quartic keeps the
+    acceleration that the motion has there and how it changes, and amplifies noise no more than the inside does.
     """
     t = np.linspace(-1.0, 1.0, margin)
-    fit = np.vander(t, 4)
-    beyond = np.vander(1.0 + (1 + np.arange(margin)) * (t[1] - t[0]), 4) @ np.linalg.pinv(fit)
+    fit = np.vander(t, 5)
+    beyond = np.vander(1.0 + (1 + np.arange(margin)) * (t[1] - t[0]), 5) @ np.linalg.pinv(fit)
     after = np.tensordot(beyond, position[-margin:], axes=1)
     before = np.tensordot(beyond, position[:margin][::-1], axes=1)[::-1]
     return np.concatenate([before, position, after])

@@ -1,8 +1,8 @@
 """Closed-loop simulation of the nonlinear flexible robot under its controller, many runs at once.
 
-Between two samples of the controller the drive torques are constant, and the robot moves by a linearly implicit (Rosenbrock-W) method of
-second order, L-stable, with the analytic Jacobian of all that is stiff: see `rx90b_flex.kernels`. Steps end at the controller's
-samples, so that no step crosses a jump of the torque.
+Between two samples of the controller the drive torques are constant, and the robot moves by a linearly implicit
+(Rosenbrock-W) method of second order, L-stable, with the analytic Jacobian of all that is stiff: see
+`rx90b_flex.kernels`. Steps end at the controller's samples, so that no step crosses a jump of the torque.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ Indices = NDArray[np.int64]
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
 FILTER_ATTENUATION_DB = 80.0
 FILTER_TRANSITION = 0.22  # of the anti-alias filter, over its cutoff: 80 to 100 Hz about 90
+TOLERANCE = 1e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
 SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controller's supervision stops the robot
 
 
@@ -40,7 +41,8 @@ SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controlle
 class Noise:
     """Standard deviations of white Gaussian noise at the controller's rate; one number, or one a joint.
 
-    Position and velocity noise goes through the controller, as in the robot; torque noise (of the current sensors) is only logged.
+    Position and velocity noise goes through the controller, as in the robot; torque noise (of the current sensors) is
+    only logged.
 
     Attributes
     ----------
@@ -75,21 +77,29 @@ class RawLog:
         """s, shape (N,)."""
         return np.arange(len(self.position)) / self.rate_hz
 
-    def share_above(self, hz: float = 125.0) -> dict[str, Array]:
-        """Part of each signal's power above a frequency, by signal, each (joints,): what would alias into a slower log.
+    def rms_above(self, hz: float = 125.0) -> dict[str, Array]:
+        """RMS of each signal above a frequency, by signal, each (joints,): what would alias into a slower log.
 
-        Velocity and torque as they are; the position through its second difference, whose power is that of the accelerations.
-        The mean is left out.
+        Hann window, trends left out; the torque's holds the controller's quantisation.
         """
-        signals = {"acceleration": np.diff(self.position, 2, axis=0), "velocity": self.velocity, "torque": self.torque}
+        return {name: np.sqrt(self._power(x, hz)) for name, x in self._signals().items()}
+
+    def share_above(self, hz: float = 125.0) -> dict[str, Array]:
+        """Part of each signal's power above a frequency; of little meaning for a joint that stands still."""
         out = {}
-        for name, x in signals.items():
-            x = signal.detrend(x, axis=0) * signal.windows.hann(len(x))[:, None]
-            power = np.abs(np.fft.rfft(x, axis=0)) ** 2
-            above = np.fft.rfftfreq(len(x), 1.0 / self.rate_hz) > hz
-            total = power.sum(axis=0)
-            out[name] = np.divide(power[above].sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
+        for name, x in self._signals().items():
+            total = self._power(x, 0.0)
+            out[name] = np.divide(self._power(x, hz), total, out=np.zeros_like(total), where=total > 0)
         return out
+
+    def _signals(self) -> dict[str, Array]:
+        return {"position": self.position, "velocity": self.velocity, "torque": self.torque}
+
+    def _power(self, x: Array, hz: float) -> Array:
+        window = signal.windows.hann(len(x))
+        power = np.abs(np.fft.rfft(signal.detrend(x, axis=0) * window[:, None], axis=0)) ** 2
+        above = np.fft.rfftfreq(len(x), 1.0 / self.rate_hz) > hz
+        return np.asarray(2.0 * power[above].sum(axis=0) / (len(x) * (window @ window)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +158,8 @@ class Simulation:
     def path_deviation_mm(self) -> Array:
         """Tip deviation along the path, across it in the horizontal plane (to the left), and up; mm, shape (N, 3).
 
-        As in figure 4.7, whose (a) is the last column and (b) the second. The path's direction is that of the reference's
-        horizontal motion; where it stands still, the direction that it had before (or will have first).
+        As in figure 4.7, whose (a) is the last column and (b) the second. The path's direction is that of the
+        reference's horizontal motion; where it stands still, the direction that it had before (or will have first).
         """
         xy = np.gradient(self.reference_tip[:, :2, 3], axis=0)
         size = np.linalg.norm(xy, axis=1)
@@ -205,8 +215,8 @@ def simulate_lanes(
 ) -> list[Simulation]:
     """Several runs of one robot, advanced together.
 
-    Each starts at its first reference, drives moving as it asks, hinges deformed as the weight deforms them and the controller's
-    integrators holding that weight.
+    Each starts at its first reference, drives moving as it asks, hinges deformed as the weight deforms them and the
+    controller's integrators holding that weight.
 
     Parameters
     ----------
@@ -227,8 +237,8 @@ def simulate_lanes(
     Returns
     -------
     list of Simulation
-        One a trajectory. A run that cannot go on (torque at its limit, joint limit, overspeed, a jump in the reference, divergence)
-        ends there: `Simulation.ended` says when and where, and what was simulated is kept.
+        One a trajectory. A run that cannot go on (torque at its limit, joint limit, overspeed, a jump in the reference,
+        divergence) ends there: `Simulation.ended` says when and where, and what was simulated is kept.
 
     Raises
     ------
@@ -323,8 +333,8 @@ def micro_interpolate(position: Array, velocity: Array, rows: Indices, up: int, 
     Parameters
     ----------
     position, velocity : array, shape (lanes, N, joints)
-    rows : intervals, each from its sample to the next; behind the last sample the reference goes on with its last velocity.
-    up : points an interval.
+    rows : intervals, each from its sample to the next; behind the last sample the reference goes on with its last
+    velocity. up : points an interval.
 
     Returns
     -------
@@ -347,7 +357,7 @@ def micro_interpolate(position: Array, velocity: Array, rows: Indices, up: int, 
 class _Decimator:
     """The anti-alias filter before the log: linear phase, its delay taken out, fed chunk by chunk.
 
-    The ends are continued by the first and the last value.
+    The ends are continued by odd reflection, so that value and slope go on.
     """
 
     def __init__(self, controller: CS8, stride: int) -> None:
@@ -363,7 +373,8 @@ class _Decimator:
     def push(self, samples: Array) -> Array:
         """Add (lanes, samples, channels), take what is ready, (lanes, outputs, channels)."""
         if self.waiting is None:
-            self.waiting = np.repeat(samples[:, :1], self.half, axis=1)
+            ahead = np.minimum(np.arange(self.half, 0, -1), samples.shape[1] - 1)
+            self.waiting = 2.0 * samples[:, :1] - samples[:, ahead]
         buffer = np.concatenate([self.waiting, samples], axis=1)
         ready = max(0, (buffer.shape[1] - len(self.weights)) // self.stride + 1)
         out = np.zeros((buffer.shape[0], ready, buffer.shape[2]))
@@ -374,7 +385,8 @@ class _Decimator:
     def finish(self) -> Array:
         """What the last samples still owe."""
         assert self.waiting is not None
-        return self.push(np.repeat(self.waiting[:, -1:], self.half, axis=1))
+        behind = np.maximum(self.waiting.shape[1] - 2 - np.arange(self.half), 0)
+        return self.push(2.0 * self.waiting[:, -1:] - self.waiting[:, behind])
 
 
 def _tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
@@ -418,6 +430,8 @@ class _Runner:
         self.torque = np.stack([t.torque for t in job.trajectories])
         self.jumps = [_reference_jump(t, self.loop.speed) for t in job.trajectories]
         self.lanes = self._start()
+        self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
+        self.late_q, self.late_v = np.zeros_like(self.lanes.q), np.zeros_like(self.lanes.q)
 
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
@@ -439,7 +453,9 @@ class _Runner:
             current=torque.copy(),
             held=torque.copy(),
             overloaded=np.zeros((count, joints), dtype=np.int64),
-            lost=np.full(count, np.nan),
+            open=np.zeros(count),
+            closed=np.zeros(count),
+            divided=np.zeros(count, dtype=np.int64),
             work=np.zeros(count),
             dissipated=np.zeros(count),
             status=whole[0],
@@ -515,8 +531,8 @@ class _Runner:
             last = int(self.lanes.sample[lane]) - first
             if last < samples:
                 held = held.copy() if held is measured else held
-                held[lane, max(last, 0) :] = measured[lane, last] if last >= 0 else self._last[lane]
-        self._last = held[:, -1]
+                held[lane, max(last, 0) :] = measured[lane, last] if last >= 0 else self.last[lane]
+        self.last = held[:, -1]
         return held
 
     # ---- advancing --------------------------------------------------------------------------------------
@@ -530,23 +546,35 @@ class _Runner:
 
     def _advance_by_parts(self, inputs: Inputs, logs: Logs, samples: int) -> None:
         """The loop of `stepping.run`, with the effects that have no compiled law asked for their forces in between."""
-        tree, laws = self.plant.tree, self.plant.laws
-        lanes, loop, memory = self.lanes, self.loop, self.memory
-        torque, q, v = (np.zeros_like(lanes.q) for _ in range(3))
+        lanes, loop = self.lanes, self.loop
+        torque = np.zeros_like(lanes.q)
         h = loop.period / loop.substeps
         for k in range(samples):
             stepping.control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
-            for sub in range(loop.substeps):
-                time = (inputs.first + k) * loop.period + sub * h
-                extra = self._extra(time)
-                stepping.begin_all(tree, laws, memory, loop, extra, lanes, torque, q, v)
-                if sub == 0 and k % logs.stride == 0:
+            for part in range(loop.substeps):
+                kept = tuple(x.copy() for x in lanes)
+                time = (inputs.first + k) * loop.period + part * h
+                bend = self._step(torque, time, h)
+                if part == 0 and k % logs.stride == 0:
                     running = lanes.status == stepping.RUNNING
-                    logs.dissipated[running, k // logs.stride] = lanes.dissipated[running]
-                late = self._force(q, v, lanes.a, time + h)
-                stepping.finish_all(tree, laws, memory, loop, extra, late, lanes, torque)
+                    logs.dissipated[running, k // logs.stride] = lanes.closed[running]
+                if bend > loop.tolerance:
+                    for now, before in zip(lanes, kept, strict=True):
+                        now[:] = before
+                    lanes.divided[:] += 1
+                    fine = h / stepping.DIVISION
+                    for i in range(stepping.DIVISION):
+                        self._step(torque, time + i * fine, fine)
+
+    def _step(self, torque: Array, time: float, h: float) -> float:
+        """One step of all lanes; returns the largest bend of the laws."""
+        tree, laws, lanes, loop, memory = self.plant.tree, self.plant.laws, self.lanes, self.loop, self.memory
+        extra = self._extra(time)
+        stepping.begin_all(tree, laws, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
+        late = self._force(self.late_q, self.late_v, lanes.a, time + h)
+        return float(stepping.finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h))
 
     def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
         motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
@@ -630,8 +658,8 @@ class _Runner:
             assert jump is not None
             return f"{at} the reference of {name} jumps: {jump.speed:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
         if status == stepping.OVERLOAD:
-            held = 1e3 * self.job.controller.overload_time_s
-            return f"{at} the torque of {name} has been at its limit of {self.loop.torque_limit[joint]:g} N m for {held:g} ms"
+            held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
+            return f"{at} the torque of {name} has been at its limit of {limit:g} N m for {held:g} ms"
         if status == stepping.OVERSPEED:
             speed_now = self.lanes.v[lane, place]
             return f"{at} {name} turns at {speed_now:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
@@ -658,6 +686,7 @@ def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:
         drive=drive_places(robot),
         period=controller.period,
         substeps=substeps,
+        tolerance=TOLERANCE,
         position_gain=controller.column("position_gain"),
         velocity_gain=controller.column("velocity_gain"),
         integral_gain=controller.column("integral_gain"),

@@ -1,4 +1,6 @@
-"""The CS8 motion controller: six independent digital controllers (PHYSICS.md, "Closed loop"; sections 3.1 and 6.6.1)."""
+"""The CS8 motion controller: six independent digital controllers (PHYSICS.md, "Closed loop"; sections 3.1 and
+6.6.1).
+"""
 
 from __future__ import annotations
 
@@ -23,16 +25,13 @@ from rx90b_flex.robot import Robot, robots_folder
 
 ComplexArray = NDArray[np.complex128]
 
-GAINS = ("position_gain", "velocity_gain", "integral_gain")
-STEPS = ("position_step", "velocity_step", "torque_step")
-
 
 @dataclass(frozen=True)
 class JointController:
     """One joint's controller, joint side.
 
-    ``torque = position_gain (r - e) + velocity_gain (r' - e') + integral_gain * integral(r - e) + feed-forward``, with e and e' as
-    the resolver shows them.
+    ``torque = position_gain (r - e) + velocity_gain (r' - e') + integral_gain * integral(r - e) + feed-forward``, with
+    e and e' as the resolver shows them.
 
     Attributes
     ----------
@@ -63,13 +62,13 @@ class CS8:
     ----------
     joints : tuple of JointController
     reference_rate_hz, controller_rate_hz, log_rate_hz : float
-        References and feed-forward arrive at the first rate; a cubic (references) and a straight line (feed-forward) take them to
-        the second, where the controller runs. The log is decimated to the third. Both ratios are whole numbers.
+        References and feed-forward arrive at the first rate; a cubic (references) and a straight line (feed-forward)
+        take them to the second, where the controller runs. The log is decimated to the third. Both ratios are whole.
     log_cutoff_hz : float
         Cutoff of the anti-alias filter before the log (90 Hz in section 6.6.1). Linear phase, its delay taken out.
     current_bandwidth_hz : float
-        Of the first-order current loop behind the zero-order hold; 0: ideal. What acts on the robot during a sample is the mean
-        of that exponential over the sample.
+        Of the first-order current loop behind the zero-order hold; 0: ideal. What acts on the robot during a sample is
+        the mean of that exponential over the sample.
     overload_time_s : float
         How long a torque may stay at its limit before the amplifier switches off.
     """
@@ -111,9 +110,10 @@ class CS8:
 
     def ideal(self) -> CS8:
         """The same controller without quantisation."""
-        return dataclasses.replace(
-            self, joints=tuple(dataclasses.replace(j, **dict.fromkeys(STEPS, 0.0)) for j in self.joints)
+        exact = (
+            dataclasses.replace(joint, position_step=0.0, velocity_step=0.0, torque_step=0.0) for joint in self.joints
         )
+        return dataclasses.replace(self, joints=tuple(exact))
 
     # ---- linear model -----------------------------------------------------------------------------------
 
@@ -155,7 +155,8 @@ class CS8:
         hz = np.asarray(hz, dtype=float)
         own = self.for_joints(linearization.joints)
         loop = own.frequency_response(hz)[:, :, None] * drive_compliance(linearization, hz)
-        hold = own._hold(s := 2j * np.pi * hz[:, None], np.exp(s * self.period))
+        s = np.asarray(2j * np.pi * hz[:, None])
+        hold = own._hold(s, np.exp(s * self.period))
         # what is fed forward passes the same hold as what is fed back
         return np.asarray(np.linalg.inv(np.eye(len(own.joints)) + loop) * hold[:, None, :])
 
@@ -231,7 +232,8 @@ def drive_places(robot: Robot) -> NDArray[np.int64]:
 def design_gains(inertia: Array, bandwidth_hz: float, damping: float, integral_hz: float) -> tuple[Array, Array, Array]:
     """Gains that give each joint, as one rigid inertia J, the poles of ``(s^2 + 2 damping w s + w^2)(s + w_i)``.
 
-    Then ``velocity_gain = J (2 damping w + w_i)``, ``position_gain = J (w^2 + 2 damping w w_i)``, ``integral_gain = J w^2 w_i``.
+    Then ``velocity_gain = J (2 damping w + w_i)``, ``position_gain = J (w^2 + 2 damping w w_i)``, ``integral_gain = J
+    w^2 w_i``.
 
     Returns
     -------
@@ -247,8 +249,8 @@ def design_cs8(
 ) -> CS8:
     """A controller for any robot: gains from `design_gains` on its rigid inertia, limits from its URDF.
 
-    Quantisation: a 16-bit resolver behind a gear of 100 (1e-6 rad), speed from its difference over about 1/100 s, and 12 bits of
-    current.
+    Quantisation: a 16-bit resolver behind a gear of 100 (1e-6 rad), speed from its difference over about 1/100 s, and
+    12 bits of current.
     """
     inertia = rigid_inertia(robot, pose)
     gains = design_gains(inertia, bandwidth_hz, damping, integral_hz)
@@ -256,8 +258,9 @@ def design_cs8(
     joints = []
     for j, name in enumerate(robot.joints):
         limit = float(limits[j])
-        steps = (1.0e-6, 1.0e-4, 2.0 * limit / 4096 if limit < 1e6 else 0.0)
-        joints.append(JointController(name, *(float(gain[j]) for gain in gains), *steps, limit))
+        position, velocity, integral = (float(gain[j]) for gain in gains)
+        current_step = 2.0 * limit / 4096 if limit < 1e6 else 0.0  # a URDF without limits has a huge one
+        joints.append(JointController(name, position, velocity, integral, 1.0e-6, 1.0e-4, current_step, limit))
     return CS8(tuple(joints))
 
 

@@ -73,8 +73,8 @@ class Trajectory:
     def repeated(self, times: int) -> Trajectory:
         """The trajectory that many times in a row."""
         torque = None if self.feedforward is None else np.tile(self.feedforward, (times, 1))
-        repeated = (np.tile(x, (times, 1)) for x in (self.position, self.velocity))
-        return Trajectory(self.name, self.joints, self.rate_hz, *repeated, torque, self.period_s)
+        position, velocity = (np.tile(x, (times, 1)) for x in (self.position, self.velocity))
+        return dataclasses.replace(self, position=position, velocity=velocity, feedforward=torque)
 
     def part(self, start_s: float, end_s: float) -> Trajectory:
         """The samples from start to end."""
@@ -102,8 +102,9 @@ def from_recording(recording: Recording) -> Trajectory:
 
 # ---- the straight line of section 4.2.2 -----------------------------------------------------------------------
 
-# Choices: the source shows the line (figure 4.6) and prints its length and duration. Across the robot, near enough for joint 1 to
-# sweep through 135 degrees and joints 2 and 3 to reverse half-way, at a height where its ends are within reach.
+# Choices: the source shows the line (figure 4.6) and prints its length and duration. Across the robot, near enough for
+# joint 1 to sweep through 135 degrees and joints 2 and 3 to reverse half-way, at a height where its ends are within
+# reach.
 LINE_LENGTH = 1.7  # m
 LINE_TIME = 2.0  # s
 LINE_DISTANCE = 0.35  # m, from joint 1's axis
@@ -225,8 +226,8 @@ def sine_excitation(
 ) -> Trajectory:
     """The identification experiment of section 4.2.2.
 
-    Joints 1-4 follow the 2nd, 3rd, 2nd and 3rd harmonic of a sine of 4.096 s, amplitude and offset pi/4; a multisine of 72
-    equally spaced lines from 1 to 110 Hz (on the grid of the period) is fed forward to each.
+    Joints 1-4 follow the 2nd, 3rd, 2nd and 3rd harmonic of a sine of 4.096 s, amplitude and offset pi/4; a multisine of
+    72 equally spaced lines from 1 to 110 Hz (on the grid of the period) is fed forward to each.
 
     Parameters
     ----------
@@ -264,10 +265,11 @@ def square_wave(
     periods: int = 1,
     rate_hz: float = RATE_HZ,
 ) -> Trajectory:
-    """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s alone.
+    """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s
+    alone.
 
-    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it does not overshoot at its flanks; the
-    position swings evenly about `pose`.
+    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2 % only at its
+    flanks; the position swings evenly about `pose`.
 
     Parameters
     ----------

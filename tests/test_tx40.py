@@ -1,0 +1,138 @@
+"""Claims about a real robot: ten seconds of a Staubli TX40, whose declared model lacks the coupling of its wrist."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from data_folder import tx40_folder
+from scipy import signal
+
+import rx90b_flex as rf
+from rx90b_flex.diagnose.close import FoundEffect
+from rx90b_flex.diagnose.evidence import STANDSTILL
+from rx90b_flex.diagnose.output import write_result
+
+SECONDS, BYTES = 60.0, 2e9
+
+
+@pytest.fixture(scope="module")
+def result() -> rf.ClosedLoop:
+    return rf.close_loop(tx40_folder() / "campaign.toml")
+
+
+def of_type(result: rf.ClosedLoop, kind: str) -> list[FoundEffect]:
+    return [e for e in result.effects if e.effect.type_name() == kind]
+
+
+def value(found: FoundEffect, name: str) -> tuple[float, float]:
+    (estimate,) = (p for p in found.parameters if p.name == name)
+    assert estimate.value is not None and estimate.std is not None
+    return estimate.value, estimate.std
+
+
+def test_the_coupling_of_joints_5_and_6_is_found_first(result):
+    first = result.effects[0].effect
+    assert (first.type_name(), first.joints) == ("joint_coupling", ("joint_5", "joint_6"))
+
+
+def test_the_validation_error_falls_from_a_fifth_to_a_seventh(result):
+    assert 0.20 < result.before.validation.relative_error < 0.22
+    assert result.after.validation.relative_error <= 0.14
+
+
+def test_the_identification_error_falls_by_half(result):
+    assert result.before.identification.relative_error == pytest.approx(0.10, abs=0.005)
+    assert result.after.identification.relative_error <= 0.055
+
+
+def test_most_of_the_fall_on_held_out_data_is_the_coupling(result):
+    coupling, before, after = result.effects[0], result.before.validation, result.after.validation
+    assert coupling.before == before
+    fall = before.relative_error - coupling.after.relative_error
+    assert fall > 0.8 * (before.relative_error - after.relative_error)
+
+
+def test_the_coupling_is_that_of_a_motor(result):
+    """An inertia and frictions above zero: the motor of joint 6 also turns with joint 5."""
+    for name in ("inertia", "viscous", "coulomb"):
+        estimate, std = value(result.effects[0], name)
+        assert estimate > 4 * std > 0
+
+
+def test_viscous_friction_grows_less_than_linearly_on_several_joints(result):
+    """Power-law viscous friction, as the source has it for the RX90B, takes the place of the declared linear one."""
+    found = of_type(result, "viscous_power_friction")
+    assert len({e.effect.joints for e in found}) >= 3
+    for e in found:
+        power, std = value(e, "power")
+        assert power + 2 * std < 1
+
+
+def test_joint_4_has_a_ripple_of_about_30_cycles_a_turn(result):
+    ripples = [e for e in of_type(result, "gear_ripple") if e.effect.joints == ("joint_4",)]
+    assert ripples
+    order, std = value(ripples[0], "order")
+    assert order == pytest.approx(30.6, abs=0.3) and std < 0.1
+    amplitude, std = value(ripples[0], "amplitude")
+    assert amplitude > 5 * std
+
+
+def test_every_effect_is_significant_after_correction_for_all_that_was_tried(result):
+    assert all(e.p_value < 1e-3 and e.gain_t > 2 for e in result.effects)
+
+
+def test_what_no_effect_explains_is_the_standstill_of_joint_2(result):
+    """While the robot rests, dry friction holds any torque within its bounds: no model of velocity tells which."""
+    assert result.verdict == "partly_explained"
+    where = result.unexplained.where
+    assert (where[0].joint, where[0].signal) == ("joint_2", STANDSTILL)
+    assert where[0].score > 0.5
+
+
+def lowpass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
+    return np.asarray(signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=rate_hz, output="sos"), x, axis=0))
+
+
+def test_the_saved_model_predicts_the_validation_part_as_well_as_reported(result, tmp_path):
+    """`robot.toml`, whose links a body can have, on the held-out motion, differentiated by NumPy alone."""
+    write_result(result, tmp_path)
+    robot = rf.load_robot(tmp_path / "robot.toml")
+    (prediction,) = result.predictions
+    recording = prediction.recording
+    rate, cutoff = recording.sample_rate_hz, 40.0
+    assert recording.joints == robot.joints
+    q = lowpass(recording.position, 2 * cutoff, rate)
+    v = np.gradient(q, 1 / rate, axis=0)
+    a = np.gradient(v, 1 / rate, axis=0)
+    error = lowpass(recording.torque - robot.inverse_dynamics(q, v, a), cutoff, rate)
+    # away from the ends by four periods of the cutoff: how signals go on beyond them is each filter's own affair
+    inside = slice(round(4 / cutoff * rate), -round(4 / cutoff * rate))
+    reported = np.linalg.norm((prediction.torque - prediction.after)[inside])
+    assert np.linalg.norm(error[inside]) == pytest.approx(reported, rel=0.02)
+
+
+@pytest.mark.alone
+def test_the_command_takes_less_than_a_minute_and_two_gigabytes(tmp_path: Path) -> None:
+    campaign = tx40_folder() / "campaign.toml"
+    script = Path(sys.executable).with_name("rx90b-flex")
+    if not script.is_file():
+        pytest.skip(f"the package is not installed beside {sys.executable}")
+    # a cache of compiled code would hide the first run's cost
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    start = time.perf_counter()
+    subprocess.run([script, "close-loop", campaign, "--out", tmp_path / "out"], check=True, env=environment)
+    seconds = time.perf_counter() - start
+    # the largest of all processes that this one has waited for, in kB on Linux and bytes on macOS
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    print(f"\nTX40: {seconds:.1f} s, {peak / 1e9:.2f} GB")
+    assert seconds < SECONDS
+    assert peak < BYTES
+    assert json.loads((tmp_path / "out" / "closed_loop.json").read_text())["schema"] == 1
