@@ -4,41 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rx90b_flex.effects.motion import Array, Coordinates
-
-if TYPE_CHECKING:
-    from rx90b_flex.linearize import Linearization
-    from rx90b_flex.robot import Robot
-
-
-def joint_angle_transform(coordinates: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
-    """Matrix T of ``q = T q'``, with theta = e + eps1 in the place of eps1 (equations 3.73, 3.74).
-
-    Parameters
-    ----------
-    coordinates : tuple of str
-        Names of q, in any order; that order is kept.
-
-    Returns
-    -------
-    transform : array, shape (n, n)
-        Then ``force' = T.T @ force`` and a matrix X of forces per coordinate becomes ``T.T @ X @ T`` (3.75).
-    names : tuple of str
-        Names of q': ``joint_1:torsion`` becomes ``joint_1:angle``. Joints without torsion stay as they are.
-    """
-    layout = Coordinates(coordinates)
-    transform = np.eye(len(coordinates))
-    names = list(coordinates)
-    for joint in layout.joints:
-        drive, torsion = layout.index(joint), layout.index(joint, "torsion")
-        if torsion is not None:
-            transform[torsion, drive] = -1.0
-            names[torsion] = f"{joint}:angle"
-    return transform, tuple(names)
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.linearize import Linearization, joint_angle_transform
+from rx90b_flex.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

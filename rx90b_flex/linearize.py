@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rx90b_flex.effects import close_match
-from rx90b_flex.effects.motion import Array
-from rx90b_flex.joint_angles import joint_angle_transform
+from rx90b_flex.effects import Effect, Motion, close_match
+from rx90b_flex.effects.motion import Array, Coordinates
 
 if TYPE_CHECKING:
     import control
-
-    from rx90b_flex.robot import Robot
 
 ComplexArray = NDArray[np.complex128]
 
@@ -257,42 +255,61 @@ class Linearization:
         return Linearization(names, self.joints, drives, **changed_groups, G0=changed(self.G0))
 
 
-def linearize(robot: Robot, q: Array, v: Array | None = None, a: Array | None = None) -> Linearization:
-    """Linearise a robot's equations of motion about a point of a trajectory (equations 3.88-3.94), analytically.
+def linearize(
+    effects: Sequence[Effect], moving: Motion, still: Motion, joints: tuple[str, ...], input_matrix: Array
+) -> Linearization:
+    """Linearise equations of motion about a point of a trajectory (equations 3.88-3.94), analytically.
 
     Parameters
     ----------
-    robot : Robot
-    q, v, a : array, shape (n,)
-        Coordinates, rates and accelerations; at rest where v and a are not given. Friction at rest has its steep
-        slope at reversal, which holds the drives: linearise with a velocity to see them move.
-
-    Returns
-    -------
-    Linearization
+    effects : sequence of Effect
+    moving, still : Motion
+        One sample: the point, and the same position at rest.
+    joints : tuple of str
+    input_matrix : array, shape (n, joints)
 
     Raises
     ------
     ValueError
-        A wrong shape; an effect without a value; an effect type with a part that is none of `GROUPS`.
+        An effect without a value; an effect type with a part that is none of `GROUPS`.
     """
-    q = np.asarray(q, dtype=float)
-    rest = np.zeros_like(q)
-    moving = robot.motion(q, rest if v is None else v, rest if a is None else a)
-    if len(moving) != 1:
-        raise ValueError(f"q, v and a hold {len(moving)} samples; expected one, of shape ({robot.model.nv},)")
-    still = robot.motion(q, rest, rest)
-    nothing = np.zeros((robot.model.nv, robot.model.nv))
+    nothing = np.zeros((len(moving.coordinates),) * 2)
     groups = {name: Terms(nothing, nothing, nothing) for name in GROUPS}
     groups["links"] = _terms(moving.on_tree.derivatives())
     gravity = still.on_tree.derivatives()[0][0]
-    for effect in robot.effects:
+    for effect in effects:
         if effect.part not in groups:
             raise ValueError(f"{effect.label}: part is {effect.part!r}; expected one of {', '.join(GROUPS)}")
         groups[effect.part] += _terms(effect.derivatives(moving))
         if effect.part == "links":
             gravity = gravity + effect.derivatives(still)[0][0]
-    return Linearization(robot.coordinates, robot.joints, robot.input_matrix, **groups, G0=gravity)
+    return Linearization(moving.coordinates.names, joints, input_matrix, **groups, G0=gravity)
+
+
+def joint_angle_transform(coordinates: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
+    """Matrix T of ``q = T q'``, with theta = e + eps1 in the place of eps1 (equations 3.73, 3.74).
+
+    Parameters
+    ----------
+    coordinates : tuple of str
+        Names of q, in any order; that order is kept.
+
+    Returns
+    -------
+    transform : array, shape (n, n)
+        Then ``force' = T.T @ force`` and a matrix X of forces per coordinate becomes ``T.T @ X @ T`` (3.75).
+    names : tuple of str
+        Names of q': ``joint_1:torsion`` becomes ``joint_1:angle``. Joints without torsion stay as they are.
+    """
+    layout = Coordinates(coordinates)
+    transform = np.eye(len(coordinates))
+    names = list(coordinates)
+    for joint in layout.joints:
+        drive, torsion = layout.index(joint), layout.index(joint, "torsion")
+        if torsion is not None:
+            transform[torsion, drive] = -1.0
+            names[torsion] = f"{joint}:angle"
+    return transform, tuple(names)
 
 
 def _terms(derivatives: tuple[Array, Array, Array]) -> Terms:

@@ -17,8 +17,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.joint_angles import JointAngleDynamics
-from rx90b_flex.linearize import Linearization, linearize
+from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
     from rx90b_flex.kernels import Plant
@@ -288,12 +287,20 @@ class Robot:
         return out
 
     def linearize(self, q: Array, v: Array | None = None, a: Array | None = None) -> Linearization:
-        """Small motions about a point: `rx90b_flex.linearize.linearize` of this robot."""
-        return linearize(self, q, v, a)
+        """Small motions about a point of a trajectory (equations 3.88-3.94), analytically.
 
-    def in_joint_angles(self) -> JointAngleDynamics:
-        """The dynamics in (e, theta, eps2, eps3) instead of (e, eps1, eps2, eps3) (equations 3.73-3.83)."""
-        return JointAngleDynamics(self)
+        Parameters
+        ----------
+        q, v, a : array, shape (n,)
+            Coordinates, rates and accelerations; at rest where v and a are not given. Friction at rest has its steep
+            slope at reversal, which holds the drives: linearise with a velocity to see them move.
+        """
+        q = np.asarray(q, dtype=float)
+        rest = np.zeros_like(q)
+        moving = self.motion(q, rest if v is None else v, rest if a is None else a)
+        if len(moving) != 1:
+            raise ValueError(f"q, v and a hold {len(moving)} samples; expected one, of shape ({self.model.nv},)")
+        return linearize(self.effects, moving, self.motion(q, rest, rest), self.joints, self.input_matrix)
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic and potential energy of links and effects, J; zero potential where pinocchio and the effects have it.
@@ -362,7 +369,8 @@ class Robot:
     @cached_property
     def _weightless_drives(self) -> tuple[str, ...]:
         """Joints whose drive turns apart from its link but has no inertia of its own."""
-        mass = np.diag(self.in_joint_angles().mass_matrix(np.zeros(self.model.nv)))
+        transform, _ = joint_angle_transform(self.coordinates)
+        mass = np.diag(transform.T @ self.mass_matrix(np.zeros(self.model.nv)) @ transform)
         twisting = [j for j in self.joints if self.layout.index(j, "torsion") is not None]
         return tuple(j for j in twisting if mass[self.layout.names.index(f"{j}:drive")] <= 1e-12 * mass.max())
 

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import BaseFlexibility, DriveFlexibility
+from rx90b_flex.joint_angles import JointAngleDynamics
 from rx90b_flex.robot import Robot, load_robot
 
 FLEXIBLE = ("rx90b", "rx90b_4dof", "rx90b_3dof")
@@ -101,7 +102,7 @@ def test_in_joint_angles_the_mass_matrix_couples_no_drive_with_anything(name):
     """(3.79), (3.80): drive rows hold the drive inertias, the rest is the links' mass matrix in (theta, eps2, eps3)."""
     robot = load_robot(name)
     links = robot.with_effects([e for e in robot.effects if e.type_name() != "drive_inertia" or e.joint >= "joint_5"])
-    dynamics = robot.in_joint_angles()
+    dynamics = JointAngleDynamics(robot)
     inertia = [e.inertia for e in robot.effects if e.type_name() == "drive_inertia"]
     drives = places(robot, "drive")
     others = [i for i in range(robot.model.nv) if i not in drives]
@@ -117,7 +118,7 @@ def test_in_joint_angles_the_mass_matrix_couples_no_drive_with_anything(name):
 def test_in_joint_angles_friction_acts_on_the_joint_angle_alone():
     """(3.83): T^T F = [0; I; 0; 0]."""
     robot = load_robot("rx90b_4dof")
-    dynamics = robot.in_joint_angles()
+    dynamics = JointAngleDynamics(robot)
     rates = np.random.default_rng(5).uniform(0.2, 1, 16)
     motion = robot.motion(np.zeros(16), dynamics.to_torsions(rates), np.zeros(16))
     torque = sum(e.force(motion)[0] for e in robot.effects if e.part == "friction") @ dynamics.transform
@@ -128,7 +129,7 @@ def test_in_joint_angles_friction_acts_on_the_joint_angle_alone():
 
 def test_dynamics_in_joint_angles_are_the_same_motion_in_other_coordinates():
     robot = load_robot("rx90b_3dof")
-    dynamics = robot.in_joint_angles()
+    dynamics = JointAngleDynamics(robot)
     q, v, _ = draw_state(robot, np.random.default_rng(6))
     torque = np.array([10.0, -20.0, 5.0])
     a = dynamics.forward_dynamics(dynamics.from_torsions(q), dynamics.from_torsions(v), torque)

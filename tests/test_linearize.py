@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility
 from rx90b_flex.effects.springs import JointSpring
-from rx90b_flex.linearize import GROUPS, Linearization, linearize
+from rx90b_flex.linearize import GROUPS, Linearization
 from rx90b_flex.robot import Robot, load_robot
 
 
@@ -76,7 +76,7 @@ def test_with_any_effects_it_is_the_derivative_of_the_inverse_dynamics(source, k
     rng = np.random.default_rng(seed)
     robot = with_drawn_effects(tree(source), kinds, rng)
     state = draw_state(robot, rng)
-    lin = linearize(robot, *state)
+    lin = robot.linearize(*state)
     for found, difference in zip((lin.K, lin.D, lin.M), finite_differences(robot, *state), strict=True):
         assert np.abs(found - difference).max() <= 1e-6 * np.abs(difference).max()
 

@@ -80,12 +80,12 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
         shifted = [r[back] for r in rest.T]
         for name, value in zip(names, values, strict=True):
             bins = _bins(value[at])
-            real, chance = [], []
+            real, chance = np.empty(len(joints)), np.empty((len(joints), SHUFFLES))
             for j in range(len(joints)):
                 order, edges = _cells(2 * bins + forward[j])
-                real.append(_explained(rest[order, j : j + 1], edges)[0])
-                chance.append(_explained(shifted[j][order], edges))
-            found += _dependences(joints, name, np.array(real), np.stack(chance), (rest**2).sum(axis=0), tests)
+                real[j] = _explained(rest[order, j : j + 1], edges)[0]
+                chance[j] = _explained(shifted[j][order], edges)
+            found += _dependences(joints, name, real, chance, (rest**2).sum(axis=0), tests)
     return tuple(sorted(found, key=lambda d: -d.score))
 
 

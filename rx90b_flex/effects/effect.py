@@ -61,7 +61,9 @@ class Parameter:
 
 def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER) -> Any:
     """Field of an effect: a parameter that the force is proportional to."""
-    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "linear", lower, size=size, rank=rank)})
+    return dataclasses.field(
+        default=None, metadata={"parameter": Parameter(unit, "linear", lower, size=size, rank=rank)}
+    )
 
 
 def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1) -> Any:
@@ -391,7 +393,9 @@ def close_match(name: str, allowed: Sequence[str]) -> str:
     return f"did you mean {near[0]!r}?" if near else "expected one of: " + ", ".join(allowed)
 
 
-def effect_from_table(table: Mapping[str, Any], where: str, joints: Sequence[str], frames: Sequence[str] = ()) -> Effect:
+def effect_from_table(
+    table: Mapping[str, Any], where: str, joints: Sequence[str], frames: Sequence[str] = ()
+) -> Effect:
     """Make an effect from a table of a robot file.
 
     Parameters
@@ -412,7 +416,9 @@ def effect_from_table(table: Mapping[str, Any], where: str, joints: Sequence[str
     if "type" not in table:
         raise ValueError(f"{where}: key 'type' is missing")
     if not isinstance(table["type"], str) or table["type"] not in types:
-        raise ValueError(f"{where}: unknown effect type {table['type']!r}; {close_match(str(table['type']), list(types))}")
+        raise ValueError(
+            f"{where}: unknown effect type {table['type']!r}; {close_match(str(table['type']), list(types))}"
+        )
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
     key = {"joint": "joint", "joints": "joints", "frame": "frame"}.get(cls.on)
@@ -457,7 +463,9 @@ def _read_value(found: Any, parameter: Parameter, where: str) -> Any:
         if isinstance(found, bool) or not isinstance(found, int | float) or not np.isfinite(found):
             raise ValueError(f"{where} is {found!r}; expected one finite number in {parameter.unit}")
         if parameter.kind == "shape" and not parameter.lower <= found <= parameter.upper:
-            raise ValueError(f"{where} is {found!r}; expected {parameter.lower:g} to {parameter.upper:g} {parameter.unit}")
+            raise ValueError(
+                f"{where} is {found!r}; expected {parameter.lower:g} to {parameter.upper:g} {parameter.unit}"
+            )
         if found < parameter.lower:
             raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g} {parameter.unit}")
         return float(found)

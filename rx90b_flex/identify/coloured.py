@@ -10,7 +10,6 @@ from scipy import fft
 
 from rx90b_flex.effects.motion import Array
 
-
 LARGEST_ABSORBED = 0.8  # part of the noise at a frequency that a fit is taken to have absorbed at the most
 LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's colour
 

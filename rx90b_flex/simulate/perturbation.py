@@ -20,7 +20,6 @@ equation a joint and step, ``rate + c torque(rate) = b``. With ``friction="linea
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -54,7 +53,11 @@ Friction = Literal["exact", "linear"]
 NEWTON = 30  # iterations for one rate; one is usual, more where a joint sticks
 # Friction is read from a table over the rate, whose cells are 1/16 of an octave: a cell's number is the leading bits of the
 # floating-point number, and a cubic in each leaves relative errors of 1e-8.
-LOWEST, OCTAVES, FINE = -30, 38, 16  # from 2^-30 rad/s, 1e-9; below, the torque is linear; up to 2^8, beyond, it is called
+LOWEST, OCTAVES, FINE = (
+    -30,
+    38,
+    16,
+)  # from 2^-30 rad/s, 1e-9; below, the torque is linear; up to 2^8, beyond, it is called
 CELLS = OCTAVES * FINE
 SMALLEST, LARGEST = 2.0**LOWEST, 2.0 ** (LOWEST + OCTAVES)
 PROBES = (-1.3, -0.21, 0.0, 0.37, 2.9)  # rad; a torque that is the same at these angles does not depend on the angle
@@ -158,7 +161,9 @@ class Ports(NamedTuple):
     start: NDArray[np.int64]  # (ports + 1,) first law of each port in `law`
     law: NDArray[np.int64]
     tabulated: NDArray[np.int64]  # (ports,) whether the torque depends on the rate alone and is read from the table
-    table: Array  # (ports, 2 * CELLS, 4) cubics of the torque by the place in a cell; rates below zero in the second half
+    table: (
+        Array  # (ports, 2 * CELLS, 4) cubics of the torque by the place in a cell; rates below zero in the second half
+    )
 
 
 def _ports(robot: Robot, exact: bool) -> Ports:
@@ -334,7 +339,9 @@ def _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, step, 
         torque = laws.stiffness[m] * combine(laws, m, middle[0]) + laws.damping[m] * combine(laws, m, middle[1])
         scatter(laws, m, torque + laws.inertia[m] * combine(laws, m, middle[2]), force)
     if not exact:
-        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force, scratch.out)
+        _add_linear_laws(
+            laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force, scratch.out
+        )
     for i in range(n):
         force[i] += along.other[at, i]
         for j in range(n):

@@ -1,0 +1,387 @@
+"""Simulated campaigns: many experiments as one job, saved run by run, resumed where they were interrupted.
+
+A plan lists its runs in order: realisations, columns of the input matrix, both signs. Each run's excitation and noise come from
+seeds that depend on the plan's seed and the run's place alone, so that neither batches nor workers change them. Batches of runs go
+through `joblib.Parallel`: its Dask or Ray backend carries them over several machines, which must see the same folder.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import joblib
+import numpy as np
+
+from rx90b_flex.export import save_robot
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import save_recording
+from rx90b_flex.signals.recording import Role
+from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate_lanes
+from rx90b_flex.simulate.cs8 import CS8, save_cs8
+from rx90b_flex.simulate.perturbation import perturb_lanes
+from rx90b_flex.simulate.trajectories import (
+    FEEDFORWARD_LINES,
+    FEEDFORWARD_PEAK,
+    PERIOD_S,
+    Trajectory,
+    multisine,
+    square_wave,
+)
+
+Method = Literal["nonlinear", "perturbation"]
+Progress = Callable[[str, float], None]
+
+PLAN_FILE = "plan.json"
+RUNS = "runs"
+
+
+@dataclass(frozen=True)
+class RunKey:
+    """Place of a run in its plan: realisation, experiment (column of the input matrix), sign."""
+
+    realisation: int
+    experiment: int
+    sign: int
+
+    @property
+    def name(self) -> str:
+        """Of the run, its recording and its file."""
+        return f"run_{self.realisation:03d}_{self.experiment + 1}_{'plus' if self.sign > 0 else 'minus'}"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Experiments on one robot about one motion (section 6.6.2).
+
+    The torque fed forward in realisation m, experiment k, sign s is ``s * input_matrix[j, k] * multisine_m(t)`` on moving joint j.
+
+    Attributes
+    ----------
+    robot : Robot
+    controller : CS8
+    reference : Trajectory
+        One period of the references; what it feeds forward is not used.
+    moving : tuple of str
+        Joints that the input matrix's rows belong to.
+    input_matrix : tuple of tuples of float
+        Rows are joints, columns experiments.
+    lines : tuple of int
+        Of the multisine: whole cycles in the period.
+    peak : float
+        Of the multisine, N m.
+    signs : tuple of int
+        1, -1 or both.
+    realisations, validation : int
+        Phase realisations of the multisine; the last `validation` of them have that role in the campaign file.
+    periods : int
+        Of each run, the first one in which the transient dies included.
+    noise : Noise
+    seed : int
+    method : str
+        ``nonlinear`` or ``perturbation``.
+    """
+
+    robot: Robot
+    controller: CS8
+    reference: Trajectory
+    moving: tuple[str, ...]
+    input_matrix: tuple[tuple[float, ...], ...]
+    lines: tuple[int, ...] = FEEDFORWARD_LINES
+    peak: float = FEEDFORWARD_PEAK
+    signs: tuple[int, ...] = (1, -1)
+    realisations: int = 16
+    validation: int = 0
+    periods: int = 9
+    noise: Noise = dataclasses.field(default_factory=Noise)
+    seed: int = 0
+    method: Method = "nonlinear"
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.input_matrix)
+        if len(shape) != 2 or shape[0] != len(self.moving) or shape[1] < 1:
+            raise ValueError(f"input_matrix has shape {shape}; expected {len(self.moving)} rows, one a moving joint")
+        for joint in self.moving:
+            if joint not in self.robot.joints:
+                raise ValueError(f"moving joint {joint!r} is none of {', '.join(self.robot.joints)}")
+        if not self.signs or not set(self.signs) <= {1, -1}:
+            raise ValueError(f"signs are {self.signs}; expected 1, -1 or both")
+        if self.periods < 1 or not 0 <= self.validation < self.realisations:
+            raise ValueError(
+                f"{self.realisations} realisations, {self.validation} of validation, {self.periods} periods; "
+                "expected one or more of identification, and one or more periods"
+            )
+        if self.method not in ("nonlinear", "perturbation"):
+            raise ValueError(f"method is {self.method!r}; expected 'nonlinear' or 'perturbation'")
+
+    @property
+    def runs(self) -> tuple[RunKey, ...]:
+        """All runs, in order."""
+        experiments = range(len(self.input_matrix[0]))
+        return tuple(RunKey(m, k, s) for m in range(self.realisations) for k in experiments for s in self.signs)
+
+    @property
+    def digest(self) -> str:
+        """Of everything that decides the results, hexadecimal."""
+        text = [self.robot.urdf, self.robot.tip_frame, repr(self.robot.effects), repr(self.controller)]
+        text += [repr((f.name, getattr(self, f.name))) for f in dataclasses.fields(self)[3:]]
+        text += [repr((self.reference.joints, self.reference.rate_hz, self.reference.period_s))]
+        state = hashlib.sha256("\n".join(text).encode())
+        for array in (self.reference.position, self.reference.velocity):
+            state.update(np.ascontiguousarray(array).tobytes())
+        return state.hexdigest()
+
+    def role(self, key: RunKey) -> Role:
+        """Of a run in the campaign file."""
+        return "validation" if key.realisation >= self.realisations - self.validation else "identification"
+
+    def trajectory(self, key: RunKey) -> Trajectory:
+        """References and feed-forward torques of a run."""
+        # one child a realisation: the columns and signs of one realisation share its phases
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(0, key.realisation)))
+        samples = len(self.reference.position)
+        wave = multisine(self.lines, samples, self.peak, rng)[:, 0]
+        feedforward = np.zeros((samples, len(self.robot.joints)))
+        for joint, row in zip(self.moving, self.input_matrix, strict=True):
+            feedforward[:, self.robot.joints.index(joint)] = key.sign * row[key.experiment] * wave
+        return self.reference.with_feedforward(feedforward, key.name).repeated(self.periods)
+
+    def generator(self, key: RunKey) -> np.random.Generator:
+        """For the noise of a run, whatever runs beside it."""
+        place = self.runs.index(key)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, place)))
+
+
+def section_662(robot: Robot, controller: CS8, **changes: object) -> Plan:
+    """The 96 runs of section 6.6.2: three joints, orthogonal inputs (6.50), both signs, 16 realisations, 9 periods.
+
+    Parameters
+    ----------
+    changes : fields of `Plan` to replace.
+    """
+    moving = robot.joints[:3]
+    pose = np.zeros(len(robot.joints))
+    pose[1:2] = 0.5 * np.pi  # stretched out horizontally
+    plan = Plan(robot, controller, square_wave(robot, pose, moving=moving), moving, minus_below_first(len(moving)))
+    return dataclasses.replace(plan, **changes)  # type: ignore[arg-type]
+
+
+def minus_below_first(joints: int) -> tuple[tuple[float, ...], ...]:
+    """Input matrix of (6.50): ones, with -1 down the diagonal below the first row."""
+    matrix = np.ones((joints, joints))
+    matrix[np.arange(1, joints), np.arange(1, joints)] = -1.0
+    return tuple(tuple(float(x) for x in row) for row in matrix)
+
+
+# ---- running --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that is not in the campaign, and why."""
+
+    run: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class CampaignResult:
+    """What a campaign came to.
+
+    Attributes
+    ----------
+    file : Path or None
+        The campaign file; None where no run succeeded.
+    done : names of all runs that are on disk.
+    resumed : names of those that were there before.
+    failed : runs that ended early or raised, with their reasons. They are tried again when the campaign is run again.
+    """
+
+    file: Path | None
+    done: tuple[str, ...]
+    resumed: tuple[str, ...]
+    failed: tuple[Failure, ...]
+
+
+def run_campaign(
+    plan: Plan,
+    folder: str | os.PathLike[str],
+    *,
+    jobs: int = 1,
+    batch: int | None = None,
+    progress: Progress | None = None,
+) -> CampaignResult:
+    """Simulate all runs of a plan into a folder; runs that are there already are kept.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : path
+        Receives ``runs/*.parquet``, the robot, the controller, ``plan.json`` and, at the end, ``campaign.toml``.
+    jobs : int
+        Workers, as `joblib.Parallel` counts them; inside ``joblib.parallel_config(backend="dask")`` those of the cluster.
+    batch : int, optional
+        Runs that one worker advances together; by default all, shared evenly among the workers, 48 at most. A worker's memory is
+        about ``batch * seconds * log rate * (2 n + 6 joints + 5) * 8`` bytes and 0.256 s of its signals at the controller's rate.
+    progress : callable, optional
+        Called with a text and the part that is done.
+
+    Raises
+    ------
+    ValueError
+        The folder holds another plan's runs.
+    """
+    folder = Path(folder)
+    _claim(plan, folder)
+    resumed = tuple(key for key in plan.runs if _saved(folder, key))
+    missing = [key for key in plan.runs if key not in set(resumed)]
+    tell = progress or (lambda text, part: None)
+    count = len(plan.runs)
+    done, failed = list(resumed), []
+    tell(f"{len(done)} of {count} runs", len(done) / count)
+    size = batch or min(48, max(1, -(-len(missing) // max(joblib.effective_n_jobs(jobs), 1))))
+    batches = [tuple(missing[i : i + size]) for i in range(0, len(missing), size)]
+    work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
+        joblib.delayed(simulate_batch)(plan, keys, folder) for keys in batches
+    )
+    for finished in work:
+        for key, reason in finished:
+            if reason is None:
+                done.append(key)
+            else:
+                failed.append(Failure(key.name, reason))
+        tell(f"{len(done)} of {count} runs", (len(done) + len(failed)) / count)
+    present = set(done)
+    kept = [key for key in plan.runs if key in present]
+    names = tuple(key.name for key in kept)
+    file = _write_campaign_file(plan, kept, folder) if any(plan.role(k) == "identification" for k in kept) else None
+    return CampaignResult(file, names, tuple(k.name for k in resumed), tuple(failed))
+
+
+def simulate_batch(plan: Plan, keys: Sequence[RunKey], folder: Path) -> list[tuple[RunKey, str | None]]:
+    """Simulate some runs together and save each; what a worker does. Returns each run with None or why it failed."""
+    try:
+        runs = _simulate(plan, keys)
+    except Exception as error:
+        if len(keys) == 1:
+            return [(keys[0], _one_line(error))]
+        # one of them cannot be simulated: find out which
+        return [result for key in keys for result in simulate_batch(plan, [key], folder)]
+    out: list[tuple[RunKey, str | None]] = []
+    for key, run in zip(keys, runs, strict=True):
+        reason = run.ended
+        if reason is None:
+            try:
+                save_recording(run.recording, _file(folder, key))
+            except (OSError, ValueError) as error:
+                reason = _one_line(error)
+        out.append((key, reason))
+    return out
+
+
+def _simulate(plan: Plan, keys: Sequence[RunKey]) -> list[Simulation]:
+    trajectories = [plan.trajectory(key) for key in keys]
+    noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
+    noise = plan.noise if noisy else None
+    rng = _Spawned([plan.generator(key) for key in keys])
+    advance = perturb_lanes if plan.method == "perturbation" else simulate_lanes
+    return advance(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
+
+
+class _Spawned(np.random.Generator):
+    """A generator whose children are given: each lane gets its own run's."""
+
+    def __init__(self, children: list[np.random.Generator]) -> None:
+        super().__init__(np.random.PCG64(0))
+        self.children = children
+
+    def spawn(self, n_children: int) -> list[np.random.Generator]:
+        """The given generators."""
+        if n_children != len(self.children):
+            raise ValueError(f"{n_children} generators asked for, there are {len(self.children)}")
+        return self.children
+
+
+def _one_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+# ---- files ----------------------------------------------------------------------------------------------------
+
+
+def _file(folder: Path, key: RunKey) -> Path:
+    return folder / RUNS / f"{key.name}.parquet"
+
+
+def _saved(folder: Path, key: RunKey) -> bool:
+    # files appear whole or not at all, and the plan's digest says that they are this plan's
+    return _file(folder, key).is_file()
+
+
+def _claim(plan: Plan, folder: Path) -> None:
+    """Make the folder this plan's, or refuse it."""
+    note = folder / PLAN_FILE
+    if note.exists():
+        try:
+            found = json.loads(note.read_text(encoding="utf-8"))["digest"]
+        except (OSError, ValueError, KeyError, TypeError):
+            raise ValueError(f"{note}: cannot be read; expected the plan of this folder's runs") from None
+        if found != plan.digest:
+            raise ValueError(
+                f"{folder}: holds runs of another plan ({note.name}); give another folder or empty this one"
+            )
+        return
+    if (folder / RUNS).exists():
+        raise ValueError(f"{folder}: has a folder {RUNS!r} but no {PLAN_FILE}; give another folder")
+    (folder / RUNS).mkdir(parents=True, exist_ok=True)
+    save_robot(plan.robot, folder)
+    save_cs8(plan.controller, folder / "controller.toml")
+    summary = {
+        "digest": plan.digest,
+        "robot": plan.robot.name,
+        "method": plan.method,
+        "runs": [key.name for key in plan.runs],
+        "periods": plan.periods,
+        "seed": plan.seed,
+    }
+    part = note.with_suffix(".part")
+    part.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    os.replace(part, note)
+
+
+def _write_campaign_file(plan: Plan, keys: Sequence[RunKey], folder: Path) -> Path:
+    """`campaign.toml` for the runs on disk; of each the first period, in which the transient dies, is left out."""
+    joints, controller = plan.robot.joints, plan.controller
+    period = plan.reference.period_s or PERIOD_S
+    prefixes = {
+        "motor_position": "q",
+        "torque": "tau",
+        "motor_velocity": "v",
+        "reference_position": "ref",
+        "reference_velocity": "refv",
+        "feedforward_torque": "ff",
+    }
+    lines = ['robot = "robot.toml"', f"sample_rate_hz = {controller.log_rate_hz!r}", f"joints = {json.dumps(joints)}"]
+    lines += ["", "[signals]"]
+    lines += [f"{signal} = {json.dumps([f'{prefix}_{j}' for j in joints])}" for signal, prefix in prefixes.items()]
+    torque_noise = np.broadcast_to(plan.noise.torque, len(joints))
+    if np.any(torque_noise):
+        # the anti-alias filter keeps the part below its cutoff
+        kept = np.sqrt(2.0 * controller.log_cutoff_hz / controller.controller_rate_hz)
+        lines += ["", "[noise]", f"torque_rms = {[float(x * kept) for x in torque_noise]}"]
+    for key in keys:
+        lines += ["", "[[recording]]", f'file = "{RUNS}/{key.name}.parquet"', f'role = "{plan.role(key)}"']
+        if plan.periods > 1:
+            lines.append(f"start_s = {period!r}")
+        lines.append(f"period_s = {period!r}")
+    file = folder / "campaign.toml"
+    part = file.with_suffix(".part")
+    part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    os.replace(part, file)
+    return file
