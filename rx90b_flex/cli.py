@@ -126,6 +126,42 @@ def flexify(
     Console().print(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones", soft_wrap=True)
 
 
+@app.command("simulate")
+def simulate_command(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    trajectory: Annotated[
+        Path | None, typer.Option(help="Trajectory (CSV): time, one column a joint (rad), ff_<joint> (N m) if fed forward.")
+    ] = None,
+    line: Annotated[bool, typer.Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
+    excitation: Annotated[bool, typer.Option("--excitation", help="The excitation of section 4.2.2.")] = False,
+    square_wave: Annotated[bool, typer.Option("--square-wave", help="The square wave of section 6.6.2.")] = False,
+    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
+    periods: Annotated[int, typer.Option(help="Periods of an excitation that repeats.")] = 1,
+    perturbation: Annotated[bool, typer.Option("--perturbation", help="Use the perturbation method.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of excitation and noise.")] = 0,
+    torque_noise: Annotated[float, typer.Option(help="Standard deviation at the controller's rate, N m.")] = 0.0,
+    position_noise: Annotated[float, typer.Option(help="The same of position, rad.")] = 0.0,
+    velocity_noise: Annotated[float, typer.Option(help="The same of velocity, rad/s.")] = 0.0,
+) -> None:
+    """Simulate ROBOT under its controller along a trajectory: recording, tip deviation, figure."""
+    from rx90b_flex.simulate.closed_loop import Noise
+    from rx90b_flex.simulate.command import Request, simulate_into, summary
+
+    chosen = [*([str(trajectory)] if trajectory else []), *["line"] * line, *["excitation"] * excitation]
+    chosen += ["square-wave"] * square_wave
+    if len(chosen) > 1:
+        raise ValueError(f"{' and '.join(chosen)}: choose one of --trajectory, --line, --excitation, --square-wave")
+    noise = Noise(torque_noise, position_noise, velocity_noise)
+    request = Request(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
+    with _progress() as tell:
+        result = simulate_into(request, out, tell)
+    console = Console()
+    for text in summary(result):
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+    console.print(f"Recording, tip.csv and figure: {out}", soft_wrap=True)
+
+
 def _print_result(console: Console, result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
 

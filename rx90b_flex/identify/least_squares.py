@@ -444,8 +444,7 @@ class _Fit:
         gram = d.T @ d
         diagonal = np.diag(gram)
         gram = gram + damping * np.diag(np.where(diagonal > 0, diagonal, 1.0))
-        step: Array = np.linalg.lstsq(gram, d.T @ r, rcond=None)[0]
-        return step
+        return np.asarray(np.linalg.lstsq(gram, d.T @ r, rcond=None)[0], dtype=float)
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution = self.solution

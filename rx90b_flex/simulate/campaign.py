@@ -120,6 +120,10 @@ class Plan:
         if self.method not in ("nonlinear", "perturbation"):
             raise ValueError(f"method is {self.method!r}; expected 'nonlinear' or 'perturbation'")
 
+    def __getstate__(self) -> dict[str, object]:
+        # to another process without what the robot has worked out: addresses of compiled laws mean nothing there
+        return {**self.__dict__, "robot": dataclasses.replace(self.robot)}
+
     @property
     def runs(self) -> tuple[RunKey, ...]:
         """All runs, in order."""
@@ -239,6 +243,7 @@ def run_campaign(
     """
     folder = Path(folder)
     _claim(plan, folder)
+    (folder / RUNS).mkdir(exist_ok=True)
     resumed = tuple(key for key in plan.runs if _saved(folder, key))
     missing = [key for key in plan.runs if key not in set(resumed)]
     tell = progress or (lambda text, part: None)
@@ -339,8 +344,8 @@ def _claim(plan: Plan, folder: Path) -> None:
         return
     if (folder / RUNS).exists():
         raise ValueError(f"{folder}: has a folder {RUNS!r} but no {PLAN_FILE}; give another folder")
-    (folder / RUNS).mkdir(parents=True, exist_ok=True)
-    save_robot(plan.robot, folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_robot(plan.robot, folder, allow_inconsistent=True)
     save_cs8(plan.controller, folder / "controller.toml")
     summary = {
         "digest": plan.digest,

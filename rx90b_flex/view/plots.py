@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +20,9 @@ from rx90b_flex.diagnose.close import ClosedLoop, Prediction
 from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, at_rest, signals
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import lowpass
+
+if TYPE_CHECKING:
+    from rx90b_flex.simulate.closed_loop import Simulation
 
 BEFORE, AFTER, MEASURED, FLOOR = "#d55e00", "#0072b2", "#8a8a8a", "#000000"
 WIDTH_IN = 5.4  # about the width of a column of the report, so that text keeps its size
@@ -220,6 +224,19 @@ def envelope(x: Array, y: Array, columns: int = DRAWN_COLUMNS) -> tuple[Array, A
     kept = [a + i for a, b in pairwise(edges) for i in {y[a:b].argmin(), y[a:b].argmax()}]
     places = np.sort(np.array([0, *kept, len(x) - 1]))
     return x[places], y[places]
+
+
+def tip_deviation(result: Simulation) -> Figure:
+    """Tip deviation over time, up and across the path, as in figure 4.7; below both along the path."""
+    figure, axes = _figure(3, 4.2, sharex=True)
+    places = {"up": 2, "across (left)": 1, "along": 0}
+    for ax, (name, column) in zip(axes, places.items(), strict=True):
+        ax.axhline(0.0, color="#555555", linewidth=0.6)
+        ax.plot(*envelope(result.time, result.path_deviation_mm[:, column]), color=AFTER, linewidth=1.0)
+        ax.set_ylabel(f"{name}, mm", fontsize=9)
+    axes[-1].set_xlabel("time, s", fontsize=9)
+    axes[0].set_title(f"tip deviation, {_plain(result.recording.name)}", fontsize=9, loc="left")
+    return figure
 
 
 def joint_torques(result: ClosedLoop) -> dict[str, Array]:

@@ -1,0 +1,269 @@
+"""What ``rx90b-flex simulate`` does: a trajectory from a file or a built-in one, one run, and its files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.export import save_robot
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals.recording import write_campaign
+from rx90b_flex.signals.tables import read_table
+from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate
+from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8
+from rx90b_flex.simulate.perturbation import perturb_lanes
+from rx90b_flex.simulate.trajectories import (
+    FEEDFORWARD_LINES,
+    FEEDFORWARD_PEAK,
+    PERIOD_S,
+    Trajectory,
+    multisine,
+    sine_excitation,
+    square_wave,
+    straight_line,
+)
+
+BUILT_IN = ("line", "excitation", "square-wave")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user asks for.
+
+    Attributes
+    ----------
+    robot : str
+        As `load_robot` takes it.
+    motion : str
+        One of `BUILT_IN`, or the path of a trajectory file.
+    controller : Path or None
+        Controller file; the CS8's where the robot has its joints, else gains designed for the robot.
+    periods : int
+        Of an excitation that repeats.
+    seed : int
+        Of excitation and noise.
+    noise : Noise
+    perturbation : bool
+        Whether to use the perturbation method.
+    """
+
+    robot: str
+    motion: str
+    controller: Path | None = None
+    periods: int = 1
+    seed: int = 0
+    noise: Noise = Noise()
+    perturbation: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A request that was checked: everything that a run needs."""
+
+    request: Request
+    robot: Robot
+    controller: CS8
+    trajectory: Trajectory
+
+
+def prepare(request: Request) -> Prepared:
+    """Read and check everything that a request names.
+
+    Raises
+    ------
+    ValueError
+        One line that names file and key or column.
+    """
+    for name, value in (("torque", request.noise.torque), ("position", request.noise.position)):
+        if np.min(value) < 0.0 or not np.isfinite(value).all():
+            raise ValueError(f"{name} noise is {value}; expected 0 or more")
+    if np.min(request.noise.velocity) < 0.0 or not np.isfinite(request.noise.velocity).all():
+        raise ValueError(f"velocity noise is {request.noise.velocity}; expected 0 or more")
+    if request.periods < 1:
+        raise ValueError(f"periods is {request.periods}; expected 1 or more")
+    robot = load_robot(request.robot)
+    for effect in robot.effects:
+        effect.known_coefficients()
+    controller = _controller(robot, request.controller)
+    trajectory = _trajectory(robot, controller, request)
+    if request.periods > 1 and trajectory.period_s is None:
+        raise ValueError(f"periods is {request.periods}, but {trajectory.name!r} does not repeat")
+    return Prepared(request, robot, controller, trajectory)
+
+
+def _controller(robot: Robot, file: Path | None) -> CS8:
+    if file is not None:
+        return _of_robot(load_cs8(file), robot, str(file))
+    own = load_cs8()
+    if set(robot.joints) <= {joint.name for joint in own.joints} and robot.name.startswith("rx90b"):
+        return own.for_joints(robot.joints)
+    return design_cs8(robot, np.zeros(len(robot.joints)))
+
+
+def _of_robot(controller: CS8, robot: Robot, where: str) -> CS8:
+    try:
+        return controller.for_joints(robot.joints)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _trajectory(robot: Robot, controller: CS8, request: Request) -> Trajectory:
+    rate = controller.reference_rate_hz
+    rng = np.random.default_rng(np.random.SeedSequence(request.seed, spawn_key=(0,)))
+    if request.motion == "line":
+        return straight_line(robot, rate_hz=rate)
+    if request.motion == "excitation":
+        return sine_excitation(robot, rng, periods=request.periods, rate_hz=rate)
+    if request.motion == "square-wave":
+        moving = robot.joints[:3]
+        pose = np.zeros(len(robot.joints))
+        pose[1:2] = 0.5 * np.pi
+        feedforward = np.zeros((round(PERIOD_S * rate), len(robot.joints)))
+        wave = multisine(FEEDFORWARD_LINES, len(feedforward), FEEDFORWARD_PEAK, rng)
+        feedforward[:, : len(moving)] = wave
+        return square_wave(
+            robot, pose, moving=moving, feedforward=feedforward, periods=request.periods, rate_hz=rate
+        )
+    return read_trajectory(Path(request.motion), robot, rate)
+
+
+def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
+    """A trajectory from a table: `time`, one column a joint (rad) and, where torque is fed forward, `ff_<joint>` columns (N m).
+
+    Joints without a column stay at zero. Samples at another rate than the controller's references are interpolated by cubic splines.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and the column.
+    """
+    forward = [f"ff_{joint}" for joint in robot.joints]
+    header = _header(path)
+    for name in header:
+        if name != "time" and name not in robot.joints and name not in forward:
+            raise ValueError(f"{path}: column {name!r} is none of time, {', '.join((*robot.joints, 'ff_<joint>'))}")
+    joints = [joint for joint in robot.joints if joint in header]
+    if not joints:
+        raise ValueError(f"{path}: no column of a joint; expected one of {', '.join(robot.joints)}")
+    fed = [name for name in forward if name in header]
+    table = read_table(path, ["time", *joints, *fed])
+    time = table.columns(["time"])[:, 0]
+    for name, values in zip(["time", *joints, *fed], table.columns(["time", *joints, *fed]).T, strict=True):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{path}: column {name!r}, row {int(np.argmin(np.isfinite(values))) + 1}: not a number")
+    steps = np.diff(time)
+    if len(time) < 10 or not (steps > 0).all() or np.ptp(steps) > 1e-3 * steps.mean():
+        raise ValueError(f"{path}: column 'time': expected 10 or more samples at even, rising times")
+    places = [robot.joints.index(joint) for joint in joints]
+    position, velocity = np.zeros((2, len(time), len(robot.joints)))
+    position[:, places] = table.columns(joints)
+    velocity[:, places] = _rates(position[:, places], 1.0 / steps.mean())
+    feedforward = np.zeros_like(position) if fed else None
+    if feedforward is not None:
+        feedforward[:, [forward.index(name) for name in fed]] = table.columns(fed)
+    return _at_rate(path, robot, (time - time[0], position, velocity, feedforward), rate_hz)
+
+
+def _rates(position: Array, rate_hz: float) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    time = np.arange(len(position)) / rate_hz
+    return np.asarray(CubicSpline(time, position, axis=0)(time, 1))
+
+
+def _at_rate(path: Path, robot: Robot, parts: tuple[Array, Array, Array, Array | None], rate_hz: float) -> Trajectory:
+    """The table at the controller's rate."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    time, position, velocity, feedforward = parts
+    wanted = np.arange(int(np.floor(time[-1] * rate_hz + 1e-6)) + 1) / rate_hz
+    if not (len(wanted) == len(time) and np.allclose(wanted, time, atol=1e-4 / rate_hz)):
+        curve = CubicHermiteSpline(time, position, velocity, axis=0)
+        clipped = np.minimum(wanted, time[-1])
+        position, velocity = curve(clipped), curve(clipped, 1)
+        if feedforward is not None:
+            feedforward = np.stack([np.interp(clipped, time, column) for column in feedforward.T], axis=1)
+    return Trajectory(path.stem, robot.joints, rate_hz, position, velocity, feedforward)
+
+
+def _header(path: Path) -> list[str]:
+    if path.suffix != ".csv":
+        raise ValueError(f"{path}: expected a trajectory file (.csv) with time and one column a joint")
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return [name.strip() for name in next(csv.reader(file), [])]
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such trajectory file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+
+
+# ---- the run and its files ------------------------------------------------------------------------------------
+
+
+def run(prepared: Prepared) -> Simulation:
+    """The run that a request asks for, with its raw log."""
+    request = prepared.request
+    noise = request.noise
+    noisy = any(np.any(x) for x in (noise.torque, noise.position, noise.velocity))
+    rng = np.random.default_rng(np.random.SeedSequence(request.seed, spawn_key=(1,)))
+    robot, controller, trajectory = prepared.robot, prepared.controller, prepared.trajectory
+    given = noise if noisy else None
+    if request.perturbation:
+        return perturb_lanes(robot, controller, [trajectory], noise=given, rng=rng, raw=True)[0]
+    return simulate(robot, controller, trajectory, noise=given, rng=rng, raw=True)
+
+
+def write_run(result: Simulation, folder: Path) -> None:
+    """Recording, campaign file, robot and the tip's table into a folder."""
+    robot_file = save_robot(result.robot, folder, allow_inconsistent=True)
+    write_campaign(folder, robot_file.name, [result.recording])
+    deviation, path = result.tip_deviation_mm, result.path_deviation_mm
+    names = ["time", "x", "y", "z", "deviation_x_mm", "deviation_y_mm", "deviation_z_mm"]
+    names += ["along_mm", "across_mm", "up_mm"]
+    values = np.column_stack([result.time, result.tip[:, :3, 3], deviation, path])
+    lines = [",".join(names), *(",".join(repr(float(x)) for x in row) for row in values)]
+    (folder / "tip.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def summary(result: Simulation) -> list[str]:
+    """What is printed after a run, one line each."""
+    size = np.linalg.norm(result.tip_deviation_mm, axis=1)
+    where = result.time[size.argmax()]
+    lines = [
+        f"{result.recording.name}: {result.time[-1]:.3f} s of {result.robot.name}, {len(result.robot.coordinates)} coordinates",
+        f"Tip deviation: {size.max():.3g} mm at most (at {where:.3f} s), {np.sqrt(np.mean(size**2)):.3g} mm root mean square",
+    ]
+    assert result.raw is not None
+    if len(result.raw.position) > 8:
+        shares = result.raw.share_above(125.0)
+        parts = ", ".join(f"{100 * share.max():.2g} % of {name}" for name, share in shares.items())
+        lines.append(f"Power above 125 Hz in the raw log, worst joint: {parts}")
+    lines.append("The run ended early: " + result.ended if result.ended else "The run went to its end")
+    return lines
+
+
+def simulate_into(request: Request, folder: Path, tell: Callable[[str, float], None]) -> Simulation:
+    """Check a request, run it and write its files; nothing is written unless all of it is."""
+    from rx90b_flex.diagnose.output import check_folder, fill_folder
+    from rx90b_flex.view.plots import tip_deviation
+
+    check_folder(folder)
+    prepared = prepare(request)
+    tell(f"simulating {prepared.trajectory.name}", 0.1)
+    result = run(prepared)
+    tell("writing", 0.9)
+
+    def fill(at: Path) -> None:
+        write_run(result, at)
+        figure = tip_deviation(result)
+        for ending in ("png", "svg"):
+            figure.savefig(at / f"tip.{ending}", dpi=150)
+
+    fill_folder(folder, fill)
+    return result
