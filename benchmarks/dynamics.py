@@ -1,7 +1,7 @@
 """Cost of forward dynamics and of regressors: python benchmarks/dynamics.py
 
-One call of `Robot.forward_dynamics` of the 16-coordinate model, every effect included, beside plain `pin.aba` on the same tree; and
-10,000 stacked regressors of the 4-DOF model.
+One call of `Robot.forward_dynamics` of the 16-coordinate model, every effect included, beside plain `pin.aba` on the
+same tree; and 10,000 stacked regressors of the 4-DOF model.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draw the README's picture: what the demonstration's residual holds before and after the hidden effect is added.
 
-    python benchmarks/readme_picture.py
+python benchmarks/readme_picture.py
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Speed of the nonlinear closed-loop simulation, in multiples of real time: python benchmarks/simulation.py [--quick]
 
-rx90b_4dof, 16 coordinates, friction, spring, controller at 4 kHz, log at 250 Hz; beside MuJoCo's bare stepping of the same tree
-(no controller, no friction, no spring; stiffness and damping of the hinges and drive inertias alone) at the same 4 kHz.
-Runs on two processes, one thread each.
+rx90b_4dof, 16 coordinates, friction, spring, controller at 4 kHz, log at 250 Hz; beside MuJoCo's bare stepping of the
+same tree (no controller, no friction, no spring; stiffness and damping of the hinges and drive inertias alone) at the
+same 4 kHz. Runs on two processes, one thread each.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ def job(trajectories: list[Trajectory]) -> tuple[float, int]:
 
 
 def bare_mujoco(robot: Robot) -> mujoco.MjModel:
-    """The flexible tree in MuJoCo with its hinges' stiffness, damping and the drives' inertias; no friction, no spring."""
+    """The flexible tree in MuJoCo with its hinges' stiffness, damping and the drives' inertias; no friction, no
+    spring.
+    """
     root = etree.fromstring(robot.flexible_urdf.encode())
     etree.SubElement(etree.SubElement(root, "mujoco"), "compiler", balanceinertia="true", boundmass="1e-9",
                      boundinertia="1e-9", discardvisual="true", fusestatic="false")  # fmt: skip
@@ -120,9 +122,8 @@ def main() -> None:
     seconds = sum(s for s, _ in done)
     memory = max(m for _, m in done)
     print(f"campaign of {runs} runs of {periods} periods, {seconds / 60:.1f} min of robot time, two processes:")
-    print(
-        f"                          {seconds / taken:6.1f} x real time   (asked: 40), {taken:.0f} s, {memory} MB a process"
-    )
+    speed = f"{seconds / taken:6.1f} x real time   (asked: 40)"
+    print(f"                          {speed}, {taken:.0f} s, {memory} MB a process")
 
 
 if __name__ == "__main__":

@@ -131,7 +131,8 @@ def simulate_command(
     robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
     out: Out,
     trajectory: Annotated[
-        Path | None, typer.Option(help="Trajectory (CSV): time, one column a joint (rad), ff_<joint> (N m) if fed forward.")
+        Path | None,
+        typer.Option(help="Trajectory (CSV): time, one column a joint (rad), ff_<joint> (N m) if fed forward."),
     ] = None,
     line: Annotated[bool, typer.Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
     excitation: Annotated[bool, typer.Option("--excitation", help="The excitation of section 4.2.2.")] = False,

@@ -447,9 +447,7 @@ def test_a_mimic_joint_is_held_where_its_leaders_neutral_position_puts_it_and_sa
     )
     normal = fx.normalise(urdf)
     assert fx.moving_joints(normal) == ("leader",)
-    np.testing.assert_allclose(
-        joint_of(normal, "first").origin[:3, :3], pin.rpy.rpyToMatrix(0, 0, 0.1), atol=4 * EPS
-    )
+    np.testing.assert_allclose(joint_of(normal, "first").origin[:3, :3], pin.rpy.rpyToMatrix(0, 0, 0.1), atol=4 * EPS)
     assert fx.neutral_position(urdf, "second") == -0.1
     assert [note.split(":")[0] for note in fx.normalisation_notes(urdf)] == [
         "joint 'first' mimics 'leader'",

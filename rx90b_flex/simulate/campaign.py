@@ -170,8 +170,7 @@ def section_662(robot: Robot, controller: CS8, **changes: object) -> Plan:
     changes : fields of `Plan` to replace.
     """
     moving = robot.joints[:3]
-    pose = np.zeros(len(robot.joints))
-    pose[1:2] = 0.5 * np.pi  # stretched out horizontally
+    pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]  # stretched out horizontally
     plan = Plan(robot, controller, square_wave(robot, pose, moving=moving), moving, minus_below_first(len(moving)))
     return dataclasses.replace(plan, **changes)  # type: ignore[arg-type]
 

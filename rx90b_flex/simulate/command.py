@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +57,7 @@ class Request:
     controller: Path | None = None
     periods: int = 1
     seed: int = 0
-    noise: Noise = Noise()
+    noise: Noise = field(default_factory=Noise)
     perturbation: bool = False
 
 
@@ -121,14 +121,11 @@ def _trajectory(robot: Robot, controller: CS8, request: Request) -> Trajectory:
         return sine_excitation(robot, rng, periods=request.periods, rate_hz=rate)
     if request.motion == "square-wave":
         moving = robot.joints[:3]
-        pose = np.zeros(len(robot.joints))
-        pose[1:2] = 0.5 * np.pi
+        pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]
         feedforward = np.zeros((round(PERIOD_S * rate), len(robot.joints)))
         wave = multisine(FEEDFORWARD_LINES, len(feedforward), FEEDFORWARD_PEAK, rng)
         feedforward[:, : len(moving)] = wave
-        return square_wave(
-            robot, pose, moving=moving, feedforward=feedforward, periods=request.periods, rate_hz=rate
-        )
+        return square_wave(robot, pose, moving=moving, feedforward=feedforward, periods=request.periods, rate_hz=rate)
     return read_trajectory(Path(request.motion), robot, rate)
 
 
@@ -242,8 +239,9 @@ def summary(result: Simulation) -> list[str]:
     assert result.raw is not None
     if len(result.raw.position) > 8:
         shares = result.raw.share_above(125.0)
-        parts = ", ".join(f"{100 * share.max():.2g} % of {name}" for name, share in shares.items())
-        lines.append(f"Power above 125 Hz in the raw log, worst joint: {parts}")
+        for name in ("torque", "velocity"):
+            each = ", ".join(f"{j} {100 * x:.2g} %" for j, x in zip(result.robot.joints, shares[name], strict=True))
+            lines.append(f"Power above 125 Hz in the raw log, {name}: {each}")
     lines.append("The run ended early: " + result.ended if result.ended else "The run went to its end")
     return lines
 

@@ -20,6 +20,7 @@ equation a joint and step, ``rate + c torque(rate) = b``. With ``friction="linea
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
@@ -32,9 +33,9 @@ from rx90b_flex.kernels import (
     Inputs,
     Logs,
     _call,
+    _check,
     combine,
     compiled,
-    control,
     inverse_dynamics,
     scatter,
     scratch_in,
@@ -60,6 +61,7 @@ LOWEST, OCTAVES, FINE = (
 )  # from 2^-30 rad/s, 1e-9; below, the torque is linear; up to 2^8, beyond, it is called
 CELLS = OCTAVES * FINE
 SMALLEST, LARGEST = 2.0**LOWEST, 2.0 ** (LOWEST + OCTAVES)
+NO_NOISE = 2  # samples of an array of noise that is not there; a chunk of noise has more
 PROBES = (-1.3, -0.21, 0.0, 0.37, 2.9)  # rad; a torque that is the same at these angles does not depend on the angle
 
 
@@ -161,9 +163,7 @@ class Ports(NamedTuple):
     start: NDArray[np.int64]  # (ports + 1,) first law of each port in `law`
     law: NDArray[np.int64]
     tabulated: NDArray[np.int64]  # (ports,) whether the torque depends on the rate alone and is read from the table
-    table: (
-        Array  # (ports, 2 * CELLS, 4) cubics of the torque by the place in a cell; rates below zero in the second half
-    )
+    table: Array  # (ports, 2 * CELLS, 4) cubics of the torque by |rate| less the cell's start; negative rates second
 
 
 def _ports(robot: Robot, exact: bool) -> Ports:
@@ -175,8 +175,10 @@ def _ports(robot: Robot, exact: bool) -> Ports:
         np.add.at(port, laws.place[m], laws.weight[m])
         # friction and springs apart, so that friction depends on the rate alone
         found.setdefault((port.tobytes(), int(laws.stores[m])), (port, []))[1].append(int(m))
-    vectors = [port for port, _ in found.values()]
-    lists = [own for _, own in found.values()]
+    # springs first: what they change is then part of what friction, which may hold a joint, answers to
+    ordered = [found[key] for key in sorted(found, key=lambda key: -key[1])]
+    vectors = [port for port, _ in ordered]
+    lists = [own for _, own in ordered]
     start = np.cumsum([0, *(len(own) for own in lists)])
     law = np.array([m for own in lists for m in own], dtype=np.int64)
     vector = np.stack(vectors, axis=1) if vectors else np.zeros((n, 0))
@@ -256,7 +258,7 @@ class _Along:
         """Forces of the effects without a compiled law along the nominal motion, shape of x."""
         if not self.robot.plant.others:
             return np.zeros_like(x)
-        time = (first + np.arange(len(x)) + 0.5) * period
+        time = np.asarray((first + np.arange(len(x)) + 0.5) * period, dtype=np.float64)
         motion = self.robot.motion(x, v, a, time)
         return np.ascontiguousarray(sum(effect.force(motion) for effect in self.robot.plant.others))
 
@@ -339,9 +341,7 @@ def _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, step, 
         torque = laws.stiffness[m] * combine(laws, m, middle[0]) + laws.damping[m] * combine(laws, m, middle[1])
         scatter(laws, m, torque + laws.inertia[m] * combine(laws, m, middle[2]), force)
     if not exact:
-        _add_linear_laws(
-            laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force, scratch.out
-        )
+        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force, laws.out)
     for i in range(n):
         force[i] += along.other[at, i]
         for j in range(n):
@@ -424,9 +424,9 @@ def fill_tables(laws, start, law, probes, tabulated, table):  # type: ignore[no-
                         _law(laws, law[place], x, rate, out)
                         depends = depends or out[0] != torque
             more = ends[1, 0] - ends[0, 0]
-            table[p, cell, 0], table[p, cell, 1] = ends[0, 0], ends[0, 1]
-            table[p, cell, 2] = 3.0 * more - 2.0 * ends[0, 1] - ends[1, 1]
-            table[p, cell, 3] = ends[0, 1] + ends[1, 1] - 2.0 * more
+            table[p, cell, 0], table[p, cell, 1] = ends[0, 0], ends[0, 1] / width
+            table[p, cell, 2] = (3.0 * more - 2.0 * ends[0, 1] - ends[1, 1]) / width**2
+            table[p, cell, 3] = (ends[0, 1] + ends[1, 1] - 2.0 * more) / width**3
         tabulated[p] = not depends
 
 
@@ -440,21 +440,16 @@ def _from_table(table, rate):  # type: ignore[no-untyped-def]
         middle, span = 0.5 * (table[0, 0] + table[CELLS, 0]), 0.5 * (table[0, 0] - table[CELLS, 0])
         return middle + span * rate / SMALLEST, span / SMALLEST
     # exponent and first bits of the mantissa number the cell, the other bits are the place in it
-    bits = np.float64(size).view(np.int64)
-    leading = bits >> 48
-    c = table[base + leading - ((1023 + LOWEST) << 4)]
-    start = np.int64(leading << 48).view(np.float64)
-    width = np.int64((leading >> 4) << 52).view(np.float64) / FINE
-    s = (size - start) / width
-    slope = c[1] + s * (2.0 * c[2] + s * 3.0 * c[3])
-    return c[0] + s * (c[1] + s * (c[2] + s * c[3])), sign * slope / width
+    leading = np.float64(size).view(np.int64) >> 48
+    s = size - np.int64(leading << 48).view(np.float64)
+    cell = base + leading - ((1023 + LOWEST) << 4)
+    c0, c1, c2, c3 = table[cell, 0], table[cell, 1], table[cell, 2], table[cell, 3]
+    return c0 + s * (c1 + s * (c2 + s * c3)), sign * (c1 + s * (2.0 * c2 + s * 3.0 * c3))
 
 
 @compiled
 def _port_torque(laws, ports, p, x, rate, half, out):  # type: ignore[no-untyped-def]
     """Torque of the laws at port p, and its slope by the rate in the middle of a step, with which the angle moves by half a step."""
-    if ports.tabulated[p] and abs(rate) < LARGEST:
-        return _from_table(ports.table[p], rate)
     torque, slope = 0.0, 0.0
     for place in range(ports.start[p], ports.start[p + 1]):
         _law(laws, ports.law[place], x + half * rate, rate, out)
@@ -464,104 +459,240 @@ def _port_torque(laws, ports, p, x, rate, half, out):  # type: ignore[no-untyped
 
 
 @compiled
-def _solve_rate(laws, ports, p, x, guess, target, gain, half, out):  # type: ignore[no-untyped-def]
-    """The torque at the rate with ``rate + gain * torque(x + half * rate, rate) = target``.
+def _newton(rate, torque, slope, target, gain, bracket):  # type: ignore[no-untyped-def]
+    """Next guess of the rate with ``rate + gain * torque(rate) = target``, and whether it is near enough to be the last.
 
-    Newton's method from `guess`; where friction's steep reversal throws it out of the interval known to hold the root, halving.
+    Newton's method; where friction's steep reversal throws it out of the interval known to hold the root (`bracket`, (low, high)),
+    halving.
     """
-    low, high = -np.inf, np.inf
-    rate = guess
-    torque, slope = _port_torque(laws, ports, p, x, rate, half, out)
+    low, high = bracket
+    miss = rate + gain * torque - target
+    if miss > 0.0:
+        high = rate
+    else:
+        low = rate
+    new = rate - miss / max(1.0 + gain * slope, 0.1)
+    near = abs(new - rate) <= 0.01 * abs(rate) + 1e-6
+    if new <= low or new >= high:
+        near = not (np.isfinite(low) and np.isfinite(high))
+        new = rate if near else 0.5 * (low + high)
+    return new, near, (low, high)
+
+
+@compiled
+def _solve_by_table(table, guess, target, gain):  # type: ignore[no-untyped-def]
+    """The torque at the rate with ``rate + gain * torque(rate) = target``; not a number where a rate is beyond the table."""
+    rate, bracket = guess, (-np.inf, np.inf)
+    torque = np.nan
     for _ in range(NEWTON):
-        miss = rate + gain * torque - target
-        if miss > 0.0:
-            high = rate
-        else:
-            low = rate
-        slow = max(1.0 + gain * slope, 0.1)
-        step = -miss / slow
-        new = rate + step
-        if new <= low or new >= high:
-            if not (np.isfinite(low) and np.isfinite(high)):
-                break
-            new = 0.5 * (low + high)
-            step = new - rate
-        near = abs(step) <= 0.01 * abs(rate) + 1e-6
-        rate = new
+        if not abs(rate) < LARGEST:
+            return np.nan
+        torque, slope = _from_table(table, rate)
+        new, near, bracket = _newton(rate, torque, slope, target, gain, bracket)
         if near:
-            torque += slope * step
-            break
-        torque, slope = _port_torque(laws, ports, p, x, rate, half, out)
+            return torque + slope * (new - rate)
+        rate = new
     return torque
 
 
 @compiled
-def _rub(laws, ports, step, h, y, middle, torques, target, angle, lanes, out):  # type: ignore[no-untyped-def]
+def _solve_by_laws(laws, ports, p, x, guess, target, gain, half, out):  # type: ignore[no-untyped-def]
+    """The same with ``torque(x + half * rate, rate)`` from the laws themselves."""
+    rate, bracket = guess, (-np.inf, np.inf)
+    torque = 0.0
+    for _ in range(NEWTON):
+        torque, slope = _port_torque(laws, ports, p, x, rate, half, out)
+        new, near, bracket = _newton(rate, torque, slope, target, gain, bracket)
+        if near:
+            return torque + slope * (new - rate)
+        rate = new
+    return torque
+
+
+@compiled
+def _rub(
+    laws, ports, vector, push, gains, port_x, port_rate, h, y, middle, torques, target, angle, change, running, out
+):  # type: ignore[no-untyped-def]
     """Correct the rates in the middle of a step for the exact laws of each lane.
 
-    `torques` (ports, lanes) of the step before are a first guess that couples the ports; then each port in turn. `target`, `angle`
-    (lanes,) are memory.
+    `torques` (ports, lanes) of the step before are a first guess that couples the ports; then each port in turn. `target`, `angle`,
+    `change` (lanes,) are memory.
     """
     n, count = middle.shape
     number = torques.shape[0]
     for p in range(number):
         for i in range(n):
-            push = step.push[i, p]
+            each = push[i, p]
             for c in range(count):
-                middle[i, c] -= push * torques[p, c]
+                middle[i, c] -= each * torques[p, c]
     for p in range(number):
-        gain, rate = step.gain[p, p], step.port_rate[p]
+        tabulated, table, gain, nominal = ports.tabulated[p], ports.table[p], gains[p, p], port_rate[p]
         # the angle at the step's start; half a step of the rate is added to it
-        x = step.port_x[p] - 0.5 * h * rate
+        x = port_x[p] - 0.5 * h * nominal
         for c in range(count):
-            target[c], angle[c] = rate, x
+            target[c], angle[c] = nominal, x
         for i in range(n):
-            weight = ports.vector[i, p]
+            weight = vector[i, p]
             if weight != 0.0:
                 for c in range(count):
                     target[c] += weight * middle[i, c]
-                if not ports.tabulated[p]:
+                if not tabulated:
                     for c in range(count):
                         angle[c] += weight * y[n + i, c]
-        for c in range(count):
-            before = torques[p, c]
-            if lanes.status[c] == RUNNING:
-                rate = target[c]
-                torques[p, c] = _solve_rate(laws, ports, p, angle[c], rate, rate + gain * before, gain, 0.5 * h, out)
-            target[c] = torques[p, c] - before
-        for i in range(n):
-            push = step.push[i, p]
+        if tabulated:
             for c in range(count):
-                middle[i, c] -= push * target[c]
+                torque = _solve_by_table(table, target[c], target[c] + gain * torques[p, c], gain)
+                change[c] = torque - torques[p, c]
+        for c in range(count):
+            if running[c] != RUNNING:
+                change[c] = 0.0
+            elif not tabulated or not np.isfinite(change[c]):
+                right = target[c] + gain * torques[p, c]
+                change[c] = (
+                    _solve_by_laws(laws, ports, p, angle[c], target[c], right, gain, 0.5 * h, out) - torques[p, c]
+                )
+        for c in range(count):
+            torques[p, c] += change[c]
+        for i in range(n):
+            each = push[i, p]
+            for c in range(count):
+                middle[i, c] -= each * change[c]
+
+
+@compiled
+def _nearest(x, step):  # type: ignore[no-untyped-def]
+    return x if step == 0.0 else step * np.floor(x / step + 0.5)
+
+
+@compiled
+def _control_joint(gains, limits, given, noise, logs, state, counts, angle, speed, at, drive_torque, wrong):  # type: ignore[no-untyped-def]
+    """`kernels.control` of one joint at sample `at`, all lanes; arrays instead of tuples, which cost a count a look.
+
+    `angle`, `speed` (lanes,) of the drive; the torque of the next sample goes to `drive_torque` (lanes,), and `wrong` (lanes,) is set
+    where something must be looked at.
+    """
+    position_gain, velocity_gain, integral_gain, position_step, velocity_step, torque_step = gains
+    limit, lower, upper, fastest, mean, left, longest = limits
+    references, rates, feedforward = given
+    angle_noise, speed_noise = noise
+    log_position, log_velocity, log_torque = logs
+    integral, current, held = state
+    for c in range(len(angle)):
+        true_angle, true_speed = angle[c], speed[c]
+        seen_angle, seen_speed = true_angle, true_speed
+        if angle_noise.shape[1] > NO_NOISE:
+            seen_angle += angle_noise[c, at]
+            seen_speed += speed_noise[c, at]
+        seen_angle, seen_speed = _nearest(seen_angle, position_step), _nearest(seen_speed, velocity_step)
+        error = references[c, at] - seen_angle
+        more = integral_gain * error
+        command = position_gain * error + velocity_gain * (rates[c, at] - seen_speed)
+        command += integral[c] + more + feedforward[c, at]
+        if abs(command) > limit:
+            # the integrator waits, unless it would help out of the limit
+            if command * more < 0.0:
+                integral[c] += more
+            command = math.copysign(limit, command)
+            counts[c] += 1
+        else:
+            integral[c] += more
+            counts[c] = 0
+        command = _nearest(command, torque_step)
+        missing = current[c] - command
+        before = held[c]
+        now = command + mean * missing
+        held[c] = now
+        current[c] = command + left * missing
+        drive_torque[c] = now
+        log_position[c, at], log_velocity[c, at], log_torque[c, at] = seen_angle, seen_speed, 0.5 * (before + now)
+        inside = abs(true_speed) <= fastest and lower <= true_angle <= upper and counts[c] < longest
+        if not inside:  # not a number is not inside either
+            wrong[c] = 1
+
+
+@compiled
+def _stop(loop, lanes, along, y, at, sample, wrong):  # type: ignore[no-untyped-def]
+    """Look at the lanes where something is wrong, or whose reference jumps here."""
+    n = along.q.shape[1]
+    for c in range(len(wrong)):
+        if lanes.status[c] == RUNNING and (wrong[c] != 0 or sample >= lanes.stop[c, 0]):
+            for i in range(n):
+                lanes.v[c, i], lanes.q[c, i] = along.v[at, i] + y[i, c], along.q[at, i] + y[n + i, c]
+            _check(loop, lanes, c, sample)
+        wrong[c] = 0
+
+
+@compiled
+def _log_states(lanes, logs, along, y, at):  # type: ignore[no-untyped-def]
+    q, v, work, log_q, log_v, log_work, status = lanes.q, lanes.v, lanes.work, logs.q, logs.v, logs.work, lanes.status
+    n, row = along.q.shape[1], at // logs.stride
+    for c in range(len(work)):
+        if status[c] == RUNNING:
+            for i in range(n):
+                q[c, i], v[c, i] = along.q[at, i] + y[n + i, c], along.v[at, i] + y[i, c]
+                log_q[c, row, i], log_v[c, row, i] = q[c, i], v[c, i]
+            log_work[c, row] = work[c]
 
 
 @compiled
 def advance(tree, laws, ports, memory, loop, lanes, inputs, logs, along, up, state, work, step, exact):  # type: ignore[no-untyped-def]
     """Controller and robot for all samples of a chunk, all lanes."""
-    y, middle, torques = state
+    y, middle, torques, last = state
     n, number = middle.shape
     h, joints = loop.period, len(loop.drive)
-    out, torque, target, angle = np.zeros(3), np.zeros(n), np.zeros(number), np.zeros(number)
+    out, target, angle, speed = np.zeros(3), np.zeros(number), np.zeros(number), np.zeros(number)
+    wrong = np.zeros(number, dtype=np.int64)
     scratch = scratch_in(memory, n, len(laws.inertia))
+    total, status, first_stop = lanes.work, lanes.status, lanes.stop[:, 0].min()
     for at in range(len(along.middle)):
         _make_step(tree, laws, ports, scratch, loop.drive, h, up, along, at, work, step, exact)
-        logged = at % logs.stride == 0
-        for c in range(number):
-            if lanes.status[c] != RUNNING:
-                continue
-            for j in range(joints):
-                i = loop.drive[j]
-                now = along.q[at, i] + y[n + i, c]
-                lanes.work[c] += lanes.held[c, j] * (now - lanes.q[c, i])
-                lanes.v[c, i], lanes.q[c, i] = along.v[at, i] + y[i, c], now
-            if logged:
-                for i in range(n):
-                    lanes.v[c, i], lanes.q[c, i] = along.v[at, i] + y[i, c], along.q[at, i] + y[n + i, c]
-            control(loop, lanes, inputs, logs, c, at, torque)
-            for j in range(joints):
-                y[2 * n + j, c] = lanes.held[c, j]
+        for j in range(joints):
+            i = loop.drive[j]
+            for c in range(number):
+                angle[c], speed[c] = along.q[at, i] + y[n + i, c], along.v[at, i] + y[i, c]
+                if status[c] == RUNNING:
+                    total[c] += y[2 * n + j, c] * (angle[c] - last[j, c])
+                last[j, c] = angle[c]
+            _control_joint(
+                (
+                    loop.position_gain[j],
+                    loop.velocity_gain[j],
+                    loop.integral_gain[j] * h,
+                    loop.position_step[j],
+                    loop.velocity_step[j],
+                    loop.torque_step[j],
+                ),
+                (
+                    loop.torque_limit[j],
+                    loop.lower[j],
+                    loop.upper[j],
+                    loop.speed[j],
+                    loop.current_mean,
+                    loop.current_left,
+                    loop.overload_samples,
+                ),
+                (inputs.position[:, :, j], inputs.velocity[:, :, j], inputs.feedforward[:, :, j]),
+                (inputs.position_noise[:, :, j], inputs.velocity_noise[:, :, j]),
+                (logs.position[:, :, j], logs.velocity[:, :, j], logs.torque[:, :, j]),
+                (lanes.integral[:, j], lanes.current[:, j], lanes.held[:, j]),
+                lanes.overloaded[:, j],
+                angle,
+                speed,
+                at,
+                y[2 * n + j],
+                wrong,
+            )
+        if at % logs.stride == 0:
+            _log_states(lanes, logs, along, y, at)
+        if wrong.any() or inputs.first + at >= first_stop:
+            _stop(loop, lanes, along, y, at, inputs.first + at, wrong)
+            if status.all():
+                return
         _product(step.move, y, step.shift, middle)
-        _rub(laws, ports, step, h, y, middle, torques, target, angle, lanes, out)
+        _rub(
+            laws, ports, ports.vector, step.push, step.gain, step.port_x, step.port_rate, h, y, middle, torques,
+            target, angle, speed, status, out,
+        )  # fmt: skip
         for i in range(n):
             for c in range(number):
                 y[i, c] = 2.0 * middle[i, c] - y[i, c]
@@ -569,8 +700,12 @@ def advance(tree, laws, ports, memory, loop, lanes, inputs, logs, along, up, sta
 
 
 def _padded(lanes: int, samples: int, joints: int) -> Array:
-    """Zeros of this shape whose lanes do not lie a power of two apart: they would fall on each other in the processor's cache."""
-    return np.zeros((lanes, samples + 5, joints))[:, :samples]
+    """Zeros of this shape that are a part of a larger array.
+
+    So lanes do not lie a power of two apart, where they would fall on each other in the processor's cache, and compiled code meets
+    one kind of array whatever the number of lanes.
+    """
+    return np.zeros((lanes, samples + 5, joints + 1))[:, :samples, :joints]
 
 
 # ---- the runner -----------------------------------------------------------------------------------------------
@@ -595,6 +730,8 @@ class _PerturbationRunner(closed_loop._Runner):
         q, v = self.along.at_samples(np.array([0]))
         self.y = np.zeros((2 * n + joints, lanes))
         self.y[:n], self.y[n : 2 * n] = (self.lanes.v - v[0]).T, (self.lanes.q - q[0]).T
+        self.y[2 * n :] = self.lanes.held.T
+        self.last_angle = np.ascontiguousarray(self.lanes.q[:, self.loop.drive].T)
         self.middle = np.zeros((n, lanes))
         ports = self.ports.vector.shape[1]
         self.torques = np.zeros((ports, lanes))
@@ -625,8 +762,10 @@ class _PerturbationRunner(closed_loop._Runner):
 
     def _noise(self, deviation: float | tuple[float, ...], samples: int) -> Array:
         noise = super()._noise(deviation, samples)
-        out = _padded(*noise.shape)
-        out[:] = noise
+        lanes, count, joints = noise.shape
+        out = _padded(lanes, max(count, NO_NOISE), joints)
+        if count > 0:
+            out[:] = noise
         return out
 
     def _logs(self, samples: int) -> Logs:
@@ -642,7 +781,7 @@ class _PerturbationRunner(closed_loop._Runner):
         middle = np.stack(along.between(rows), axis=1)
         other = along.other_forces(middle[:, 0], middle[:, 1], middle[:, 2], inputs.first, self.loop.period)
         chunk = Along(nodes, q, v, middle, other)
-        state = self.y, self.middle, self.torques
+        state = self.y, self.middle, self.torques, self.last_angle
         advance(
             plant.tree, plant.laws, self.ports, self.memory[0], self.loop, self.lanes, inputs, logs, chunk, self.up,
             state, self.work, self.step, self.exact,

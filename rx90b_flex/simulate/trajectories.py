@@ -256,7 +256,7 @@ FEEDFORWARD_PEAK = 45.0  # N m
 
 def square_wave(
     robot: Robot,
-    pose: Sequence[float],
+    pose: Sequence[float] | Array,
     *,
     speed: float = SQUARE_SPEED,
     odd_lines: int = SQUARE_ODD_LINES,
@@ -268,8 +268,8 @@ def square_wave(
     """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s
     alone.
 
-    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2 % only at its
-    flanks; the position swings evenly about `pose`.
+    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2 % only at
+    its flanks; the position swings evenly about `pose`.
 
     Parameters
     ----------
