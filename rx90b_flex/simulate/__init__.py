@@ -1,5 +1,6 @@
 """The robot under its controller: trajectories, the CS8, closed-loop simulation."""
 
+from rx90b_flex.simulate.campaign import CampaignResult, Plan, run_campaign, section_662
 from rx90b_flex.simulate.closed_loop import Noise, RawLog, Simulation, simulate, simulate_lanes, static_start
 from rx90b_flex.simulate.cs8 import (
     CS8,
@@ -11,6 +12,7 @@ from rx90b_flex.simulate.cs8 import (
     rigid_inertia,
     save_cs8,
 )
+from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import (
     Trajectory,
     from_recording,
@@ -22,8 +24,10 @@ from rx90b_flex.simulate.trajectories import (
 
 __all__ = [
     "CS8",
+    "CampaignResult",
     "JointController",
     "Noise",
+    "Plan",
     "RawLog",
     "Simulation",
     "Trajectory",
@@ -33,8 +37,11 @@ __all__ = [
     "from_recording",
     "load_cs8",
     "multisine",
+    "perturb_lanes",
     "rigid_inertia",
+    "run_campaign",
     "save_cs8",
+    "section_662",
     "simulate",
     "simulate_lanes",
     "sine_excitation",

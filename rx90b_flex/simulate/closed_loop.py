@@ -488,7 +488,8 @@ class _Runner:
         logged.append(filtered.finish())
         parts = [np.concatenate(x, axis=1) for x in zip(*states, strict=True)]
         whole = np.concatenate(raw, axis=1) if raw else None
-        return [self._result(i, np.concatenate(logged, axis=1)[i], parts, whole) for i in range(len(self.jumps))]
+        log = np.concatenate(logged, axis=1)
+        return [self._result(i, log[i], parts, whole) for i in range(len(self.jumps))]
 
     def _inputs(self, first: int, samples: int) -> Inputs:
         rows = np.arange(first // self.up, (first + samples) // self.up)

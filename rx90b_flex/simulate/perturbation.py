@@ -61,6 +61,7 @@ LOWEST, OCTAVES, FINE = (
 )  # from 2^-30 rad/s, 1e-9; below, the torque is linear; up to 2^8, beyond, it is called
 CELLS = OCTAVES * FINE
 SMALLEST, LARGEST = 2.0**LOWEST, 2.0 ** (LOWEST + OCTAVES)
+KNOWN = 32  # chunks whose matrices are kept in case the motion repeats: 13 MB for 16 coordinates
 NO_NOISE = 2  # samples of an array of noise that is not there; a chunk of noise has more
 PROBES = (-1.3, -0.21, 0.0, 0.37, 2.9)  # rad; a torque that is the same at these angles does not depend on the angle
 
@@ -224,6 +225,7 @@ class _Along:
         self.drives = drive_places(robot)
         self.acceleration = np.gradient(velocity, 1.0 / rate_hz, axis=0)
         laws, n = robot.plant.laws, robot.model.nv
+        self.known: dict[bytes, tuple[Array, Array, Array]] = {}
         self.constant = [np.zeros((n, n)) for _ in range(3)]
         for m in range(len(laws.inertia)):
             port = np.zeros(n)
@@ -234,12 +236,18 @@ class _Along:
     def nodes(self, rows: Indices) -> tuple[Array, Array, Array]:
         """M, D and K without the compiled laws' functions at samples of the nominal motion, each (len(rows), n, n)."""
         rows = np.minimum(rows, len(self.position) - 1)
-        motion = self.robot.motion(*(self._whole(x[rows]) for x in (self.position, self.velocity, self.acceleration)))
+        points = [x[rows] for x in (self.position, self.velocity, self.acceleration)]
+        key = b"".join(x.tobytes() for x in points)
+        if key in self.known:  # a motion that repeats comes back to the same points
+            return self.known[key]
+        motion = self.robot.motion(*(self._whole(x) for x in points))
         totals = [own + fixed for own, fixed in zip(motion.on_tree.derivatives(), self.constant, strict=True)]
         for effect in self.robot.plant.others:
             for total, own in zip(totals, effect.derivatives(motion), strict=True):
                 total += own
         by_q, by_v, by_a = (np.ascontiguousarray(x) for x in totals)
+        if len(self.known) < KNOWN:
+            self.known[key] = by_a, by_v, by_q
         return by_a, by_v, by_q
 
     def at_samples(self, rows: Indices) -> tuple[Array, Array]:
@@ -510,16 +518,16 @@ def _solve_by_laws(laws, ports, p, x, guess, target, gain, half, out):  # type: 
 
 
 @compiled
-def _rub(
-    laws, ports, vector, push, gains, port_x, port_rate, h, y, middle, torques, target, angle, change, running, out
-):  # type: ignore[no-untyped-def]
+def _rub(laws, ports, step, h, y, middle, torques, memory, running, out):  # type: ignore[no-untyped-def]
     """Correct the rates in the middle of a step for the exact laws of each lane.
 
-    `torques` (ports, lanes) of the step before are a first guess that couples the ports; then each port in turn. `target`, `angle`,
-    `change` (lanes,) are memory.
+    `torques` (ports, lanes) of the step before are a first guess that couples the ports; then each port in turn.
+    `memory` is three arrays of a number a lane.
     """
     n, count = middle.shape
     number = torques.shape[0]
+    target, angle, change = memory
+    vector, push, gains, port_x, port_rate = ports.vector, step.push, step.gain, step.port_x, step.port_rate
     for p in range(number):
         for i in range(n):
             each = push[i, p]
@@ -689,10 +697,7 @@ def advance(tree, laws, ports, memory, loop, lanes, inputs, logs, along, up, sta
             if status.all():
                 return
         _product(step.move, y, step.shift, middle)
-        _rub(
-            laws, ports, ports.vector, step.push, step.gain, step.port_x, step.port_rate, h, y, middle, torques,
-            target, angle, speed, status, out,
-        )  # fmt: skip
+        _rub(laws, ports, step, h, y, middle, torques, (target, angle, speed), status, out)
         for i in range(n):
             for c in range(number):
                 y[i, c] = 2.0 * middle[i, c] - y[i, c]
