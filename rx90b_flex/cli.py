@@ -50,7 +50,8 @@ def close_loop_command(
 ) -> None:
     """Find what the recordings of CAMPAIGN hold that its declared robot does not, and add it to the model."""
     from rx90b_flex.diagnose.close import close_loop
-    from rx90b_flex.diagnose.output import check_folder, write_result
+    from rx90b_flex.diagnose.output import write_result
+    from rx90b_flex.signals.folders import check_folder
     from rx90b_flex.view.report import write_report
 
     check_folder(out)
@@ -74,7 +75,8 @@ def demo(
     """Make recordings of a robot with an effect that its model lacks, close the loop, then tell what was hidden."""
     from rx90b_flex.demo import make_demonstration
     from rx90b_flex.diagnose.close import close_loop
-    from rx90b_flex.diagnose.output import check_folder, fill_folder, write_result
+    from rx90b_flex.diagnose.output import write_result
+    from rx90b_flex.signals.folders import check_folder, fill_folder
     from rx90b_flex.view.report import write_report
 
     check_folder(out)

@@ -248,7 +248,7 @@ def summary(result: Simulation) -> list[str]:
 
 def simulate_into(request: Request, folder: Path, tell: Callable[[str, float], None]) -> Simulation:
     """Check a request, run it and write its files; nothing is written unless all of it is."""
-    from rx90b_flex.diagnose.output import check_folder, fill_folder
+    from rx90b_flex.signals.folders import check_folder, fill_folder
     from rx90b_flex.view.plots import tip_deviation
 
     check_folder(folder)

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import resources
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import jinja2
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -35,6 +29,7 @@ from rx90b_flex.view.advice import (
     place_words,
     standstill,
 )
+from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
 
 SHOWN_DEPENDENCES = 4  # plots of what remains; the table holds all
 
@@ -56,36 +51,24 @@ def write_report(result: ClosedLoop, path: Path) -> None:
         The file; its folder exists.
     """
     html = report_html(result)
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(html, encoding="utf-8")
-
-    write_whole(Path(path), write)
+    write_whole(Path(path), lambda temporary: write_text(temporary, html))
 
 
 def report_html(result: ClosedLoop) -> str:
     """The report as the text of an HTML page with all figures in it."""
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
+    page = template(
+        "report.html",
+        number=number,
+        percent=percent,
+        p=p_value,
+        unit=unit_text,
+        measured=measured,
+        place=place_words,
+        kind=_kind,
+        meaning=_meaning,
     )
-    environment.filters |= {
-        "number": number,
-        "percent": percent,
-        "p": p_value,
-        "unit": unit_text,
-        "measured": measured,
-        "place": place_words,
-        "kind": _kind,
-        "meaning": _meaning,
-    }
-    template = environment.from_string(
-        resources.files("rx90b_flex.view").joinpath("report.html").read_text(encoding="utf-8")
-    )
-    return template.render(
+    return page.render(
+        style=style(),
         mostly=MOSTLY,
         result=result,
         verdict=VERDICTS[result.verdict],
@@ -105,7 +88,7 @@ def report_html(result: ClosedLoop) -> str:
         links=_links(result),
         link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
         facts=_facts(result),
-        version=_version(),
+        version=packagepackage_version(),
         search=search,
         evidence=evidence,
         near_floor=NEAR_FLOOR,
@@ -411,7 +394,7 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
         ),
         ("Noise floor", floor),
         ("Seed", f"{result.seed} (of the permutation test for what remains)"),
-        ("Software", f"rx90b_flex {_version()}"),
+        ("Software", f"rx90b_flex {package_version()}"),
     ]
 
 
@@ -419,25 +402,7 @@ def _recording_words(role: str, samples: int, duration_s: float) -> str:
     return f"{role}, {samples} samples, {duration_s:.3g} s"
 
 
-def _version() -> str:
-    try:
-        return version("rx90b-flex")
-    except PackageNotFoundError:
-        return "not installed"
-
-
 # ---- figures --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Image:
-    """A figure as it stands in the page."""
-
-    source: str
-    alt: str
-    width: int
-    height: int
-    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -450,13 +415,13 @@ class JointFigures:
 
 def _errors_figure(result: ClosedLoop, role: str) -> Image:
     text = f"Error of each joint on {role}, before and after"
-    return _image(plots.errors_by_joint(result, role), text, text)
+    return image(plots.errors_by_joint(result, role), text, text)
 
 
 def _steps_figure(result: ClosedLoop) -> Image | None:
     if len(result.effects) < 2:
         return None
-    return _image(plots.error_by_step(result), "Validation error after each added effect")
+    return image(plots.error_by_step(result), "Validation error after each added effect")
 
 
 def _joint_figures(result: ClosedLoop, joint: str) -> JointFigures:
@@ -467,7 +432,7 @@ def _joint_figures(result: ClosedLoop, joint: str) -> JointFigures:
         (plots.residual_against_velocity, "Against the joint's velocity: mean and ± 1 standard deviation"),
     )
     return JointFigures(
-        joint, tuple(_image(draw(result, joint), f"Error of {joint}. {text}", text) for draw, text in kinds)
+        joint, tuple(image(draw(result, joint), f"Error of {joint}. {text}", text) for draw, text in kinds)
     )
 
 
@@ -478,16 +443,5 @@ def _dependence_figures(result: ClosedLoop) -> list[Image]:
         if figure is not None:
             over = "over time" if d.signal == evidence.STANDSTILL else f"against {d.signal}, in motion"
             text = f"Error left of {d.joint} {over} ({percent(d.score)} of its power)"
-            out.append(_image(figure, text, text))
+            out.append(image(figure, text, text))
     return out
-
-
-def _image(figure: Figure, alt: str, caption: str = "") -> Image:
-    """A figure as SVG in a data URI: sharp on paper, and its ids cannot clash with those of other figures."""
-    buffer = io.BytesIO()
-    # the salt makes ids, and so the whole report, the same for the same result
-    with matplotlib.rc_context({"svg.hashsalt": "rx90b_flex", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    source = "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
-    width, height = (round(96 * x) for x in figure.get_size_inches())
-    return Image(source, alt, width, height, caption)

@@ -1,0 +1,126 @@
+"""One HTML file that opens offline: sections of text, tables and figures, in the style of every report."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import jinja2
+import markupsafe
+import matplotlib
+from matplotlib.figure import Figure
+
+from rx90b_flex.signals.tables import write_whole
+
+
+@dataclass(frozen=True)
+class Image:
+    """A figure as it stands in the page."""
+
+    source: str
+    alt: str
+    width: int
+    height: int
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under a head; columns of numbers stand to the right.
+
+    Attributes
+    ----------
+    head : one text a column, with its unit.
+    rows : one text a column each.
+    caption : what the table shows.
+    numbers : columns that hold numbers; all but the first where not given.
+    """
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+    numbers: tuple[int, ...] | None = None
+
+    def is_number(self, column: int) -> bool:
+        """Whether a column stands to the right."""
+        return column in (range(1, len(self.head)) if self.numbers is None else self.numbers)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page: paragraphs, then tables, then figures."""
+
+    title: str
+    text: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    images: tuple[Image, ...] = ()
+
+
+def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[Section]) -> None:
+    """Write a page; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder exists.
+    title : str
+    lead : sequence of str
+        The main result in a sentence, then what qualifies it.
+    sections : sequence of Section
+    """
+    html = page_html(title, lead, sections)
+    write_whole(Path(path), lambda temporary: write_text(temporary, html))
+
+
+def page_html(title: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
+    """The text of a page with all its figures in it."""
+    return template("page.html").render(
+        title=title, lead=list(lead), sections=list(sections), version=package_version(), style=style()
+    )
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8."""
+    path.write_text(text, encoding="utf-8")
+
+
+def template(name: str, **filters: object) -> jinja2.Template:
+    """A template of this folder, with filters added."""
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters.update(filters)
+    return environment.from_string(resources.files("rx90b_flex.view").joinpath(name).read_text(encoding="utf-8"))
+
+
+def style() -> markupsafe.Markup:
+    """The style sheet of all pages."""
+    return markupsafe.Markup(resources.files("rx90b_flex.view").joinpath("style.css").read_text(encoding="utf-8"))
+
+
+def image(figure: Figure, alt: str, caption: str = "") -> Image:
+    """A figure as SVG in a data URI: sharp on paper, and its ids cannot clash with those of other figures."""
+    buffer = io.BytesIO()
+    # the salt makes ids, and so the whole report, the same for the same result
+    with matplotlib.rc_context({"svg.hashsalt": "rx90b_flex", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    source = "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    width, height = (round(96 * x) for x in figure.get_size_inches())
+    return Image(source, alt, width, height, caption)
+
+
+def package_version() -> str:
+    """Of this package, for a page's foot."""
+    try:
+        return version("rx90b-flex")
+    except PackageNotFoundError:
+        return "not installed"
