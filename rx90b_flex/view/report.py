@@ -88,7 +88,7 @@ def report_html(result: ClosedLoop) -> str:
         links=_links(result),
         link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
         facts=_facts(result),
-        version=packagepackage_version(),
+        version=package_version(),
         search=search,
         evidence=evidence,
         near_floor=NEAR_FLOOR,
