@@ -128,13 +128,18 @@ class Robot:
         return tuple((found[j], j) for j in range(1, self.model.njoints) if j not in virtual_links)
 
     @cached_property
+    def forces(self) -> tuple[Effect, ...]:
+        """The effects that are forces of the robot; the others stand between it and the log."""
+        return tuple(e for e in self.effects if e.in_dynamics)
+
+    @cached_property
     def plant(self) -> Plant:
         """Tree and effects as arrays for compiled code, made once."""
         from rx90b_flex.kernels import plant_of  # here, since loading the compiler takes half a second
 
         rest = np.zeros(self.model.nv)
         drives = np.argmax(self.input_matrix, axis=0).astype(np.int64)
-        return plant_of(self.model, self.effects, self.motion(rest, rest, rest), drives)
+        return plant_of(self.model, self.forces, self.motion(rest, rest, rest), drives)
 
     # ---- parameters -------------------------------------------------------------------------------------
 
@@ -147,7 +152,7 @@ class Robot:
                 keyed.append(((0, b, 0, c), ParameterEntry(f"{link}.{name}", unit, -1, 10 * b + c)))
         order = {joint: i for i, joint in enumerate(self.joints)}
         labels: dict[str, int] = {}
-        for e, effect in enumerate(self.effects):
+        for e, effect in enumerate(self.forces):
             seen = labels[effect.label] = labels.get(effect.label, 0) + 1
             label = effect.label if seen == 1 else f"{effect.label}_{seen}"
             units = effect.coefficient_units
@@ -171,7 +176,7 @@ class Robot:
     @cached_property
     def _effect_places(self) -> list[list[int]]:
         """Columns of each effect's coefficients in the regressor."""
-        places: list[list[int]] = [[0] * len(effect.coefficient_names) for effect in self.effects]
+        places: list[list[int]] = [[0] * len(effect.coefficient_names) for effect in self.forces]
         for i, entry in enumerate(self.parameter_entries):
             if entry.source >= 0:
                 places[entry.source][entry.column] = i
@@ -185,7 +190,7 @@ class Robot:
     @cached_property
     def parameters(self) -> Array:
         """Values of the linear parameters, shape (p,); NaN where a robot file leaves one out."""
-        per_effect = [effect.coefficients for effect in self.effects]
+        per_effect = [effect.coefficients for effect in self.forces]
         return np.array(
             [
                 self.link_parameters[e.column] if e.source < 0 else per_effect[e.source][e.column]
@@ -210,15 +215,22 @@ class Robot:
     def _tree_motion(self, motion: Motion) -> _RobotTreeMotion:
         return _RobotTreeMotion(self, motion)
 
-    def on_links(self, motion: Motion, link_parameters: Array, regressor: Array | None = None) -> Motion:
-        """The same motion of the same tree with other link parameters, as an identification finds them."""
+    def on_links(
+        self,
+        motion: Motion,
+        link_parameters: Array,
+        regressor: Array | None = None,
+        effects: Sequence[Effect] = (),
+    ) -> Motion:
+        """The same motion of the same tree with other link parameters and effects, as an identification finds them."""
         if regressor is None:
             regressor = motion.on_tree.link_regressor()
 
         def tree(moved: Motion) -> _RobotTreeMotion:
             return _RobotTreeMotion(self, moved, link_parameters, regressor)
 
-        return dataclasses.replace(motion, tree=tree)
+        known = (e for e in effects if e.in_dynamics and not np.isnan([*e.coefficients, *e.shape]).any())
+        return dataclasses.replace(motion, tree=tree, effects=tuple(known))
 
     def link_regressor(self, motion: Motion) -> Array:
         """Regressor of the links alone, shape (N, n, 10 * bodies)."""
@@ -249,7 +261,7 @@ class Robot:
         links = self.link_regressor(motion)
         out = np.zeros((len(motion), self.model.nv, len(self.parameter_entries)))
         out[:, :, : links.shape[2]] = links  # they come first in the order of the parameters
-        for effect, at in zip(self.effects, self._effect_places, strict=True):
+        for effect, at in zip(self.forces, self._effect_places, strict=True):
             factors = effect.factors(motion)
             if factors is None:
                 out[:, :, at] = effect.columns(motion)
@@ -274,7 +286,7 @@ class Robot:
         """
         motion = self.motion(q, v, a)
         force = self.link_torque(motion)
-        for effect in self.effects:
+        for effect in self.forces:
             force = force + effect.force(motion)
         return force if 2 in (np.ndim(q), np.ndim(v), np.ndim(a)) else force[0]
 
@@ -300,7 +312,7 @@ class Robot:
         moving = self.motion(q, rest if v is None else v, rest if a is None else a)
         if len(moving) != 1:
             raise ValueError(f"q, v and a hold {len(moving)} samples; expected one, of shape ({self.model.nv},)")
-        return linearize(self.effects, moving, self.motion(q, rest, rest), self.joints, self.input_matrix)
+        return linearize(self.forces, moving, self.motion(q, rest, rest), self.joints, self.input_matrix)
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic and potential energy of links and effects, J; zero potential where pinocchio and the effects have it.
@@ -310,7 +322,7 @@ class Robot:
         q, v = (np.asarray(x, dtype=float) for x in (q, v))
         motion = self.motion(q, v, np.zeros_like(q))
         energy = 0.5 * v @ self.mass_matrix(q) @ v + pin.computePotentialEnergy(self.model, self._data, q)
-        return float(energy + sum(effect.potential(motion)[0] for effect in self.effects))
+        return float(energy + sum(effect.potential(motion)[0] for effect in self.forces))
 
     def mass_matrix(self, q: Array) -> Array:
         """Mass matrix of links and drives, shape (n, n), kg m^2."""
@@ -318,7 +330,7 @@ class Robot:
         mass = pin.crba(self.model, self._data, q)
         mass = np.triu(mass) + np.triu(mass, 1).T
         motion = self.motion(q, np.zeros_like(q), np.zeros_like(q))
-        for effect in self.effects:
+        for effect in self.forces:
             if effect.adds_inertia:
                 mass = mass + effect.derivatives(motion)[2][0]
         return mass
@@ -352,7 +364,7 @@ class Robot:
         force = self.input_matrix @ torque
         a = np.zeros(self.model.nv)
         mass = self.mass_matrix(q)
-        loaded = [effect for effect in self.effects if effect.needs_load]
+        loaded = [effect for effect in self.forces if effect.needs_load]
         for _ in range(50):
             short = force - self.inverse_dynamics(q, v, a)
             if not loaded:
@@ -511,7 +523,16 @@ class _RobotTreeMotion:
 
     @cached_property
     def _derivatives(self) -> tuple[Array, Array, Array]:
-        return _tree_derivatives(self.robot.model, self.robot._data, self.motion)
+        model = self.robot.model
+        if self.link_parameters is not None:
+            model = model.copy()
+            for (_, joint), body in zip(self.robot.bodies, self.link_parameters.reshape(-1, 10), strict=True):
+                dynamic = np.empty(10)
+                dynamic[_TO_TABLE_ORDER] = body
+                if abs(dynamic[0]) < 1e-6:  # pinocchio divides by the mass to find the centre
+                    dynamic[0] = 1e-6
+                model.inertias[joint] = pin.Inertia.FromDynamicParameters(dynamic)
+        return _tree_derivatives(model, model.createData(), self.motion)
 
 
 def _tree_derivatives(model: pin.Model, data: pin.Data, motion: Motion) -> tuple[Array, Array, Array]:

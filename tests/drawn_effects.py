@@ -11,8 +11,9 @@ from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot, load_robot
 
-# What acts on signals between robot and log is no part of a robot's dynamics.
-TYPES = tuple(name for name, cls in catalogue().items() if cls.acts_on != "signals")
+# What stands between robot and log is no part of a robot's dynamics.
+TYPES = tuple(name for name, cls in catalogue().items() if cls.in_dynamics)
+ALL_TYPES = tuple(catalogue())
 ROBOTS = ("rx90b", "example-robot-data:ur10")
 
 
@@ -42,7 +43,10 @@ def _with_values(effect: Effect, rng: np.random.Generator) -> Effect:
     }
     effect = dataclasses.replace(effect, **given)
     starts = np.repeat([p.start for p in effect.parameters().values() if p.kind == "shape"], _shape_sizes(effect))
-    effect = effect.with_shape(starts * rng.uniform(0.6, 1.5, len(starts)))
+    if len(starts) < len(effect.shape_names()):  # a shape of the type's own making
+        starts = np.sqrt(effect.shape_bounds().prod(axis=0))
+    if len(starts):
+        effect = effect.with_shape(starts * rng.uniform(0.6, 1.5, len(starts)))
     return effect.with_coefficients(rng.uniform(0.5, 2.0, len(effect.coefficients)))
 
 

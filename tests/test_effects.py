@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from drawn_effects import ROBOTS, TYPES, draw_effect, draw_state, tree, with_drawn_effects
+from drawn_effects import ALL_TYPES, ROBOTS, TYPES, draw_effect, draw_state, tree, with_drawn_effects
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -76,7 +76,7 @@ def test_the_force_of_every_effect_at_rest_is_the_gradient_of_its_potential(kind
     np.testing.assert_allclose((up - down) / 2e-5, force, rtol=0, atol=1e-8 * scale)
 
 
-@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("kind", ALL_TYPES)
 def test_every_effect_comes_back_from_its_table(kind):
     robot = tree("rx90b")
     frames = [f.name for f in robot.tree.frames]

@@ -188,6 +188,10 @@ class _Data:
     def errors(self, model: Identification) -> RoleErrors:
         return RoleErrors(self._errors(self.validation, model), self._errors(self.identification, model))
 
+    def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
+        """Of the torque, from what a model leaves: what does not repeat with the motion, but with a clock, is no noise."""
+        return noise_floor(self.identification, [r.torque - predict(r, model) for r in self.identification], campaign)
+
     def _errors(self, replays: Sequence[Replay], model: Identification) -> Errors:
         return Errors.of([r.torque for r in replays], [predict(r, model) for r in replays])
 
@@ -256,10 +260,10 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     tell("identifying the declared model", 0.05)
     declared = identify(data.regression, data.regression.robot.effects, fit_links=fit_links)
     before = data.errors(declared)
-    floor = noise_floor(data.identification, [r.torque - predict(r, declared) for r in data.identification], campaign)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
-    outcome = _Rounds(data, sites, fit_links, floor, tell).run(declared, before)
+    outcome = _Rounds(data, campaign, sites, fit_links, tell).run(declared, before)
     model, after = outcome.model, outcome.errors
+    floor = data.noise_floor(model, campaign)
     tell("looking at what remains", 0.95)
     held_out = Regression.of(declared_robot, campaign.validation, campaign.cutoff_hz)
     left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
@@ -321,15 +325,15 @@ class _Rounds:
     """The loop itself."""
 
     data: _Data
+    campaign: Campaign
     sites: Sites
     fit_links: bool
-    floor: Array | None
     tell: Progress
 
     def run(self, declared: Identification, before: RoleErrors) -> _Outcome:
         """Add effects until nothing more is significant, or the noise floor is reached."""
         outcome = _Outcome(declared, before, (), ())
-        while len(outcome.steps) < MOST_EFFECTS and not self._at_floor(outcome.errors):
+        while len(outcome.steps) < MOST_EFFECTS and not self._at_floor(outcome):
             model, number = outcome.model, len(outcome.steps)
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
@@ -353,10 +357,11 @@ class _Rounds:
     def _identified(self, effects: Sequence[Effect], start: Identification) -> Identification:
         return identify(self.data.regression, effects, fit_links=self.fit_links, start=start)
 
-    def _at_floor(self, errors: RoleErrors) -> bool:
-        if self.floor is None:
+    def _at_floor(self, outcome: _Outcome) -> bool:
+        floor = self.data.noise_floor(outcome.model, self.campaign)
+        if floor is None:
             return False
-        return bool((np.array(errors.identification.torque_rms) <= AT_FLOOR * self.floor).all())
+        return bool((np.array(outcome.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
 
     def _pruned(self, outcome: _Outcome) -> _Outcome:
         """Take out what the latest effect made needless."""

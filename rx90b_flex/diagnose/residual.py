@@ -94,15 +94,18 @@ class Replay:
         step = CHUNK if self._regressor is None else len(motion)
         for at in range(0, len(motion), step):
             part = motion if step >= len(motion) else motion.part(slice(at, at + step))
-            seen = self.robot.on_links(part, link_parameters, self._regressor)
+            seen = self.robot.on_links(part, link_parameters, self._regressor, effects)
             force = np.array(seen.on_tree.load())
-            for effect in effects:
+            for effect in (e for e in effects if e.in_dynamics):
                 factors = effect.factors(seen)
                 if factors is None:
                     force += effect.force(seen)
                 else:
                     port, basis = factors
                     force += np.outer(basis @ effect.known_coefficients(), port)
+            for effect in effects:
+                if not effect.in_dynamics:
+                    force = effect.logged(seen, force)
             out[at : at + step] = force
         return self._filtered(out[:, self._rows])
 

@@ -292,7 +292,7 @@ class Search:
         rough: list[tuple[float, Effect, _Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
-            starts = effect.shape_starts(self.longest) if effect.shape_names() else np.zeros((1, 0))
+            starts = self._starts(effect) if effect.shape_names() else np.zeros((1, 0))
             best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
             # an effect that replaces another starts from a worse base: count only what it adds to the present model
             lost = float(base.squares.sum() - bases[None].squares.sum())
@@ -329,6 +329,13 @@ class Search:
         """How many independent trials a search makes."""
         return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates())
 
+    def _starts(self, effect: Effect) -> Array:
+        joint = self.regression.joints.index(effect.joints[0]) if effect.joints else 0
+        left = self.base().residual[joint]
+        clocks = [s.time - s.recording.time[0] + s.motion.time[0] for s in self.regression.stretches]
+        beside = [(t, left[span]) for t, span in zip(clocks, self.regression.spans, strict=True)]
+        return effect.starts_beside(self.longest, beside)
+
     def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
         shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
@@ -336,7 +343,7 @@ class Search:
         batch = max(1, int(BATCH_BYTES / per_effect))
         for at in range(0, len(shaped), batch):
             part = shaped[at : at + batch]
-            rows, columns = self.regression.compact(part)
+            rows, columns = self.regression.compact(part, leading=True)
             if len(rows) == 0:
                 yield 0.0, part[0]
                 continue
@@ -443,7 +450,7 @@ class Search:
     def _shape_columns(self, effect: Effect, rows: Indices, beta: Array) -> Array:
         """Derivative of the effect's torque by its shape parameters, shape (N, rows, s)."""
         out = [np.zeros((len(self.regression), len(rows), 0))]
-        for step in np.diag(1e-4 * np.abs(effect.shape)):
+        for step in np.diag(1e-4 * np.maximum(np.abs(effect.shape), 1e-3)):
             up, down = (self.regression.compact([effect.with_shape(effect.shape + h)])[1] for h in (step, -step))
             out.append(((up - down) @ beta / (2 * step.sum()))[:, :, None])
         return np.concatenate(out, axis=2)

@@ -92,11 +92,13 @@ class Effect(ABC):
     parameters unless a subclass says otherwise (an amplitude and a phase are a sine and a cosine).
     """
 
-    on: ClassVar[str] = "joint"  # "joint", "joints", "robot", "frame"
+    on: ClassVar[str] = "joint"  # "joint", "joints", "robot", "frame", "robot or joint"
     acts_on: ClassVar[str] = "forces"  # "forces", "coordinates", "signals"
     repeats: ClassVar[bool] = False  # may stand twice in the same place
     replaces: ClassVar[tuple[str, ...]] = ()  # effect types that it stands in for at the same place
     needs_load: ClassVar[bool] = False  # its columns depend on the torque through the transmission
+    needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
+    in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
     needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
@@ -210,6 +212,18 @@ class Effect(ABC):
         """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
         return np.array([[p.start for _, p in self._flat("shape")]])
 
+    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Array, Array]]) -> Array:
+        """Shapes to begin from where the residual helps to find them, shape (M, s).
+
+        Parameters
+        ----------
+        motion : Motion
+            Of the longest recording.
+        residual : one (time, torque left over) a recording, each (N,)
+            Of the first joint that it sits on; uniform in time.
+        """
+        return self.shape_starts(motion)
+
     def shape_spread(self, motion: Motion) -> Array:
         """How far the best shape may lie from the best start, shape (s,)."""
         return 0.3 * self.shape
@@ -243,6 +257,14 @@ class Effect(ABC):
     def force(self, motion: Motion) -> Array:
         """Generalised force on the inverse-dynamics side, shape (N, n), N m."""
         return self.columns(motion) @ self.known_coefficients()
+
+    def leading(self, motion: Motion) -> tuple[Array, Array] | None:
+        """The larger part of the columns as `factors` has it, enough for a first look; the same where they are factors."""
+        return self.factors(motion)
+
+    def logged(self, motion: Motion, torque: Array) -> Array:
+        """Torque in the log (N, n) where the model's torque is `torque` (N, n); for effects that are not in the dynamics."""
+        return torque + self.force(motion)
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Derivatives of the force by q, v and a; each (N, n, n)."""
@@ -313,13 +335,13 @@ class JointEffect(Effect):
         values = np.concatenate([self.law_constants, self.known_coefficients(), self.known_shape()])
         return (Law(port, function=function, parameters=values, stores=self.law_stores),)
 
-    def factors(self, motion: Motion) -> tuple[Array, Array]:
+    def factors(self, motion: Motion) -> tuple[Array, Array] | None:
         at = motion.joint(self.joint, self.side)
         return at.port, self.basis(at)
 
     def columns(self, motion: Motion) -> Array:
-        port, basis = self.factors(motion)
-        return port[None, :, None] * basis[:, None, :]
+        at = motion.joint(self.joint, self.side)
+        return at.port[None, :, None] * self.basis(at)[:, None, :]
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         at = motion.joint(self.joint, self.side)
@@ -421,16 +443,17 @@ def effect_from_table(
         )
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
-    key = {"joint": "joint", "joints": "joints", "frame": "frame"}.get(cls.on)
+    key = {"robot or joint": "joint"}.get(cls.on, cls.on if cls.on != "robot" else None)
     allowed = ["type", *([key] if key else []), *cls.parameters()]
     for name in table:
         if name not in allowed:
             raise ValueError(f"{where}: unknown key {name!r}; {close_match(name, allowed)}")
     values: dict[str, Any] = {}
     if key:
-        if key not in table:
+        if key in table:
+            values |= _read_place(cls, key, table[key], where, joints, frames)
+        elif cls.on != "robot or joint":
             raise ValueError(f"{where}: key {key!r} is missing")
-        values |= _read_place(cls, key, table[key], where, joints, frames)
     for name, parameter in cls.parameters().items():
         if name in table:
             values[name] = _read_value(table[name], parameter, f"{where}: {name}")
@@ -485,7 +508,7 @@ def _read_value(found: Any, parameter: Parameter, where: str) -> Any:
 def effect_to_table(effect: Effect) -> dict[str, Any]:
     """The table of a robot file that `effect_from_table` turns into this effect; values that are not known are left out."""
     table: dict[str, Any] = {"type": effect.type_name()}
-    if effect.on == "joint":
+    if effect.on in ("joint", "robot or joint") and effect.joints:
         table["joint"] = effect.joints[0]
     elif effect.on == "joints":
         table["joints"] = list(effect.joints)

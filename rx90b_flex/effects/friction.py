@@ -14,6 +14,9 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import REVERSAL_VELOCITY, reversal, reversal_slope
 
+# A torque that fades faster than this cannot be told from the smoothing of the sign itself, rad/s.
+SLOWEST_STRIBECK = 20.0 * REVERSAL_VELOCITY
+
 
 class VelocityFriction(JointEffect):
     """Friction whose one column is a function of velocity."""
@@ -146,6 +149,10 @@ class StribeckFriction(VelocityFriction):
     velocity: float | None = shape("rad/s", start=0.1, lower=1e-3, upper=20.0)
     power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0)
 
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.maximum(super().shape_bounds(), [[SLOWEST_STRIBECK, 0.0], [0.0, 0.0]])
+
     def _fade(self, v: Array) -> Array:
         velocity, power = self.known_shape()
         return np.exp(-((np.abs(v) / velocity) ** power))
@@ -181,3 +188,30 @@ class StribeckFriction(VelocityFriction):
 
     def independent_shapes(self, motion: Motion) -> int:
         return 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionDrift(JointEffect):
+    """Viscous friction that fades as the joint warms up, ``coefficient * exp(-t / time_constant) * v``.
+
+    The time is the file's, from its start.
+    """
+
+    coefficient: float | None = linear("N m s/rad", rank=FRICTION)
+    time_constant: float | None = shape("s", start=10.0, lower=0.05, upper=1.0e5)
+
+    def basis(self, at: JointMotion) -> Array:
+        (time_constant,) = self.known_shape()
+        return (np.exp(-at.time / time_constant) * at.v)[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        (time_constant,) = self.known_shape()
+        slope = np.exp(-at.time / time_constant)[:, None]
+        return np.zeros_like(slope), slope, np.zeros_like(slope)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        seconds = max(float(np.ptp(motion.time)), 1e-2)
+        return np.clip(np.geomspace(0.03 * seconds, 3.0 * seconds, 7), *self.shape_bounds()[:, 0])[:, None]
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 3

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +105,16 @@ class TreeMotion(Protocol):
         ...
 
 
+class Force(Protocol):
+    """What a motion knows of an effect of the present model."""
+
+    needs_load: ClassVar[bool]
+
+    def force(self, motion: Motion) -> Array:
+        """Generalised force, shape (N, n)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Motion:
     """N samples of a robot's motion.
@@ -118,6 +128,8 @@ class Motion:
         Seconds.
     tree : callable
         Gives the tree's view of this motion when an effect asks for it.
+    effects : tuple
+        The present model's forces beyond the tree, for effects that depend on the model as a whole.
     """
 
     coordinates: Coordinates
@@ -126,6 +138,7 @@ class Motion:
     a: Array
     time: Array
     tree: Callable[[Motion], TreeMotion] = field(repr=False)
+    effects: tuple[Force, ...] = field(default=(), repr=False)
 
     def __len__(self) -> int:
         return self.q.shape[0]
@@ -137,9 +150,48 @@ class Motion:
 
     def part(self, samples: slice) -> Motion:
         """Some of the samples."""
-        return Motion(
-            self.coordinates, self.q[samples], self.v[samples], self.a[samples], self.time[samples], self.tree
-        )
+        q, v, a, time = (x[samples] for x in (self.q, self.v, self.a, self.time))
+        return replace(self, q=q, v=v, a=a, time=time)
+
+    @cached_property
+    def model_torque(self) -> Array:
+        """Generalised force of the present model, tree and effects; shape (N, n), N m."""
+        return sum((effect.force(self) for effect in self.effects), self.on_tree.load())
+
+    @cached_property
+    def _kept(self) -> dict[tuple[str, ...], tuple[Array, ...]]:
+        return {}
+
+    def once(self, key: tuple[str, ...], make: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
+        """Arrays of this motion that are worked out once: many shapes of an effect ask for them."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]
+
+    def model_sensitivity(self, joint: str) -> tuple[Array, ...]:
+        """Change of `model_torque` per change of a joint's position, velocity and acceleration; each (N, n).
+
+        By velocity it is the secant over a fiftieth of the velocity: what a small relative error does to it, also where a
+        friction's slope at reversal would say something about that instant only.
+        """
+
+        def make() -> tuple[Array, ...]:
+            i = self.coordinates.index(joint)
+            assert i is not None
+            at = np.arange(len(self.coordinates)) == i
+            links = tuple(np.array(by[:, :, i]) for by in self.on_tree.derivatives())
+            v = np.abs(self.v[:, i])
+            slowest = 1e-3 * max(float(v.max()), 1e-9)
+            steps = (np.full(len(self), 1e-5), 0.02 * np.maximum(v, slowest), np.ones(len(self)))
+            for out, name, step in zip(links, ("q", "v", "a"), steps, strict=True):
+                change = np.outer(step, at)
+                up, down = (replace(self, **{name: getattr(self, name) + sign * change}) for sign in (1.0, -1.0))
+                for effect in self.effects:
+                    if not effect.needs_load:
+                        out += (effect.force(up) - effect.force(down)) / (2.0 * step[:, None])
+            return links
+
+        return self.once(("model_sensitivity", joint), make)
 
     def joint(self, name: str, kind: str = "joint") -> JointMotion:
         """Motion of one joint (its angle theta) or of one of its coordinates."""

@@ -30,12 +30,10 @@ def amplitude_and_phase(values: Sequence[float] | Array) -> tuple[float | None, 
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearRipple(JointEffect):
-    """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
+class PeriodicEffect(JointEffect):
+    """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
 
     repeats: ClassVar[bool] = True
-    part: ClassVar[str] = "spring"
-    law_stores: ClassVar[bool] = True
     HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
@@ -48,7 +46,8 @@ class GearRipple(JointEffect):
 
     @property
     def coefficient_units(self) -> tuple[str, ...]:
-        return ("N m", "N m")
+        unit = type(self).parameters()["amplitude"].unit
+        return (unit, unit)
 
     @property
     def coefficient_ranks(self) -> tuple[int, ...]:
@@ -65,6 +64,29 @@ class GearRipple(JointEffect):
     def with_coefficients(self, values: Sequence[float] | Array) -> Self:
         amplitude, phase = amplitude_and_phase(values)
         return dataclasses.replace(self, amplitude=amplitude, phase=phase)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        # two starts a lobe of the periodogram over the range that the joint covers
+        low, high = self.shape_bounds()[:, 0]
+        step = np.pi / max(self._range(motion), 1e-2)
+        return np.arange(max(low, 2 * step), high, max(step, (high - low) / 600))[:, None]
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return max(1, len(self.shape_starts(motion)) // 2)
+
+    def _range(self, motion: Motion) -> float:
+        return float(np.ptp(motion.joint(self.joint).q))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GearRipple(PeriodicEffect):
+    """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
+
+    part: ClassVar[str] = "spring"
+    law_stores: ClassVar[bool] = True
 
     def basis(self, at: JointMotion) -> Array:
         (order,) = self.known_shape()
@@ -87,18 +109,3 @@ class GearRipple(JointEffect):
         (order,) = self.known_shape()
         angle = order * motion.joint(self.joint).q
         return np.stack([-np.cos(angle), np.sin(angle)], axis=1) @ self.known_coefficients() / order
-
-    def shape_starts(self, motion: Motion) -> Array:
-        # two starts a lobe of the periodogram over the range that the joint covers
-        low, high = self.shape_bounds()[:, 0]
-        step = np.pi / max(self._range(motion), 1e-2)
-        return np.arange(max(low, 2 * step), high, max(step, (high - low) / 600))[:, None]
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return max(1, len(self.shape_starts(motion)) // 2)
-
-    def _range(self, motion: Motion) -> float:
-        return float(np.ptp(motion.joint(self.joint).q))

@@ -18,6 +18,7 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
+CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
 
 
@@ -198,7 +199,7 @@ class Identification:
 
     def residual_on(self, regression: Regression) -> Array:
         """Torque left over on other data, shape (N, joints), N m."""
-        seen = regression.with_links(self.link_parameters)
+        seen = regression.with_model(self.link_parameters, self.effects)
         torque = seen.torque - seen.link_columns @ self.link_parameters
         for effect in self.effects:
             torque = torque - seen.columns(effect) @ effect.known_coefficients()
@@ -300,14 +301,14 @@ def identify(
     """
     effects = tuple(_with_starts(e, regression) for e in effects)
     links = regression.robot.link_parameters if start is None else start.link_parameters
-    loaded = any(e.needs_load for e in effects)
-    data = regression.with_links(links) if loaded else regression
-    fit = _Fit(data, effects, fit_links)
-    for _ in range(4 if loaded else 1):
+    circular = any(e.needs_load or e.needs_model for e in effects)
+    known = effects if start is None else start.effects
+    fit = _Fit(regression.with_model(links, known) if circular else regression, effects, fit_links)
+    for _ in range(CIRCULAR_ROUNDS if circular else 1):
         fit = fit.refined()
-        if loaded:
-            fit = fit.seen_by(regression.with_links(fit.link_parameters))
-    return fit.finished(regression.with_links(fit.link_parameters), with_covariance)
+        if circular:
+            fit = fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
+    return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
 
 
 def _with_starts(effect: Effect, regression: Regression) -> Effect:
@@ -363,8 +364,18 @@ class _Fit:
             return self.regression.robot.link_parameters
         return self.solution.theta[: len(self.regression.robot.link_parameters)]
 
+    @cached_property
+    def valued(self) -> tuple[Effect, ...]:
+        """The effects with the coefficients that fit best."""
+        out, at = [], self._offset
+        for e in self.effects:
+            k = len(e.coefficients)
+            out.append(e.with_coefficients(self.solution.theta[at : at + k]))
+            at += k
+        return tuple(out)
+
     def seen_by(self, regression: Regression) -> _Fit:
-        return dataclasses.replace(self, regression=regression)
+        return dataclasses.replace(self, regression=regression, effects=self.valued)
 
     @property
     def _offset(self) -> int:
@@ -449,11 +460,6 @@ class _Fit:
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution = self.solution
         residual = self.target - self.columns @ solution.theta
-        effects, at = [], self._offset
-        for e in self.effects:
-            k = len(e.coefficients)
-            effects.append(e.with_coefficients(solution.theta[at : at + k]))
-            at += k
         spans = regression.spans
         rate = regression.stretches[0].rate_hz
         longest = int(CORRELATION_S * rate)
@@ -469,7 +475,7 @@ class _Fit:
         if with_covariance:
             covariance = coloured_covariance(columns, solution.sigma, spectra, spans)
         return Identification(
-            tuple(effects),
+            self.valued,
             self.link_parameters,
             solution.theta,
             covariance,

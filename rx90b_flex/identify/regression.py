@@ -27,6 +27,8 @@ from rx90b_flex.signals import (
 POSITION_CUTOFF_RATIO = 2.0
 # Columns are worked out at this many times the cutoff at least: products of filtered signals stay free of aliasing.
 WORKING_RATE_RATIO = 20.0
+# Later times are dates, s.
+LATEST_S = 1.0e6
 # Left out of a fit at both ends, in periods of the cutoff: where the filter and the differences lack neighbours.
 EDGE_PERIODS = 1.0
 
@@ -121,7 +123,7 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     keep_every = working * factor
     return Stretch(
         recording,
-        robot.motion(sampled[0], sampled[1], sampled[2], time - recording.time[0]),
+        robot.motion(sampled[0], sampled[1], sampled[2], time - _clock_zero(recording.time)),
         time[::factor][kept],
         torque[::keep_every][kept],
         rate / keep_every,
@@ -130,6 +132,11 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         working,
         kept,
     )
+
+
+def _clock_zero(time: Array) -> float:
+    """Start of a log's clock, s: zero, or where the log begins if it gives dates."""
+    return float(time[0]) if abs(time[0]) > LATEST_S else 0.0
 
 
 def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> float | None:
@@ -177,17 +184,20 @@ class Regression:
         out[:, rows] = columns
         return out
 
-    def compact(self, effects: Sequence[Effect]) -> tuple[Indices, Array]:
-        """Columns of effects in one place side by side: the joints where they are not zero, and (N, rows, sum of k)."""
-        parts = [self._factored(s, effects) for s in self.stretches]
+    def compact(self, effects: Sequence[Effect], leading: bool = False) -> tuple[Indices, Array]:
+        """Columns of effects in one place side by side: the joints where they are not zero, and (N, rows, sum of k).
+
+        With `leading`, only the larger part of those that say which it is.
+        """
+        parts = [self._factored(s, effects, leading) for s in self.stretches]
         rows = np.unique(np.concatenate([r for r, _ in parts]))
         out = np.zeros((len(self), len(rows), parts[0][1].shape[2]))
         for span, (here, columns) in zip(self.spans, parts, strict=True):
             out[span][:, np.searchsorted(rows, here)] = columns
         return rows, out
 
-    def _factored(self, stretch: Stretch, effects: Sequence[Effect]) -> tuple[Indices, Array]:
-        factors = [e.factors(stretch.motion) for e in effects]
+    def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
+        factors = [e.leading(stretch.motion) if leading else e.factors(stretch.motion) for e in effects]
         if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
             port = factors[0][0][self.rows]  # type: ignore[index]
             rows = np.flatnonzero(port)
@@ -202,10 +212,11 @@ class Regression:
         """Columns of the links, shape (N, joints, 10 * bodies)."""
         return np.concatenate([self._brought(s, s.motion.on_tree.link_regressor()) for s in self.stretches])
 
-    def with_links(self, link_parameters: Array) -> Regression:
-        """The same regression, in which effects see the tree with other link parameters."""
+    def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
+        """The same regression, in which effects see a model: the tree with these link parameters and these effects."""
         stretches = tuple(
-            dataclasses.replace(s, motion=self.robot.on_links(s.motion, link_parameters)) for s in self.stretches
+            dataclasses.replace(s, motion=self.robot.on_links(s.motion, link_parameters, effects=effects))
+            for s in self.stretches
         )
         other = dataclasses.replace(self, stretches=stretches)
         if "link_columns" in self.__dict__:

@@ -1,0 +1,108 @@
+"""Friction that remembers: hysteresis before sliding (Dahl, 1968)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Self
+
+import numpy as np
+
+from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.reversal import reversal, reversal_slope
+
+DEFLECTIONS = (1e-6, 0.3)  # rad, between which asperities of gears give way
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreslidingFriction(JointEffect):
+    """Dahl's friction: at reversal the torque turns over with `stiffness`, then approaches `torque`.
+
+    ``dF/dq = stiffness * (1 - F / torque * sign(v))``. Where samples do not follow each other in time there is no memory, and it
+    is what it comes to after sliding: ``torque * sign(v)``.
+    """
+
+    torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
+    stiffness: float | None = derived("N m/rad", lower=0.0)
+    deflection: float | None = None  # torque over stiffness, rad: the shape that a fit works with
+
+    def __post_init__(self) -> None:
+        if self.deflection is None and self.torque and self.stiffness:
+            object.__setattr__(self, "deflection", self.torque / self.stiffness)
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return ("deflection",)
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.array(DEFLECTIONS)[:, None]
+
+    @property
+    def shape(self) -> Array:
+        return np.array([np.nan if self.deflection is None else self.deflection])
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        deflection = float(values[0])
+        return self._consistent(self.torque, None if np.isnan(deflection) else deflection)
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        torque = float(values[0])
+        return self._consistent(None if np.isnan(torque) else torque, self.deflection)
+
+    def _consistent(self, torque: float | None, deflection: float | None) -> Self:
+        known = torque is not None and deflection is not None
+        stiffness = torque / deflection if known else None  # type: ignore[operator]
+        return dataclasses.replace(self, torque=torque, stiffness=stiffness, deflection=deflection)
+
+    def basis(self, at: JointMotion) -> Array:
+        (deflection,) = self.known_shape()
+        if not _follows(at.time):
+            return reversal(at.v)[:, None]
+        return hysteresis(at.q, deflection)[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), 1))
+        return zero, reversal_slope(at.v)[:, None], zero
+
+    def shape_starts(self, motion: Motion) -> Array:
+        travel = float(np.ptp(motion.joint(self.joint).q))
+        low, high = DEFLECTIONS
+        return np.geomspace(np.clip(2e-4 * travel, low, high), np.clip(0.1 * travel, low, high), 8)[:, None]
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return 0.5 * self.shape
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 3
+
+
+def _follows(time: Array) -> bool:
+    """Whether samples follow each other in time."""
+    return len(time) > 1 and bool((np.diff(time) > 0).all())
+
+
+def hysteresis(q: Array, deflection: float) -> Array:
+    """Dahl's friction over its torque along a motion, shape (N,); exact between samples of monotone motion.
+
+    Between reversals ``w = s - (s - w_r) exp(-|q - q_r| / deflection)``, s the direction, r the reversal. It starts slid on in the
+    direction of the first move.
+    """
+    step = np.diff(q)
+    out = np.empty(len(q))
+    moving = np.flatnonzero(step)
+    if len(moving) == 0:
+        return np.zeros(len(q))
+    direction = np.sign(step)
+    # where it stands still it keeps the direction it had
+    direction = direction[np.maximum(np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), -1)), moving[0])]
+    starts = np.r_[0, 1 + np.flatnonzero(np.diff(direction)), len(step)]
+    at = float(direction[0])
+    for first, last in pairwise(starts):
+        s = direction[first]
+        out[first : last + 1] = s - (s - at) * np.exp(-np.abs(q[first : last + 1] - q[first]) / deflection)
+        at = float(out[last])
+    return out

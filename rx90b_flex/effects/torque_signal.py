@@ -1,0 +1,174 @@
+"""What stands between a motor's torque and the log of it: delay, saturation, interference."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy import interpolate
+
+from rx90b_flex.effects.effect import OTHER, Effect, JointEffect, Sites, derived, linear, shape
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.ripple import amplitude_and_phase, sine_and_cosine
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueDelay(Effect):
+    """The logged torque is late: it shows what the motor gave `delay` ago. On one joint, or on all joints alike.
+
+    Its column is the secant ``(tau(t - d) - tau(t)) / d`` of the present model's torque at the present delay d, so that a long
+    delay is met exactly as the fit settles.
+    """
+
+    on: ClassVar[str] = "robot or joint"
+    acts_on: ClassVar[str] = "signals"
+    in_dynamics: ClassVar[bool] = False
+    needs_model: ClassVar[bool] = True
+    SHORTEST: ClassVar[float] = 1e-4  # s; the secant over less is the slope
+
+    joint: str | None = None
+    delay: float | None = linear("s", lower=0.0)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return () if self.joint is None else (self.joint,)
+
+    def columns(self, motion: Motion) -> Array:
+        step = max(self.SHORTEST, 0.0 if self.delay is None else self.delay)
+        torque = motion.model_torque
+        out = (_late(torque, motion.time, step) - torque) / step
+        return self._own(motion, out)[:, :, None]
+
+    def logged(self, motion: Motion, torque: Array) -> Array:
+        (delay,) = self.known_coefficients()
+        return torque + self._own(motion, _late(torque, motion.time, delay) - torque)
+
+    def _own(self, motion: Motion, change: Array) -> Array:
+        if self.joint is None:
+            return change
+        return change * motion.coordinates.port(self.joint, "drive")
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls(), *(cls(joint=j) for j in sites.joints)]
+
+
+def _late(torque: Array, time: Array, delay: float) -> Array:
+    """Torque (N, n) of `delay` ago; the first sample where there is none."""
+    if len(time) < 4 or not time[1] > time[0]:
+        return torque
+    shifted = np.maximum(time - delay, time[0])
+    return np.asarray(interpolate.CubicSpline(time, torque)(shifted))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorSaturation(JointEffect):
+    """The motor gives ``tau - coefficient * tau^3`` where the log, which knows its current, says tau."""
+
+    acts_on: ClassVar[str] = "signals"
+    in_dynamics: ClassVar[bool] = False
+    needs_model: ClassVar[bool] = True
+    side: ClassVar[str] = "drive"
+
+    coefficient: float | None = linear("1/(N m)^2", lower=0.0)
+
+    def basis(self, at: JointMotion) -> Array:
+        place = int(np.flatnonzero(at.port)[0])
+        return self._asked(at.motion.model_torque[:, place])[:, None] ** 3
+
+    def _asked(self, given: Array) -> Array:
+        """Logged torque for a torque that the motor gives: Newton's method from the torque itself."""
+        c = 0.0 if self.coefficient is None or self.coefficient <= 0 else self.coefficient
+        # beyond the top of the cubic no torque gives more
+        top = np.inf if c == 0 else 1.0 / np.sqrt(3.0 * c)
+        asked = np.clip(given, -0.95 * top, 0.95 * top)
+        for _ in range(30):
+            asked = np.clip(
+                asked - (asked - c * asked**3 - given) / (1.0 - 3.0 * c * asked**2), -0.99 * top, 0.99 * top
+            )
+        return asked
+
+    def logged(self, motion: Motion, torque: Array) -> Array:
+        self.known_coefficients()
+        place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
+        out = torque.copy()
+        out[:, place] = self._asked(torque[:, place])
+        return out
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        raise TypeError(f"{self.type_name()} is no force of the robot")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineInterference(JointEffect):
+    """Mains or another fixed frequency in the torque signal, ``amplitude * sin(2 pi frequency_hz t + phase)``.
+
+    The time is the file's, so that recordings of one clock share the phase.
+    """
+
+    acts_on: ClassVar[str] = "signals"
+    in_dynamics: ClassVar[bool] = False
+    side: ClassVar[str] = "drive"
+    repeats: ClassVar[bool] = True
+    PEAKS: ClassVar[int] = 6
+
+    frequency_hz: float | None = shape("Hz", start=50.0, lower=0.2, upper=2.0e4)
+    amplitude: float | None = derived("N m", lower=0.0)
+    phase: float | None = derived("rad")
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return ("sine", "cosine")
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return ("N m", "N m")
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (OTHER, OTHER)
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.full(2, -np.inf)
+
+    @property
+    def coefficients(self) -> Array:
+        return sine_and_cosine(self.amplitude, self.phase)
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        amplitude, phase = amplitude_and_phase(values)
+        return dataclasses.replace(self, amplitude=amplitude, phase=phase)
+
+    def basis(self, at: JointMotion) -> Array:
+        (frequency,) = self.known_shape()
+        angle = 2.0 * np.pi * frequency * at.time
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        raise TypeError(f"{self.type_name()} is no force of the robot")
+
+    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Array, Array]]) -> Array:
+        """The highest peaks of the residual's spectrum, recordings added with the phases of their clock."""
+        low, high = self.shape_bounds()[:, 0]
+        step = min(t[1] - t[0] for t, _ in residual)
+        # one grid for all recordings, fine enough for phases that turn between recordings far apart
+        size = int(2 ** np.ceil(np.log2(4 * max(len(t) for t, _ in residual))))
+        hz = np.fft.rfftfreq(size, step)
+        total = np.zeros(len(hz), dtype=complex)
+        for t, left in residual:
+            total += np.fft.rfft(left, size) * np.exp(-2j * np.pi * hz * t[0])
+        power = np.where((hz > low) & (hz < high), np.abs(total), 0.0)
+        inner = power[1:-1]
+        peaks = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]))
+        best = peaks[np.argsort(-power[peaks])][: self.PEAKS]
+        return hz[best][:, None] if len(best) else self.shape_starts(motion)
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.array([0.25 / max(float(np.ptp(motion.time)), 1e-3)])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return max(1, len(motion) // 2)
