@@ -540,9 +540,9 @@ def _tree_derivatives(model: pin.Model, data: pin.Data, motion: Motion) -> tuple
     by_q, by_v, by_a = (np.empty((len(motion), model.nv, model.nv)) for _ in range(3))
     for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
         dq, dv, da = pin.computeRNEADerivatives(model, data, q, v, a)
-        by_q[k], by_v[k] = dq, dv
-        by_a[k] = np.triu(da) + np.triu(da, 1).T
-    return by_q, by_v, by_a
+        by_q[k], by_v[k], by_a[k] = dq, dv, da
+    upper = np.triu(np.ones((model.nv, model.nv), bool))  # pinocchio fills this half of the mass matrix
+    return by_q, by_v, np.where(upper, by_a, by_a.transpose(0, 2, 1))
 
 
 # ---- robot files --------------------------------------------------------------------------------------------
