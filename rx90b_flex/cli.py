@@ -165,6 +165,36 @@ def simulate_command(
     console.print(f"Recording, tip.csv and figure: {out}", soft_wrap=True)
 
 
+@app.command()
+def view(
+    source: Annotated[
+        str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or (with --modes) a robot.")
+    ],
+    beside: Annotated[str | None, typer.Option(help="A second folder or campaign, shown as what came after.")] = None,
+    recording: Annotated[str | None, typer.Option(help="Name of the recording; the first where not given.")] = None,
+    magnify: Annotated[float, typer.Option(help="Factor of the deformations.")] = 100.0,
+    modes: Annotated[bool, typer.Option("--modes", help="Mode shapes instead of a motion.")] = False,
+    pose: Annotated[str | None, typer.Option(help="Drive angles of --modes, degrees: 0,90,0")] = None,
+    count: Annotated[int, typer.Option(help="How many modes.")] = 6,
+    out: Annotated[Path | None, typer.Option("--out", help="HTML file to write, instead of a browser.")] = None,
+) -> None:
+    """Show a moving robot, its deformations magnified: in a browser, or as one HTML file that opens offline."""
+    from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
+
+    wanted = Wanted(source, beside, recording, magnify, modes, pose, count)
+    with _progress() as tell:
+        tell("reading", 0.1)
+        made = view_of(wanted)
+    console = Console()
+    for line in (made.title, *made.notes):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    if out is not None:
+        write_view(made, out)
+        console.print(f"View: {out}", soft_wrap=True)
+        return
+    serve_until_interrupted(made, lambda url: console.print(f"{url} shows it until Ctrl-C", soft_wrap=True))
+
+
 def _print_result(console: Console, result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
 
