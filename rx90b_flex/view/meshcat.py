@@ -104,6 +104,11 @@ class Run:
                     q[:, torsion] = recording.link_position[:, place] - recording.position[:, place]
         return cls(recording.name, robot, recording.time, q, recording.reference_position)
 
+    @property
+    def deforms(self) -> bool:
+        """Whether anything but the drives moves."""
+        return bool(self.q[:, ~self.robot.input_matrix.any(axis=1)].any())
+
     @cached_property
     def reference_path(self) -> Array | None:
         """Positions of the rigid robot's tip at the references, shape (N, 3), m; None without references."""
@@ -217,9 +222,11 @@ def show(source: Simulation | Run, *, magnify: float = MAGNIFY) -> View:
     builder = _Builder()
     largest = _largest_mm([run])
     builder.look_at(_reach(run, magnify))
-    builder.add_run("run", run, magnify, largest, np.zeros(3), _duration([run]))
+    duration = _duration([run])
+    builder.add_run("run", run, magnify, largest, np.zeros(3), duration)
     builder.legend(largest)
-    return builder.view(run.name, _notes(run, magnify, largest), largest)
+    notes = [*_peak_note(f"{duration:.3g} s", run), *_magnify_note([run], magnify)]
+    return builder.view(run.name, notes, largest)
 
 
 def compare(before: Simulation | Run, after: Simulation | Run, *, magnify: float = MAGNIFY) -> View:
@@ -246,7 +253,7 @@ def compare(before: Simulation | Run, after: Simulation | Run, *, magnify: float
         builder.label(name, f"{name}: {run.name}{peak}", above + at, patch.width)
     builder.legend(largest)
     notes = [line for name, run in zip(("Before", "After"), runs, strict=True) for line in _peak_note(name, run)]
-    return builder.view("Before and after", (*notes, *_magnify_note(magnify, largest)), largest)
+    return builder.view("Before and after", [*notes, *_magnify_note(runs, magnify)], largest)
 
 
 def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int = 6) -> View:
@@ -384,7 +391,7 @@ class _Builder:
         rows = np.minimum(np.searchsorted(run.time, wanted - 1e-9), len(run.time) - 1)  # a run that ended early waits
         q = scene.magnified(run.robot, run.q, magnify)
         drives = run.q @ run.robot.input_matrix
-        self.add_robot(name, run.robot, q[rows], drives[rows], at, fps)
+        self.add_robot(name, run.robot, q[rows], drives[rows] if run.deforms else None, at, fps)
         trail = np.unique(np.linspace(0, len(q) - 1, TRAIL_POINTS).round().astype(int))
         path = scene.frame_poses(run.robot.model, q[trail], [run.robot.tip_frame])[:, 0, :3, 3] + at
         grey = np.full((len(trail), 3), 0.3)
@@ -398,11 +405,13 @@ class _Builder:
             line = scene.tube(path, 0.3 * TRAIL_RADIUS, np.zeros((len(path), 3)), sides=5)
             self.root[f"{name}/reference"].set_object(geometry.Mesh(line, material))
 
-    def add_robot(self, name: str, robot: Robot, q: Array, drives: Array, at: Array, fps: float) -> None:
-        """A robot that moves by q, and its ghost, rigid, by its drive angles (or at one of them)."""
+    def add_robot(self, name: str, robot: Robot, q: Array, drives: Array | None, at: Array, fps: float) -> None:
+        """A robot that moves by q, and its ghost, rigid, by drive angles, or at one of them, or none."""
         pieces = scene.shapes(robot)
         links = list(dict.fromkeys(piece.link for piece in pieces))
         for part, model, rows, ghost in (("robot", robot.model, q, False), ("ghost", robot.tree, drives, True)):
+            if rows is None:
+                continue
             poses = scene.frame_poses(model, rows, links)
             poses[..., :3, 3] += at
             for index, link in enumerate(links):
@@ -518,11 +527,13 @@ def _mostly(robot: Robot, shape: ComplexArray) -> str:
     return "mostly " + robot.coordinates[int(np.argmax(np.abs(shape)))].replace("_", " ").replace(":", ", ")
 
 
-def _magnify_note(magnify: float, largest: float | None) -> tuple[str, ...]:
-    notes = [f"Deformations {magnify:g} times magnified; pale: the robot on the same drive angles, undeformed"]
-    if largest is not None:
-        notes.append("Colour: true distance of the tip from its reference; black line: the reference's path")
-    return tuple(notes)
+def _magnify_note(runs: Sequence[Run], magnify: float) -> list[str]:
+    notes = []
+    if any(run.deforms for run in runs):
+        notes.append(f"Deformations magnified {magnify:g} times; pale: the robot undeformed, drives alike")
+    if any(run.reference is not None for run in runs):
+        notes.append("Colour: true distance of the tip from its reference; black: the reference's path")
+    return notes
 
 
 def _peak_note(name: str, run: Run) -> tuple[str, ...]:
@@ -530,7 +541,3 @@ def _peak_note(name: str, run: Run) -> tuple[str, ...]:
     if d is None:
         return (f"{name}: {run.robot.name}, {run.name}",)
     return (f"{name}: {run.robot.name}, {d.max():.3g} mm at most, {np.sqrt(np.mean(d**2)):.3g} mm root mean square",)
-
-
-def _notes(run: Run, magnify: float, largest: float | None) -> tuple[str, ...]:
-    return (*_peak_note(f"{run.time[-1] - run.time[0]:.3g} s", run), *_magnify_note(magnify, largest))
