@@ -195,6 +195,38 @@ def view(
     serve_until_interrupted(made, lambda url: console.print(f"{url} shows it until Ctrl-C", soft_wrap=True))
 
 
+@app.command("import")
+def import_command(
+    files: Annotated[
+        list[Path], typer.Argument(help="CSV, Parquet, MATLAB, MCAP or ROS 2 bag; the last one validates.")
+    ],
+    robot: Annotated[str, typer.Option(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    columns: Annotated[
+        list[str] | None, typer.Option(help="What a signal's columns are: torque=NAME,NAME; repeat for more signals.")
+    ] = None,
+    joints: Annotated[str | None, typer.Option(help="Joints that the columns belong to, in order: NAME,NAME")] = None,
+    rate: Annotated[float | None, typer.Option(help="Sample rate, Hz; resamples where the file has another.")] = None,
+    degrees: Annotated[bool | None, typer.Option("--degrees/--radians", help="Unit of all angles.")] = None,
+    gear: Annotated[
+        str | None, typer.Option(help="Motor turns a joint turn, where columns are motor side: 32,45")
+    ] = None,
+    topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
+    file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
+) -> None:
+    """Make a campaign of logs as they are: finds out columns, units and rate, and says how sure it is."""
+    from rx90b_flex.importing import Request, import_into, options_of
+
+    request = Request(tuple(files), robot, options_of(columns or [], joints, rate, degrees, gear, topic), file_format)
+    with _progress() as tell:
+        tell("reading", 0.1)
+        imported = import_into(request, out)
+    console = Console()
+    for where, finding in imported.findings:
+        console.print(f"{where}: {finding}", soft_wrap=True, markup=False, highlight=False)
+    console.print(f"Campaign: {out / 'campaign.toml'}", soft_wrap=True)
+
+
 def _print_result(console: Console, result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
 
