@@ -43,13 +43,13 @@ SHORTEST = 10  # samples
 # words in names, in lower case
 # fmt: off
 _POSITION = {"q", "pos", "position", "positions", "angle", "angles", "theta", "enc", "encoder"}
-_VELOCITY = {"v", "qd", "dq", "qp", "vel", "velocity", "velocities", "speed", "omega", "refv"}
+_VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
 _TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "ff", "feedforward"}
 _FORWARD = {"ff", "feedforward"}
 _REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
 _LINK = {"link", "load", "output", "secondary"}
 _CURRENT = {"current", "currents", "amp", "amps"}
-_OTHER = _CURRENT | {"qdd", "ddq", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
+_OTHER = _CURRENT | {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
 _NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
           "drive", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
 _TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec"}
@@ -242,7 +242,7 @@ def _time(log: Log, options: Options, found: list[Finding]) -> tuple[Array, str 
     if exact or candidates:
         name = (exact or candidates)[0]
         time = log.column(name) - log.column(name)[0]
-        stated = [_TIME_UNITS[w] for w in _words(name)[1:] if w in _TIME_UNITS]
+        stated = [_TIME_UNITS[w] for w in _time_words(name)[1:] if w in _TIME_UNITS]
         step = float(np.nanmedian(np.abs(np.diff(time))))
         # the unit in which the rate is one that robots are logged at
         scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
@@ -256,8 +256,13 @@ def _time(log: Log, options: Options, found: list[Finding]) -> tuple[Array, str 
     return np.arange(len(log.values)) / options.rate_hz, None
 
 
+def _time_words(name: str) -> list[str]:
+    """`log.time_ms` gives time, ms."""
+    return [w for w in _words(name) if w in _TIMES or w in _TIME_UNITS or w not in _NOISE]
+
+
 def _is_time(name: str) -> bool:
-    words = _words(name)
+    words = _time_words(name)
     return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in _TIME_UNITS for w in words)
 
 
