@@ -209,15 +209,18 @@ def import_command(
     rate: Annotated[float | None, typer.Option(help="Sample rate, Hz; resamples where the file has another.")] = None,
     degrees: Annotated[bool | None, typer.Option("--degrees/--radians", help="Unit of all angles.")] = None,
     gear: Annotated[
-        str | None, typer.Option(help="Motor turns a joint turn, where columns are motor side: 32,45")
+        str | None, typer.Option(help="Motor turns a joint turn where columns are motor side: 32,45 or 32,0;0,45")
     ] = None,
+    offset: Annotated[str | None, typer.Option(help="Joint angles where the motor angles are zero, rad.")] = None,
     topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
     file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
 ) -> None:
     """Make a campaign of logs as they are: finds out columns, units and rate, and says how sure it is."""
     from rx90b_flex.importing import Request, import_into, options_of
 
-    request = Request(tuple(files), robot, options_of(columns or [], joints, rate, degrees, gear, topic), file_format)
+    request = Request(
+        tuple(files), robot, options_of(columns or [], joints, rate, degrees, gear, offset, topic), file_format
+    )
     with _progress() as tell:
         tell("reading", 0.1)
         imported = import_into(request, out)

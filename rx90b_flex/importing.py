@@ -39,6 +39,7 @@ def options_of(
     rate: float | None,
     degrees: bool | None,
     gear: str | None,
+    offset: str | None,
     topic: str | None,
 ) -> Options:
     """Options from the command line's words.
@@ -54,11 +55,15 @@ def options_of(
         if not equals or not names:
             raise ValueError(f"--columns {text}: expected SIGNAL=NAME,NAME,...")
         chosen[signal.strip()] = _listed(names)
+    gears = tuple(_numbers("--gear", row) for row in (gear or "").split(";") if row.strip())
+    return Options(chosen, _listed(joints or ""), rate, degrees, gears, _numbers("--offset", offset or ""), topic)
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
     try:
-        gears = tuple(float(g) for g in _listed(gear or ""))
+        return tuple(float(part) for part in _listed(text))
     except ValueError:
-        raise ValueError(f"--gear {gear}: expected numbers with commas between") from None
-    return Options(chosen, _listed(joints or ""), rate, degrees, gears, topic)
+        raise ValueError(f"{option} {text}: expected numbers with commas between") from None
 
 
 def _listed(text: str) -> tuple[str, ...]:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import sys
+import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import independent as ind
 import numpy as np
 import pandas as pd
 import pytest
+from data_folder import tx40_folder
 from scipy.io import savemat
 
 from rx90b_flex import cli
+from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.signals.importers import Axes, Imported, Options, import_logs
 
@@ -196,7 +201,7 @@ def test_angles_that_fit_in_no_unit_are_refused_unless_gears_are_given(tmp_path:
     table(["time", *numbered("q", "tau")], TIME, Q * gear, TAU / gear).to_csv(path, index=False)
     with pytest.raises(ValueError, match=r"run\.csv: column 'q\d' runs from .* motor side \(--gear\)\?"):
         import_logs([path], AXES)
-    imported = import_logs([path], AXES, Options(gear=tuple(gear)))
+    imported = import_logs([path], AXES, Options(gear=(tuple(gear),)))
     np.testing.assert_allclose(whole(imported, "position"), Q, atol=1e-12)
     np.testing.assert_allclose(whole(imported, "torque"), TAU, atol=1e-10)
 
@@ -457,7 +462,9 @@ def test_columns_rate_and_joints_can_be_said(
         (("FILE", "--robot", ROBOT, "--columns", "torque=tau9"), "run.csv: no column 'tau9'"),
         (("FILE", "--robot", ROBOT, "--joints", "joint_7"), "--joints joint_7: no such joint"),
         (("FILE", "--robot", ROBOT, "--gear", "1,a"), "--gear 1,a: expected numbers"),
-        (("FILE", "--robot", ROBOT, "--gear", "1,2"), "--gear lists 2 numbers"),
+        (("FILE", "--robot", ROBOT, "--gear", "1,2"), "--gear: expected 3 numbers, or 3 rows"),
+        (("FILE", "--robot", ROBOT, "--gear", "1,0,0;0,1,0;1,0,0"), "--gear: singular"),
+        (("FILE", "--robot", ROBOT, "--offset", "1,2,3"), "--offset is of motor angles"),
         (("FILE", "--robot", ROBOT, "--rate", "-5"), "--rate -5"),
         (("FILE", "--robot", ROBOT, "--topic", "/x"), "only bags have topics"),
         (("FILE", "--robot", ROBOT, "--format", "xls"), "--format xls"),
@@ -476,3 +483,38 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and message in lines[0]
     assert not out.exists()
+
+
+def test_the_loop_closes_on_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Logs with columns angle_0, moment_0, ...: nothing is said but the robot."""
+    arm, rng = ind.two_joints(tmp_path), np.random.default_rng(1)
+    runs = [
+        ind.run(arm, "identification", ind.harmonics(rng, 2, period_s=6.0, rate_hz=100.0), [], np.zeros(2))
+        for _ in "ab"
+    ]
+    ind.write_files(tmp_path, arm, [], runs)
+    logs, data = [tmp_path / f"log_{k}.csv" for k in (1, 2)], tmp_path / "data"
+    assert call(*logs, "--robot", tmp_path / "robot_declared.toml", "--out", data, monkeypatch=monkeypatch) == 0
+    monkeypatch.setattr(
+        "sys.argv", ["rx90b-flex", "close-loop", str(data / "campaign.toml"), "--out", str(tmp_path / "o")]
+    )
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert not end.value.code
+    result = json.loads((tmp_path / "o" / "closed_loop.json").read_text())
+    # without friction and noise the rigid model leaves only what differentiation leaves
+    assert result["effects"] == [] and result["before"]["validation"]["relative_error"] < 1e-3
+
+
+def test_the_tx40_log_is_read_as_its_campaign_says() -> None:
+    folder = tx40_folder()
+    campaign = load_campaign(folder / "campaign.toml")
+    tree = load_robot(folder / "tx40.toml").tree
+    axes = Axes(campaign.joints, tuple(tree.lowerPositionLimit), tuple(tree.upperPositionLimit))
+    motor = tomllib.loads((folder / "campaign.toml").read_text())["motor"]
+    options = Options(gear=tuple(map(tuple, motor["gear_matrix"])), offset=tuple(motor["offset"]))
+    imported = import_logs([folder / "tx40.csv.gz"], axes, options)
+    assert imported.recordings[0].sample_rate_hz == campaign.sample_rate_hz
+    for field in ("position", "torque"):
+        wanted = np.concatenate([getattr(r, field) for r in campaign.recordings])
+        np.testing.assert_allclose(whole(imported, field), wanted, rtol=1e-12, atol=1e-12)

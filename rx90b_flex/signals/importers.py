@@ -87,7 +87,9 @@ class Options:
     joints : joints of the robot that the columns belong to, in their order; empty: by names and numbers.
     rate_hz : sample rate; needed where there is no time column, otherwise the rate to resample to.
     degrees : whether angles and their rates are in degrees; None: by names and by the robot's limits.
-    gear : motor turns a joint turn, one a joint: the columns are motor side; empty: joint side.
+    gear : one row of motor turns a joint turn, or a row a motor where joints are coupled: the columns are motor side, and motor
+        angle = gear @ (joint angle - offset). Empty: joint side.
+    offset : rad, one a joint; empty: none.
     topic : of a bag.
     """
 
@@ -95,7 +97,8 @@ class Options:
     joints: tuple[str, ...] = ()
     rate_hz: float | None = None
     degrees: bool | None = None
-    gear: tuple[float, ...] = ()
+    gear: tuple[tuple[float, ...], ...] = ()
+    offset: tuple[float, ...] = ()
     topic: str | None = None
 
 
@@ -195,8 +198,8 @@ def _check_options(options: Options, axes: Axes) -> None:
             )
     if options.rate_hz is not None and not (np.isfinite(options.rate_hz) and options.rate_hz > 0.0):
         raise ValueError(f"--rate {options.rate_hz}: a number above 0 is expected")
-    if any(not np.isfinite(g) or g == 0.0 for g in options.gear):
-        raise ValueError(f"--gear {options.gear}: numbers other than 0 are expected")
+    if options.offset and not options.gear:
+        raise ValueError("--offset is of motor angles; expected --gear with it")
 
 
 # ---- one file -------------------------------------------------------------------------------------------------
@@ -495,13 +498,24 @@ def _looks_like_degrees(
 
 
 def _to_joint_side(options: Options, joints: tuple[str, ...], values: dict[str, Array], found: list[Finding]) -> None:
-    if len(options.gear) != len(joints):
-        raise ValueError(f"--gear lists {len(options.gear)} numbers; expected one for each of {', '.join(joints)}")
-    gear = np.array(options.gear)
+    """Bring motor-side values to the joint side, in place, as a campaign's [motor] table does."""
+    count, rows = len(joints), options.gear
+    if [len(row) for row in rows] not in ([count], [count] * count):
+        raise ValueError(f"--gear: expected {count} numbers, or {count} rows of them, for {', '.join(joints)}")
+    gear = np.diag(rows[0]) if len(rows) == 1 else np.array(rows)
+    if not np.isfinite(gear).all() or np.linalg.matrix_rank(gear) < count:
+        raise ValueError("--gear: singular; joint angles cannot be found from motor angles")
+    if options.offset and len(options.offset) != count:
+        raise ValueError(f"--offset lists {len(options.offset)} numbers; expected one for each of {', '.join(joints)}")
+    offset = np.array(options.offset) if options.offset else np.zeros(count)
     for signal, array in values.items():
-        if signal != "link_position":
-            values[signal] = array * gear if "torque" in signal else array / gear
-    found.append(Finding(f"motor side, gears {', '.join(f'{g:g}' for g in gear)}", "stated"))
+        if signal == "link_position":
+            continue
+        if "torque" in signal:
+            values[signal] = array @ gear
+        else:
+            values[signal] = np.linalg.solve(gear, array.T).T + (offset if "position" in signal else 0.0)
+    found.append(Finding("motor side, brought to the joint side by --gear", "stated"))
 
 
 def _usable(log: Log, names: Sequence[str], time: Array, found: list[Finding]) -> tuple[NDArray[np.intp], Array]:
