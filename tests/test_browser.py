@@ -175,6 +175,24 @@ def test_the_served_page_shows_the_same(browser: Any, run: Simulation, pictures:
         visualizer.window.server_proc.terminate()
 
 
+@pytest.mark.slow
+def test_a_notebook_s_cell_plays_without_a_server(
+    browser: Any, run: Simulation, tmp_path: Path, pictures: Path
+) -> None:
+    page = tmp_path / "cell.html"
+    page.write_text(
+        f"<!DOCTYPE html><meta charset='utf-8'><title>cell</title>{show(run)._repr_html_()}", encoding="utf-8"
+    )
+    cell = opened(browser, page.as_uri(), pictures)
+    frame = cell.page.frames[1]
+    frame.wait_for_function("viewer.animator.playing && viewer.animator.time > 0.02")
+    frame.evaluate("viewer.animator.pause()")
+    assert yellow(cell.picture("cell")) > 1000
+    assert [r for r in asked_outside(cell, page.as_uri()) if r != "about:srcdoc"] == [] and cell.complaints == []
+    cell.page.close()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["modes", "compare"])
 def test_pages_of_modes_and_of_before_and_after_open_without_a_request(
     browser: Any, run: Simulation, tmp_path: Path, pictures: Path, name: str

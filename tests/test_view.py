@@ -198,6 +198,10 @@ def test_before_and_after_stand_apart_under_one_scale(run: Simulation) -> None:
     assert any(one.split(": ", 1)[1] in note for note in view.notes)
 
 
+def test_a_live_cell_frames_the_server(run: Simulation) -> None:
+    assert re.search(r'<iframe src="http://127\.0\.0\.1:\d+/static/"', show(run).cell().data)
+
+
 def test_a_notebook_cell_holds_the_whole_page(run: Simulation) -> None:
     cell = show(run)._repr_html_()
     assert cell.startswith("<iframe srcdoc=") and "<script" not in cell  # escaped into the frame
@@ -240,6 +244,29 @@ def test_a_campaign_without_coordinates_is_shown_by_its_drive_angles(folder: Pat
     measured = load_campaign(tmp_path / "campaign.toml").recordings[0].position
     np.testing.assert_array_equal(read.q @ read.robot.input_matrix, measured)
     assert not read.deforms
+
+
+def test_a_recording_in_another_order_of_joints_is_the_same_motion(run: Simulation) -> None:
+    recording, turned = run.recording, [2, 0, 1]
+    assert recording.reference_position is not None
+    other = dataclasses.replace(
+        recording,
+        joints=tuple(recording.joints[k] for k in turned),
+        position=recording.position[:, turned],
+        torque=recording.torque[:, turned],
+        velocity=None,
+        reference_velocity=None,
+        reference_position=recording.reference_position[:, turned],
+        link_position=recording.position[:, turned] + 0.01,
+    )
+    one, two = Run.of_recording(recording, run.robot), Run.of_recording(other, run.robot)
+    drives = run.robot.input_matrix
+    np.testing.assert_array_equal(two.q @ drives, one.q @ drives)
+    np.testing.assert_array_equal(two.reference, one.reference)
+    torsion = run.robot.coordinates.index("joint_2:torsion")
+    np.testing.assert_allclose(two.q[:, torsion], 0.01, rtol=1e-12)
+    with pytest.raises(ValueError, match="is of joints"):
+        Run.of_recording(recording, load_robot("rx90b_4dof"))
 
 
 def test_the_command_writes_pages(

@@ -92,17 +92,20 @@ class Run:
         ValueError
             A recording of other joints than the robot's.
         """
-        if recording.joints != robot.joints:
+        if set(recording.joints) != set(robot.joints):
             raise ValueError(
                 f"recording {recording.name!r} is of joints {', '.join(recording.joints)}; expected {', '.join(robot.joints)}"
             )
-        q = recording.position @ robot.input_matrix.T
+        order = [recording.joints.index(joint) for joint in robot.joints]
+        drives = recording.position[:, order]
+        q = drives @ robot.input_matrix.T
         if recording.link_position is not None:
             for place, joint in enumerate(robot.joints):
                 torsion = robot.layout.index(joint, "torsion")
                 if torsion is not None:
-                    q[:, torsion] = recording.link_position[:, place] - recording.position[:, place]
-        return cls(recording.name, robot, recording.time, q, recording.reference_position)
+                    q[:, torsion] = recording.link_position[:, order[place]] - drives[:, place]
+        reference = recording.reference_position
+        return cls(recording.name, robot, recording.time, q, None if reference is None else reference[:, order])
 
     @property
     def deforms(self) -> bool:
