@@ -168,13 +168,13 @@ def simulate_command(
 @app.command()
 def view(
     source: Annotated[
-        str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or (with --modes) a robot.")
+        str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or robot (its mode shapes).")
     ],
     beside: Annotated[str | None, typer.Option(help="A second folder or campaign, shown as what came after.")] = None,
     recording: Annotated[str | None, typer.Option(help="Name of the recording; the first where not given.")] = None,
     magnify: Annotated[float, typer.Option(help="Factor of the deformations.")] = 100.0,
-    modes: Annotated[bool, typer.Option("--modes", help="Mode shapes instead of a motion.")] = False,
-    pose: Annotated[str | None, typer.Option(help="Drive angles of --modes, degrees: 0,90,0")] = None,
+    modes: Annotated[bool, typer.Option("--modes", help="Mode shapes of a run's robot instead of its motion.")] = False,
+    pose: Annotated[str | None, typer.Option(help="Drive angles of the mode shapes, degrees: 0,90,0")] = None,
     count: Annotated[int, typer.Option(help="How many modes.")] = 6,
     out: Annotated[Path | None, typer.Option("--out", help="HTML file to write, instead of a browser.")] = None,
 ) -> None:

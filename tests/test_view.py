@@ -276,7 +276,7 @@ def test_the_command_writes_pages(
     assert "mm at most" in capsys.readouterr().out
     both = ("--beside", folder, "--magnify", 20, "--out", tmp_path / "both.html")
     assert call(folder, *both, monkeypatch=monkeypatch) == 0
-    given = ("--modes", "--pose", "0,90,0", "--count", 2, "--out", tmp_path / "modes.html")
+    given = ("--pose", "0,90,0", "--count", 2, "--out", tmp_path / "modes.html")
     assert call("rx90b_3dof", *given, monkeypatch=monkeypatch) == 0
     assert "Slowed down" in capsys.readouterr().out
     for name in ("new/run.html", "both.html", "modes.html"):
@@ -286,7 +286,9 @@ def test_the_command_writes_pages(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("rx90b_3dof",), "no run and no campaign"),
+        (("rx90b_3dof", "--beside", "FOLDER"), "no run and no campaign"),
+        (("rx90b_9dof",), "unknown robot 'rx90b_9dof'"),
+        (("rx90b_rigid",), "nothing in it bends"),
         (("nothing_there", "--modes"), "unknown robot"),
         (("FOLDER", "--recording", "no"), "no recording 'no'; it has line"),
         (("FOLDER", "--magnify", "-2"), "--magnify is -2"),

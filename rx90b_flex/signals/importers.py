@@ -104,7 +104,10 @@ class Options:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something worked out: what, and how sure that is."""
+    """Something worked out: what, and how sure that is.
+
+    Stated: an option says so. Sure: names or the format say so. Likely: numbers in names, sizes or limits suggest it.
+    """
 
     what: str
     sure: Sureness
@@ -174,14 +177,14 @@ def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = Non
         recordings = _split(parts[0])
         first, second = (f"{r.duration_s:.4g} s" for r in recordings)
         findings.append(
-            ("all files", Finding(f"one file: its first {first} identify, the last {second} validate", "stated"))
+            ("all files", Finding(f"one file: its first {first} identify, the last {second} validate", "sure"))
         )
     else:
         recordings = tuple(
             dataclasses.replace(r, role="identification" if k < len(parts) - 1 else "validation", name=name)
             for k, (r, name) in enumerate(zip(parts, _unique([r.name for r in parts]), strict=True))
         )
-        findings.append(("all files", Finding(f"the last file, {recordings[-1].name}, validates", "stated")))
+        findings.append(("all files", Finding(f"the last file, {recordings[-1].name}, validates", "sure")))
     return Imported(recordings, tuple(findings))
 
 

@@ -25,14 +25,14 @@ class Wanted:
     Attributes
     ----------
     source : str
-        A run's folder, a campaign file, or a robot as `load_robot` takes it (modes only).
+        A run's folder, a campaign file, or a robot as `load_robot` takes it, whose mode shapes are then shown.
     beside : str or None
         A second run, shown beside the first.
     recording : str or None
         Name of the recording; the first of the campaign where not given.
     magnify : float
     modes : bool
-        Whether mode shapes are wanted and not a motion.
+        Whether mode shapes of a run's robot are wanted and not its motion.
     pose : str or None
         Drive angles of the mode shapes, degrees, with commas between.
     count : int
@@ -58,10 +58,10 @@ def view_of(wanted: Wanted) -> View:
     """
     if not (np.isfinite(wanted.magnify) and wanted.magnify >= 0.0):
         raise ValueError(f"--magnify is {wanted.magnify}; expected 0 or more")
-    if wanted.modes:
+    campaign = _campaign_path(wanted.source)
+    if wanted.modes or (campaign is None and wanted.beside is None and wanted.recording is None):
         if wanted.beside is not None:
             raise ValueError("--beside and --modes: choose one")
-        campaign = _campaign_path(wanted.source)
         robot = load_robot(wanted.source if campaign is None else load_campaign(campaign).robot_source)
         return show_modes(robot, _pose(wanted.pose, len(robot.joints)), count=wanted.count)
     if wanted.pose is not None:
@@ -83,8 +83,7 @@ def read_run(source: str, recording: str | None = None) -> Run:
     path = _campaign_path(source)
     if path is None:
         raise ValueError(
-            f"{source}: no run and no campaign; expected a folder of `rx90b-flex simulate` or a campaign file "
-            "(for a robot's mode shapes, add --modes)"
+            f"{source}: no run and no campaign; expected a folder of `rx90b-flex simulate` or a campaign file"
         )
     campaign = load_campaign(path)
     chosen = campaign.recordings[0] if recording is None else _named(campaign, recording)
@@ -123,8 +122,8 @@ def write_view(view: View, path: Path) -> None:
 def serve_until_interrupted(view: View, tell: Callable[[str], None], wait: Callable[[], object] | None = None) -> None:
     """Open the view in the browser and keep serving it until Ctrl-C (or until `wait` returns)."""
     visualizer = view.open()
-    tell(visualizer.url())
     try:
+        tell(visualizer.url())
         (wait or threading.Event().wait)()
     except KeyboardInterrupt:
         pass
