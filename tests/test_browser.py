@@ -63,6 +63,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run() -> Simulation:
+    """The line of section 4.2.2."""
     robot = load_robot("rx90b_3dof")
     return simulate(robot, load_cs8().for_joints(robot.joints), straight_line(robot))
 
@@ -101,6 +102,7 @@ def harmless(message: Any) -> bool:
 
 def opened(browser: Any, url: str, pictures: Path) -> Opened:
     new = Opened(browser.new_page(viewport=SIZE), pictures)
+    new.page.set_default_timeout(300_000)  # ms; only a guard: a crowded machine draws slowly
     new.page.on("request", lambda request: new.requests.append(request.url))
     new.page.on("console", lambda m: None if harmless(m) else new.complaints.append(f"{m.type}: {m.text}"))
     new.page.on("pageerror", lambda error: new.complaints.append(str(error)))

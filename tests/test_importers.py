@@ -489,7 +489,7 @@ def test_the_loop_closes_on_an_import(tmp_path: Path, monkeypatch: pytest.Monkey
     """Logs with columns angle_0, moment_0, ...: nothing is said but the robot."""
     arm, rng = ind.two_joints(tmp_path), np.random.default_rng(1)
     runs = [
-        ind.run(arm, "identification", ind.harmonics(rng, 2, period_s=6.0, rate_hz=100.0), [], np.zeros(2))
+        ind.run(arm, "identification", ind.harmonics(rng, 2, period_s=5.0, rate_hz=100.0), [], np.zeros(2))
         for _ in "ab"
     ]
     ind.write_files(tmp_path, arm, [], runs)

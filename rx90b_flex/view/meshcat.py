@@ -229,7 +229,8 @@ def show(source: Simulation | Run, *, magnify: float = MAGNIFY) -> View:
     builder.add_run("run", run, magnify, largest, np.zeros(3), duration)
     builder.legend(largest)
     notes = [*_peak_note(f"{duration:.3g} s", run), *_magnify_note([run], magnify)]
-    return builder.view(run.name, notes, largest)
+    factor = f", deformations × {magnify:g}" if run.deforms else ""
+    return builder.view(f"{run.name}{factor}", notes, largest)
 
 
 def compare(before: Simulation | Run, after: Simulation | Run, *, magnify: float = MAGNIFY) -> View:
