@@ -289,6 +289,15 @@ def test_a_rate_is_a_round_number_although_the_clock_drifts(tmp_path: Path) -> N
     assert import_logs([path], AXES).recordings[0].sample_rate_hz == RATE
 
 
+def test_times_printed_coarsely_are_no_jitter(tmp_path: Path) -> None:
+    time = np.arange(SAMPLES) / 400.0  # steps of 2.5 ms
+    path = tmp_path / "run.csv"
+    table(["time_ms", *numbered("q", "tau")], np.floor(1e3 * time), Q, TAU).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    assert imported.recordings[0].sample_rate_hz == 400.0
+    np.testing.assert_array_equal(whole(imported, "position"), Q)
+
+
 def test_repeated_times_and_interruptions_are_left_out(tmp_path: Path) -> None:
     rows = np.r_[np.arange(150), 149, np.arange(200, SAMPLES)]
     path = tmp_path / "run.csv"

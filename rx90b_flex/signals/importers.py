@@ -19,7 +19,7 @@ from scipy.interpolate import PchipInterpolator
 
 from rx90b_flex.signals.filters import resample
 from rx90b_flex.signals.logs import TIME, Log, read_log, stem_of
-from rx90b_flex.signals.recording import Recording, Role
+from rx90b_flex.signals.recording import Recording, Role, printed_resolution
 from rx90b_flex.signals.tables import suggestion
 
 Array = NDArray[np.float64]
@@ -581,10 +581,10 @@ def _uniform(
     log: Log, time: Array, values: dict[str, Array], found: list[Finding]
 ) -> tuple[float, dict[str, Array], Array]:
     """Rate, values and times on a uniform grid."""
-    mean = (len(time) - 1) / time[-1]
-    rate = _round_rate(mean)
+    printed = float(np.max(printed_resolution(time, False)))  # s: times may be off the grid by as much
+    rate = _round_rate((len(time) - 1) / time[-1], printed / time[-1])
     grid = np.arange(len(time)) / rate
-    if np.abs(time - grid).max() <= JITTER / rate:
+    if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
         found.append(Finding(f"{rate:g} Hz, {len(time)} samples", "sure"))
         return rate, values, grid
     rate = _round_rate(1.0 / float(np.median(np.diff(time))))
@@ -602,10 +602,10 @@ def _uniform(
     return rate, out, grid
 
 
-def _round_rate(rate: float) -> float:
-    """The nearest number of three digits where that is within 0.05 %, as clocks drift and prints round."""
+def _round_rate(rate: float, slack: float = 0.0) -> float:
+    """The nearest number of three digits where that is within 0.05 %, as clocks drift, and what print allows (relative)."""
     nice = float(f"{rate:.3g}")
-    return nice if abs(nice / rate - 1.0) < 5e-4 else rate
+    return nice if abs(nice / rate - 1.0) < 5e-4 + slack else rate
 
 
 # ---- all files together ---------------------------------------------------------------------------------------

@@ -150,8 +150,8 @@ class View:
     title : str
     notes : tuple of str
         What the scene shows, a line each.
-    commands : tuple of bytes
-        Packed commands of meshcat, in order, the animation last.
+    commands : tuple
+        Commands of meshcat, packed, in order, the animation last.
     legend : bytes or None
         Colour bar in millimetres, PNG.
     """
@@ -330,6 +330,8 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
 
 @dataclass(frozen=True)
 class _Command:
+    """A command as meshcat's server and page take it; `live_only` where the saved page has another place for what it shows."""
+
     kind: str
     path: str
     packed: bytes
