@@ -165,6 +165,71 @@ def simulate_command(
     console.print(f"Recording, tip.csv and figure: {out}", soft_wrap=True)
 
 
+@app.command()
+def view(
+    source: Annotated[
+        str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or robot (its mode shapes).")
+    ],
+    beside: Annotated[str | None, typer.Option(help="A second folder or campaign, shown as what came after.")] = None,
+    recording: Annotated[str | None, typer.Option(help="Name of the recording; the first where not given.")] = None,
+    magnify: Annotated[float, typer.Option(help="Factor of the deformations.")] = 100.0,
+    modes: Annotated[bool, typer.Option("--modes", help="Mode shapes of a run's robot instead of its motion.")] = False,
+    pose: Annotated[str | None, typer.Option(help="Drive angles of the mode shapes, degrees: 0,90,0")] = None,
+    count: Annotated[int, typer.Option(help="How many modes.")] = 6,
+    out: Annotated[Path | None, typer.Option("--out", help="HTML file to write, instead of a browser.")] = None,
+) -> None:
+    """Show a moving robot, its deformations magnified: in a browser, or as one HTML file that opens offline."""
+    from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
+
+    wanted = Wanted(source, beside, recording, magnify, modes, pose, count)
+    with _progress() as tell:
+        tell("reading", 0.1)
+        made = view_of(wanted)
+    console = Console()
+    for line in (made.title, *made.notes):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    if out is not None:
+        write_view(made, out)
+        console.print(f"View: {out}", soft_wrap=True)
+        return
+    serve_until_interrupted(made, lambda url: console.print(f"{url} shows it until Ctrl-C", soft_wrap=True))
+
+
+@app.command("import")
+def import_command(
+    files: Annotated[
+        list[Path], typer.Argument(help="CSV, Parquet, MATLAB, MCAP or ROS 2 bag; the last one validates.")
+    ],
+    robot: Annotated[str, typer.Option(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    columns: Annotated[
+        list[str] | None, typer.Option(help="What a signal's columns are: torque=NAME,NAME; repeat for more signals.")
+    ] = None,
+    joints: Annotated[str | None, typer.Option(help="Joints that the columns belong to, in order: NAME,NAME")] = None,
+    rate: Annotated[float | None, typer.Option(help="Sample rate, Hz; resamples where the file has another.")] = None,
+    degrees: Annotated[bool | None, typer.Option("--degrees/--radians", help="Unit of all angles.")] = None,
+    gear: Annotated[
+        str | None, typer.Option(help="Motor turns a joint turn where columns are motor side: 32,45 or 32,0;0,45")
+    ] = None,
+    offset: Annotated[str | None, typer.Option(help="Joint angles where the motor angles are zero, rad.")] = None,
+    topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
+    file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
+) -> None:
+    """Make a campaign of logs as they are: finds out columns, units and rate, and says how sure it is."""
+    from rx90b_flex.importing import Request, import_into, options_of
+
+    request = Request(
+        tuple(files), robot, options_of(columns or [], joints, rate, degrees, gear, offset, topic), file_format
+    )
+    with _progress() as tell:
+        tell("reading", 0.1)
+        imported = import_into(request, out)
+    console = Console()
+    for where, finding in imported.findings:
+        console.print(f"{where}: {finding}", soft_wrap=True, markup=False, highlight=False)
+    console.print(f"Campaign: {out / 'campaign.toml'}", soft_wrap=True)
+
+
 def _print_result(console: Console, result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
 

@@ -41,7 +41,7 @@ def test_a_trajectory_file_becomes_recording_campaign_tip_and_figure(
     tip = pd.read_csv(out / "tip.csv")
     assert list(tip)[:4] == ["time", "x", "y", "z"] and len(tip) == 126
     assert {p.name for p in out.iterdir()} == {
-        "campaign.toml", "robot.toml", "robot.urdf", "swing.parquet", "tip.csv", "tip.png", "tip.svg",
+        "campaign.toml", "robot.toml", "robot.urdf", "state.parquet", "swing.parquet", "tip.csv", "tip.png", "tip.svg",
     }  # fmt: skip
     text = capsys.readouterr().out
     for part in ("Tip deviation:", "Power above 125 Hz", "went to its end"):

@@ -543,7 +543,7 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
     if "time" in table.names:
         time = table.columns(["time"])[:, 0]
         _check_finite(table.path, ["time"], time[:, None], 0)
-        resolution = _printed_resolution(time, table.single_precision[table.names.index("time")])
+        resolution = printed_resolution(time, table.single_precision[table.names.index("time")])
         _check_increasing(table.path, time, rate, resolution)
     else:
         time = np.arange(rows) / rate
@@ -644,7 +644,7 @@ def _select(file: Path, time: Array, entry: _Entry, rate: float) -> tuple[int, i
     return begin, end
 
 
-def _printed_resolution(time: Array, single_precision: bool) -> Array:
+def printed_resolution(time: Array, single_precision: bool) -> Array:
     """(N,) s: by how much each time may differ from the true one because of the digits it was logged with.
 
     The step of the last decimal, or of the last significant digit, that the column as a whole uses, whichever is

@@ -13,7 +13,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import write_campaign
-from rx90b_flex.signals.tables import read_table
+from rx90b_flex.signals.tables import read_table, write_table
 from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
@@ -28,6 +28,7 @@ from rx90b_flex.simulate.trajectories import (
     straight_line,
 )
 
+STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
 BUILT_IN = ("line", "excitation", "square-wave")
 
 
@@ -217,9 +218,10 @@ def run(prepared: Prepared) -> Simulation:
 
 
 def write_run(result: Simulation, folder: Path) -> None:
-    """Recording, campaign file, robot and the tip's table into a folder."""
+    """Recording, campaign file, robot, coordinates and the tip's table into a folder."""
     robot_file = save_robot(result.robot, folder, allow_inconsistent=True)
     write_campaign(folder, robot_file.name, [result.recording])
+    write_table(folder / STATE_FILE, ["time", *result.robot.coordinates], np.column_stack([result.time, result.q]))
     deviation, path = result.tip_deviation_mm, result.path_deviation_mm
     names = ["time", "x", "y", "z", "deviation_x_mm", "deviation_y_mm", "deviation_z_mm"]
     names += ["along_mm", "across_mm", "up_mm"]

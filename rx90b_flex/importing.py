@@ -1,0 +1,96 @@
+"""What ``rx90b-flex import`` does: logs and a robot become a campaign that the other commands read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+from rx90b_flex.robot import load_robot
+from rx90b_flex.signals.folders import check_folder, fill_folder
+from rx90b_flex.signals.importers import Axes, Imported, Options, import_logs
+from rx90b_flex.signals.recording import load_campaign, write_campaign
+
+FORMATS = ("parquet", "csv", "csv.gz")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user asks for.
+
+    Attributes
+    ----------
+    files : of logs; the last validates.
+    robot : as `load_robot` takes it.
+    options : what is not to be worked out.
+    file_format : of the recordings: parquet, csv or csv.gz.
+    """
+
+    files: tuple[Path, ...]
+    robot: str
+    options: Options = field(default_factory=Options)
+    file_format: str = "parquet"
+
+
+def options_of(
+    columns: Sequence[str],
+    joints: str | None,
+    rate: float | None,
+    degrees: bool | None,
+    gear: str | None,
+    offset: str | None,
+    topic: str | None,
+) -> Options:
+    """Options from the command line's words.
+
+    Raises
+    ------
+    ValueError
+        One line that names the option.
+    """
+    chosen: dict[str, tuple[str, ...]] = {}
+    for text in columns:
+        signal, equals, names = text.partition("=")
+        if not equals or not names:
+            raise ValueError(f"--columns {text}: expected SIGNAL=NAME,NAME,...")
+        chosen[signal.strip()] = _listed(names)
+    gears = tuple(_numbers("--gear", row) for row in (gear or "").split(";") if row.strip())
+    return Options(chosen, _listed(joints or ""), rate, degrees, gears, _numbers("--offset", offset or ""), topic)
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in _listed(text))
+    except ValueError:
+        raise ValueError(f"{option} {text}: expected numbers with commas between") from None
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def import_into(request: Request, folder: Path) -> Imported:
+    """Import and write the campaign; nothing is written unless all of it is, and can be read again.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and the column, or the option.
+    """
+    if request.file_format not in FORMATS:
+        raise ValueError(f"--format {request.file_format}: expected {', '.join(FORMATS)}")
+    check_folder(folder)
+    robot = load_robot(request.robot)
+    tree = robot.tree
+    limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
+    imported = import_logs(request.files, Axes(robot.joints, *limits), request.options)
+    path = Path(request.robot)
+    written: str | Path = path.resolve() if path.is_file() else request.robot
+
+    def fill(at: Path) -> None:
+        file_format = cast(Literal["parquet", "csv", "csv.gz"], request.file_format)
+        load_campaign(write_campaign(at, written, imported.recordings, file_format=file_format))
+
+    fill_folder(folder, fill)
+    return imported

@@ -1,0 +1,671 @@
+"""From logs as people have them to a campaign: which column is what, in which unit, at which rate; and how sure that is.
+
+What is worked out comes from names (`q1`, `pos_joint_1`, `joint_1_effort`), from the robot's joints and their limits, and
+from the times; an option overrules each of these.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from rx90b_flex.signals.filters import resample
+from rx90b_flex.signals.logs import TIME, Log, read_log, stem_of
+from rx90b_flex.signals.recording import Recording, Role, printed_resolution
+from rx90b_flex.signals.tables import suggestion
+
+Array = NDArray[np.float64]
+Sureness = Literal["stated", "sure", "likely"]
+
+SIGNALS = {  # key of a campaign file -> field of a recording
+    "motor_position": "position",
+    "torque": "torque",
+    "motor_velocity": "velocity",
+    "link_position": "link_position",
+    "reference_position": "reference_position",
+    "reference_velocity": "reference_velocity",
+    "feedforward_torque": "feedforward_torque",
+}
+REQUIRED = ("motor_position", "torque")
+SPLIT = 0.7  # of a single file: the part that is fitted
+JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
+GAP = 10.0  # sample periods without a sample: the log was interrupted
+SHORTEST = 10  # samples
+
+# words in names, in lower case
+# fmt: off
+_POSITION = {"q", "pos", "position", "positions", "angle", "angles", "theta", "enc", "encoder"}
+_VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "ff", "feedforward"}
+_FORWARD = {"ff", "feedforward"}
+_REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
+_LINK = {"link", "load", "output", "secondary"}
+_CURRENT = {"current", "currents", "amp", "amps"}
+_OTHER = _CURRENT | {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
+_NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
+          "drive", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
+_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec"}
+_DEGREE = np.pi / 180.0
+_ANGLE_UNITS = {"deg": _DEGREE, "degs": _DEGREE, "degree": _DEGREE, "degrees": _DEGREE, "dps": _DEGREE, "mrad": 1e-3,
+                "rpm": 2 * np.pi / 60, "rev": 2 * np.pi, "revs": 2 * np.pi, "turns": 2 * np.pi}
+_TORQUE_UNITS = {"nmm": 1e-3, "ncm": 1e-2, "mnm": 1e-3, "knm": 1e3}
+_TIME_UNITS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6,
+               "ns": 1e-9, "nsec": 1e-9}
+# fmt: on
+
+
+@dataclass(frozen=True)
+class Axes:
+    """What an import needs to know of the robot.
+
+    Attributes
+    ----------
+    joints : names, in tree order.
+    lower, upper : position limits, rad, one a joint.
+    """
+
+    joints: tuple[str, ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user says, and so is not worked out.
+
+    Attributes
+    ----------
+    columns : signal of a campaign file -> one column a joint, in the order of `joints`.
+    joints : joints of the robot that the columns belong to, in their order; empty: by names and numbers.
+    rate_hz : sample rate; needed where there is no time column, otherwise the rate to resample to.
+    degrees : whether angles and their rates are in degrees; None: by names and by the robot's limits.
+    gear : one row of motor turns a joint turn, or a row a motor where joints are coupled: the columns are motor side, and motor
+        angle = gear @ (joint angle - offset). Empty: joint side.
+    offset : rad, one a joint; empty: none.
+    topic : of a bag.
+    """
+
+    columns: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)
+    joints: tuple[str, ...] = ()
+    rate_hz: float | None = None
+    degrees: bool | None = None
+    gear: tuple[tuple[float, ...], ...] = ()
+    offset: tuple[float, ...] = ()
+    topic: str | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something worked out: what, and how sure that is.
+
+    Stated: an option says so. Sure: names or the format say so. Likely: numbers in names, sizes or limits suggest it.
+    """
+
+    what: str
+    sure: Sureness
+
+    def __str__(self) -> str:
+        return f"{self.what} ({self.sure})"
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """Recordings of one campaign, and how they came about.
+
+    Attributes
+    ----------
+    recordings : identification first.
+    findings : file name (or "all files") and finding, in order.
+    """
+
+    recordings: tuple[Recording, ...]
+    findings: tuple[tuple[str, Finding], ...]
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column's role."""
+
+    name: str
+    signal: str
+    joint: str
+    sure: Sureness
+    scale: float | None  # to SI; None: the name says no unit
+    extra: int  # words of the name that say nothing known
+
+
+def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = None) -> Imported:
+    """Read logs and make recordings of them.
+
+    Several files: the last is for validation, the others for identification. One file: the first 70 % identify, the rest
+    validates. A log whose times are not uniform is interpolated (PCHIP, which adds no overshoot) at its median rate; one that is
+    to have another rate is resampled with an anti-alias filter.
+
+    Parameters
+    ----------
+    files : one or more.
+    axes : of the robot.
+    options : what the user says.
+
+    Raises
+    ------
+    ValueError
+        One line that names file and column: nothing that can be a position or a torque, two columns for one place, times that run
+        backwards, files that do not fit together.
+    """
+    options = options or Options()
+    if not files:
+        raise ValueError("no files to import")
+    _check_options(options, axes)
+    findings: list[tuple[str, Finding]] = []
+    parts: list[Recording] = []
+    for file in files:
+        recording, found = _one(read_log(file, options.topic), axes, options)
+        parts.append(recording)
+        findings += [(file.name, finding) for finding in found]
+    parts, more = _alike(parts, options)
+    findings += [("all files", finding) for finding in more]
+    if len(parts) == 1:
+        recordings = _split(parts[0])
+        first, second = (f"{r.duration_s:.4g} s" for r in recordings)
+        findings.append(
+            ("all files", Finding(f"one file: its first {first} identify, the last {second} validate", "sure"))
+        )
+    else:
+        recordings = tuple(
+            dataclasses.replace(r, role="identification" if k < len(parts) - 1 else "validation", name=name)
+            for k, (r, name) in enumerate(zip(parts, _unique([r.name for r in parts]), strict=True))
+        )
+        findings.append(("all files", Finding(f"the last file, {recordings[-1].name}, validates", "sure")))
+    return Imported(recordings, tuple(findings))
+
+
+def _check_options(options: Options, axes: Axes) -> None:
+    for signal in options.columns:
+        if signal not in SIGNALS:
+            raise ValueError(
+                f"--columns {signal}: unknown signal{suggestion(signal, list(SIGNALS))}; known: {', '.join(SIGNALS)}"
+            )
+    for joint in options.joints:
+        if joint not in axes.joints:
+            raise ValueError(
+                f"--joints {joint}: no such joint{suggestion(joint, axes.joints)}; it has {', '.join(axes.joints)}"
+            )
+    if options.rate_hz is not None and not (np.isfinite(options.rate_hz) and options.rate_hz > 0.0):
+        raise ValueError(f"--rate {options.rate_hz}: a number above 0 is expected")
+    if options.offset and not options.gear:
+        raise ValueError("--offset is of motor angles; expected --gear with it")
+
+
+# ---- one file -------------------------------------------------------------------------------------------------
+
+
+def _one(log: Log, axes: Axes, options: Options) -> tuple[Recording, list[Finding]]:
+    found = [Finding(note, "sure") for note in log.notes]
+    time, time_name = _time(log, options, found)
+    places = _places(log, axes, options, time_name)
+    joints, signals = _complete(log, axes, options, places, found)
+    names = [c.name for columns in signals.values() for c in columns]
+    rows, time = _usable(log, names, time, found)
+    values = {
+        signal: np.stack([log.column(c.name)[rows] for c in columns], axis=1) for signal, columns in signals.items()
+    }
+    _to_si(log, axes, options, joints, signals, values, found)
+    if options.gear:
+        _to_joint_side(options, joints, values, found)
+    rate, values, time = _uniform(log, time, values, found)
+    recording = Recording(
+        name=stem_of(log.path),
+        role="identification",
+        time=time,
+        sample_rate_hz=rate,
+        joints=joints,
+        source=log.path,
+        **{SIGNALS[signal]: array for signal, array in values.items()},  # type: ignore[arg-type]
+    )
+    return recording, found
+
+
+def _words(name: str) -> list[str]:
+    """`jointPos_1 [deg]` gives joint, pos, 1, deg."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return re.findall(r"[a-z]+|\d+", spaced.lower())
+
+
+def _time(log: Log, options: Options, found: list[Finding]) -> tuple[Array, str | None]:
+    if log.time is not None:
+        return log.time, None
+    candidates = [name for name in log.names if _is_time(name)]
+    exact = [name for name in candidates if name.lower() == TIME]
+    if exact or candidates:
+        name = (exact or candidates)[0]
+        time = log.column(name) - log.column(name)[0]
+        stated = [_TIME_UNITS[w] for w in _time_words(name)[1:] if w in _TIME_UNITS]
+        step = float(np.nanmedian(np.abs(np.diff(time))))
+        # the unit in which the rate is one that robots are logged at
+        scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
+        unit = next(u for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)) if s == scale)
+        sure: Sureness = "sure" if stated or (scale == 1.0 and step > 1e-5) else "likely"
+        found.append(Finding(f"time: column {name!r}, in {unit}", sure))
+        return time * scale, name
+    if options.rate_hz is None:
+        raise ValueError(f"{log.path}: no time column; expected one named time, or --rate with the sample rate in Hz")
+    found.append(Finding(f"time: {options.rate_hz:g} Hz", "stated"))
+    return np.arange(len(log.values)) / options.rate_hz, None
+
+
+def _time_words(name: str) -> list[str]:
+    """`log.time_ms` gives time, ms."""
+    return [w for w in _words(name) if w in _TIMES or w in _TIME_UNITS or w not in _NOISE]
+
+
+def _is_time(name: str) -> bool:
+    words = _time_words(name)
+    return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in _TIME_UNITS for w in words)
+
+
+def _places(log: Log, axes: Axes, options: Options, time_name: str | None) -> dict[str, list[_Column]]:
+    """Signal -> columns that can hold it."""
+    taken = {name for names in options.columns.values() for name in names}
+    for name in taken:
+        if name not in log.names:
+            raise ValueError(f"{log.path}: no column {name!r}{suggestion(name, log.names)}")
+    read: dict[str, list[_Column]] = {}
+    numbered = [n for n in log.names if n not in taken and n != time_name]
+    # the joints count from 0 where a column says so
+    from_zero = any(_number_in(n, axes) == 0 and _signal_of(_words(n))[0] for n in numbered)
+    for name in numbered:
+        column = _stated_column(log, name, axes) if log.roles else _column(name, axes, options, from_zero)
+        if column is not None and column.signal not in options.columns:
+            read.setdefault(column.signal, []).append(column)
+    for signal, names in options.columns.items():
+        joints = options.joints or axes.joints
+        if len(names) > len(joints):
+            raise ValueError(
+                f"--columns {signal} lists {len(names)} columns; expected at most {len(joints)}, one a joint"
+            )
+        read[signal] = [
+            _Column(name, signal, joint, "stated", _unit(signal, _words(name)), 0)
+            for name, joint in zip(names, joints, strict=False)
+        ]
+    return read
+
+
+def _stated_column(log: Log, name: str, axes: Axes) -> _Column | None:
+    assert log.roles is not None
+    signal, joint = log.roles[name]
+    return _Column(name, signal, joint, "sure", 1.0, 0) if joint in axes.joints else None
+
+
+def _column(name: str, axes: Axes, options: Options, from_zero: bool) -> _Column | None:
+    words = _words(name)
+    joint, rest, sure = None, words, "sure"
+    for candidate in sorted(axes.joints, key=len, reverse=True):  # shoulder_pan before shoulder
+        place = _find(_words(candidate), words)
+        if place is not None:
+            joint = candidate
+            rest = words[: place[0]] + words[place[1] :]
+            break
+    if joint is None:
+        number = _number_in(name, axes)
+        among = options.joints or axes.joints
+        if number is None:
+            if len(among) != 1:
+                return None
+            joint = among[0]
+        else:
+            index = number if from_zero else number - 1
+            if not 0 <= index < len(among):
+                return None
+            joint, sure = among[index], "likely"
+        rest = [w for w in words if not w.isdigit()]
+    signal, left = _signal_of(rest)
+    if signal is None:
+        return None
+    return _Column(name, signal, joint, "sure" if sure == "sure" else "likely", _unit(signal, words), len(left))
+
+
+def _find(part: Sequence[str], words: Sequence[str]) -> tuple[int, int] | None:
+    for start in range(len(words) - len(part) + 1):
+        if list(words[start : start + len(part)]) == list(part):
+            return start, start + len(part)
+    return None
+
+
+def _number_in(name: str, axes: Axes) -> int | None:
+    """The number of a joint in a name: its last one, where no joint's own name is in it."""
+    words = _words(name)
+    if any(_find(_words(joint), words) for joint in axes.joints):
+        return None
+    numbers = [int(w) for w in words if w.isdigit()]
+    return numbers[-1] if numbers else None
+
+
+def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
+    """The signal that words stand for, and the words that say nothing known."""
+    kinds = set(words)
+    if kinds & _OTHER:
+        return None, []
+    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(_ANGLE_UNITS) | set(_TORQUE_UNITS)
+    left = [w for w in words if w not in known and not w.isdigit()]
+    wanted = bool(kinds & _REFERENCE)
+    if kinds & _TORQUE:
+        if wanted and not kinds & _FORWARD:
+            return None, left  # what the controller asked of the motors is neither measured nor fed forward
+        return ("feedforward_torque" if kinds & _FORWARD else "torque"), left
+    if kinds & _VELOCITY or (kinds & _POSITION and "dot" in kinds):
+        if kinds & _LINK:
+            return None, left
+        return ("reference_velocity" if wanted else "motor_velocity"), left
+    if kinds & _LINK and not wanted:
+        return "link_position", left
+    if wanted:
+        return "reference_position", left
+    return ("motor_position" if kinds & _POSITION else None), left
+
+
+def _unit(signal: str, words: Sequence[str]) -> float | None:
+    """What brings a column to SI; None where its name says no unit."""
+    units = _TORQUE_UNITS if "torque" in signal else _ANGLE_UNITS
+    found = [units[w] for w in words if w in units]
+    return found[0] if found else 1.0 if {"rad", "nm"} & set(words) else None
+
+
+def _complete(
+    log: Log, axes: Axes, options: Options, places: Mapping[str, list[_Column]], found: list[Finding]
+) -> tuple[tuple[str, ...], dict[str, list[_Column]]]:
+    """The joints that have position and torque, and the signals that all of these have."""
+    by_joint: dict[str, dict[str, _Column]] = {}
+    for signal, columns in places.items():
+        at: dict[str, _Column] = {}
+        for column in sorted(columns, key=lambda c: c.extra):
+            other = at.setdefault(column.joint, column)
+            if other is not column and other.extra == column.extra:
+                raise ValueError(
+                    f"{log.path}: columns {other.name!r} and {column.name!r} can both be {signal} of {column.joint}; "
+                    f"choose with --columns {signal}=..."
+                )
+        by_joint[signal] = at
+    for signal in REQUIRED:
+        if not by_joint.get(signal):
+            raise ValueError(_nothing_found(log, axes, signal))
+    wanted = options.joints or axes.joints
+    joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in REQUIRED))
+    if not joints:
+        raise ValueError(f"{log.path}: no joint has both position and torque; {_shown(places)}")
+    signals = {}
+    for signal in SIGNALS:
+        at = by_joint.get(signal, {})
+        have = [at[j] for j in joints if j in at]
+        if len(have) == len(joints):
+            signals[signal] = have
+            sure: Sureness = next((s for s in ("likely", "sure") if any(c.sure == s for c in have)), "stated")
+            found.append(Finding(f"{signal}: {', '.join(c.name for c in have)} for {', '.join(joints)}", sure))
+        elif have:
+            missing = [j for j in joints if j not in at]
+            found.append(Finding(f"{signal}: left out, none for {', '.join(missing)}", "sure"))
+    without = [j for j in wanted if j not in joints]
+    if without:
+        found.append(Finding(f"held at zero, for they have no columns: {', '.join(without)}", "sure"))
+    return joints, signals
+
+
+def _nothing_found(log: Log, axes: Axes, signal: str) -> str:
+    shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
+    hint = ""
+    if signal == "torque" and any(_CURRENT & set(_words(n)) for n in log.names):
+        hint = "; currents must first be multiplied by motor constant and gear ratio"
+    if log.roles and not any(joint in axes.joints for _, joint in log.roles.values()):
+        hint = f"; the robot's joints are {', '.join(axes.joints)}"
+    return (
+        f"{log.path}: no column can be {signal}; it has {shown}{hint}; "
+        f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(axes.joints)})"
+    )
+
+
+def _shown(places: Mapping[str, list[_Column]]) -> str:
+    return "; ".join(f"{signal} of {', '.join(c.joint for c in columns)}" for signal, columns in places.items())
+
+
+# ---- units and times ------------------------------------------------------------------------------------------
+
+
+def _to_si(
+    log: Log,
+    axes: Axes,
+    options: Options,
+    joints: tuple[str, ...],
+    signals: Mapping[str, list[_Column]],
+    values: dict[str, Array],
+    found: list[Finding],
+) -> None:
+    """Bring values to SI, in place."""
+    degrees = options.degrees
+    position = signals["motor_position"]
+    unstated = all(c.scale is None for c in position)
+    if degrees is None and unstated and not options.gear:
+        degrees = _looks_like_degrees(log, axes, joints, position, values["motor_position"])
+        unit = "degrees, for in rad they would leave the robot's limits" if degrees else "rad"
+        found.append(Finding(f"angles: in {unit}", "likely"))
+    elif degrees is not None:
+        found.append(Finding(f"angles: in {'degrees' if degrees else 'rad'}", "stated"))
+    for signal, columns in signals.items():
+        assumed = np.pi / 180 if degrees and "torque" not in signal else 1.0
+        # an option overrules what names say
+        overruled = options.degrees is not None and "torque" not in signal
+        scales = np.array([assumed if c.scale is None or overruled else c.scale for c in columns])
+        values[signal] = values[signal] * scales
+        told = [c.name for c in columns if c.scale not in (None, 1.0)]
+        if told and not overruled:
+            found.append(Finding(f"{signal}: brought to SI from the unit in the name of {', '.join(told)}", "sure"))
+
+
+def _looks_like_degrees(
+    log: Log, axes: Axes, joints: tuple[str, ...], columns: Sequence[_Column], position: Array
+) -> bool:
+    """Whether angles fit the robot's limits in degrees but not in rad.
+
+    Raises
+    ------
+    ValueError
+        They fit in neither.
+    """
+    at = [axes.joints.index(j) for j in joints]
+    lower, upper = np.array(axes.lower)[at], np.array(axes.upper)[at]
+    slack = 0.1  # rad: offsets, and overshoot over the limits
+
+    def outside(scale: float) -> NDArray[np.bool_]:
+        q = scale * position
+        return np.asarray((q.min(axis=0) < lower - slack) | (q.max(axis=0) > upper + slack))
+
+    in_rad = outside(1.0)
+    if not in_rad.any():
+        return False
+    in_degrees = outside(np.pi / 180)
+    if not in_degrees.any():
+        return True
+    worst = int(np.argmax(in_degrees))
+    low, high = position[:, worst].min(), position[:, worst].max()
+    raise ValueError(
+        f"{log.path}: column {columns[worst].name!r} runs from {low:.4g} to {high:.4g}, outside the limits of {joints[worst]} "
+        f"in rad ({lower[worst]:.4g} to {upper[worst]:.4g}) and in degrees; motor side (--gear)? another joint (--columns)?"
+    )
+
+
+def _to_joint_side(options: Options, joints: tuple[str, ...], values: dict[str, Array], found: list[Finding]) -> None:
+    """Bring motor-side values to the joint side, in place, as a campaign's [motor] table does."""
+    count, rows = len(joints), options.gear
+    if [len(row) for row in rows] not in ([count], [count] * count):
+        raise ValueError(f"--gear: expected {count} numbers, or {count} rows of them, for {', '.join(joints)}")
+    gear = np.diag(rows[0]) if len(rows) == 1 else np.array(rows)
+    if not np.isfinite(gear).all() or np.linalg.matrix_rank(gear) < count:
+        raise ValueError("--gear: singular; joint angles cannot be found from motor angles")
+    if options.offset and len(options.offset) != count:
+        raise ValueError(f"--offset lists {len(options.offset)} numbers; expected one for each of {', '.join(joints)}")
+    offset = np.array(options.offset) if options.offset else np.zeros(count)
+    for signal, array in values.items():
+        if signal == "link_position":
+            continue
+        if "torque" in signal:
+            values[signal] = array @ gear
+        else:
+            values[signal] = np.linalg.solve(gear, array.T).T + (offset if "position" in signal else 0.0)
+    found.append(Finding("motor side, brought to the joint side by --gear", "stated"))
+
+
+def _usable(log: Log, names: Sequence[str], time: Array, found: list[Finding]) -> tuple[NDArray[np.intp], Array]:
+    """Rows to keep: rising times, the longest part between interruptions, no empty cells."""
+    _check_finite(log, names, time)
+    table = np.column_stack([log.column(name) for name in names])
+    empty = np.isnan(table)
+    rows = np.flatnonzero(~empty.all(axis=1))
+    if len(rows) < SHORTEST:
+        raise ValueError(f"{log.path}: {len(rows)} rows with numbers; expected {SHORTEST} or more")
+    whole = np.flatnonzero(~empty.any(axis=1))
+    if len(whole) == 0:
+        column = int(np.argmax(empty.sum(axis=0)))
+        raise ValueError(f"{log.path}: column {names[column]!r}: no row has numbers in this and in all other columns")
+    inside = np.arange(whole[0], whole[-1] + 1)
+    if empty[inside].any():
+        column = int(np.argmax(empty[inside].any(axis=0)))
+        row = int(inside[np.argmax(empty[inside, column])])
+        raise ValueError(f"{log.path}: column {names[column]!r}, row {row + 1}: empty or NaN")
+    if len(inside) < len(table):
+        found.append(Finding(f"{len(table) - len(inside)} rows with empty cells at the ends left out", "sure"))
+    rows, time = inside, time[inside]
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if len(back):
+        raise ValueError(f"{log.path}: row {rows[back[0] + 1] + 1}: time runs backwards, from {time[back[0]]:.9g} s "
+                         f"to {time[back[0] + 1]:.9g} s after the start")  # fmt: skip
+    fresh = np.r_[True, np.diff(time) > 0.0]
+    if not fresh.all():
+        found.append(Finding(f"{np.count_nonzero(~fresh)} rows with the time of the row before left out", "sure"))
+        rows, time = rows[fresh], time[fresh]
+    if len(rows) < SHORTEST:
+        raise ValueError(f"{log.path}: {len(rows)} rows at different times; expected {SHORTEST} or more")
+    steps = np.diff(time)
+    ends = np.r_[0, np.flatnonzero(steps > GAP * np.median(steps)) + 1, len(time)]
+    if len(ends) > 2:
+        longest = int(np.argmax(np.diff(ends)))
+        part = slice(ends[longest], ends[longest + 1])
+        found.append(
+            Finding(
+                f"{len(ends) - 2} interruptions: only the longest part is used, {time[part][0]:.4g} to {time[part][-1]:.4g} s",
+                "sure",
+            )
+        )
+        rows, time = rows[part], time[part]
+        if len(rows) < SHORTEST:
+            raise ValueError(f"{log.path}: {len(rows)} rows between interruptions; expected {SHORTEST} or more")
+    return rows, time - time[0]
+
+
+def _check_finite(log: Log, names: Sequence[str], time: Array) -> None:
+    if not np.isfinite(time).all():
+        raise ValueError(f"{log.path}: row {int(np.argmin(np.isfinite(time))) + 1}: no time")
+    for name in names:
+        bad = np.isinf(log.column(name))
+        if bad.any():
+            raise ValueError(f"{log.path}: column {name!r}, row {int(np.argmax(bad)) + 1}: infinite")
+
+
+def _uniform(
+    log: Log, time: Array, values: dict[str, Array], found: list[Finding]
+) -> tuple[float, dict[str, Array], Array]:
+    """Rate, values and times on a uniform grid."""
+    printed = float(np.max(printed_resolution(time, False)))  # s: times may be off the grid by as much
+    rate = _round_rate((len(time) - 1) / time[-1], printed / time[-1])
+    grid = np.arange(len(time)) / rate
+    if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
+        found.append(Finding(f"{rate:g} Hz, {len(time)} samples", "sure"))
+        return rate, values, grid
+    rate = _round_rate(1.0 / float(np.median(np.diff(time))))
+    grid = np.arange(int(np.floor(time[-1] * rate + 1e-9)) + 1) / rate
+    out = {
+        signal: PchipInterpolator(time, array, axis=0)(np.minimum(grid, time[-1])) for signal, array in values.items()
+    }
+    spread = np.ptp(np.diff(time))
+    found.append(
+        Finding(
+            f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the median rate, {rate:g} Hz, {len(grid)} samples",
+            "likely",
+        )
+    )
+    return rate, out, grid
+
+
+def _round_rate(rate: float, slack: float = 0.0) -> float:
+    """The nearest number of three digits where that is within 0.05 %, as clocks drift, and what print allows (relative)."""
+    nice = float(f"{rate:.3g}")
+    return nice if abs(nice / rate - 1.0) < 5e-4 + slack else rate
+
+
+# ---- all files together ---------------------------------------------------------------------------------------
+
+
+def _alike(parts: list[Recording], options: Options) -> tuple[list[Recording], list[Finding]]:
+    """The same rate, joints and signals in every recording."""
+    found: list[Finding] = []
+    rate = options.rate_hz or parts[0].sample_rate_hz
+    for k, part in enumerate(parts):
+        if part.joints != parts[0].joints:
+            raise ValueError(
+                f"{part.source}: joints {', '.join(part.joints)}; expected {', '.join(parts[0].joints)}, as in {parts[0].source}"
+            )
+        if part.sample_rate_hz != rate:
+            if options.rate_hz is None:
+                raise ValueError(
+                    f"{part.source}: {part.sample_rate_hz:g} Hz; expected {rate:g}, as in {parts[0].source}, or --rate for all"
+                )
+            parts[k] = _at_rate(part, rate)
+            found.append(
+                Finding(f"{part.name}: resampled from {part.sample_rate_hz:g} to {rate:g} Hz, filtered", "stated")
+            )
+    for field in [f for s, f in SIGNALS.items() if s not in REQUIRED]:
+        have = [getattr(part, field) is not None for part in parts]
+        if any(have) and not all(have):
+            found.append(Finding(f"{field}: left out, not in every file", "sure"))
+            parts = [dataclasses.replace(part, **{field: None}) for part in parts]  # type: ignore[arg-type]
+    return parts, found
+
+
+def _at_rate(part: Recording, rate: float) -> Recording:
+    changed: dict[str, Array] = {}
+    for field in SIGNALS.values():
+        array = getattr(part, field)
+        if array is not None:
+            try:
+                changed[field] = resample(array, part.sample_rate_hz, rate)
+            except ValueError as error:
+                raise ValueError(f"{part.source}: --rate {rate:g}: {error}") from None
+    time = np.arange(len(changed["position"])) / rate
+    return dataclasses.replace(part, time=time, sample_rate_hz=rate, **changed)  # type: ignore[arg-type]
+
+
+def _split(whole: Recording) -> tuple[Recording, ...]:
+    at = round(SPLIT * whole.samples)
+    if min(at, whole.samples - at) < SHORTEST:
+        raise ValueError(
+            f"{whole.source}: {whole.samples} samples; too few to fit on one part and to validate on another"
+        )
+    parts: list[tuple[str, Role, slice]] = [
+        ("fit", "identification", slice(None, at)),
+        ("check", "validation", slice(at, None)),
+    ]
+    out = []
+    for name, role, rows in parts:
+        arrays = {f: getattr(whole, f)[rows] for f in SIGNALS.values() if getattr(whole, f) is not None}
+        out.append(dataclasses.replace(whole, name=f"{whole.name}_{name}", role=role, time=whole.time[rows], **arrays))
+    return tuple(out)
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    return [f"{n}_{names[: k + 1].count(n)}" if names.count(n) > 1 else n for k, n in enumerate(names)]

@@ -1,0 +1,168 @@
+"""What ``rx90b-flex view`` does: find what a name means, make the view, write or serve it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rx90b_flex.robot import load_robot
+from rx90b_flex.signals.recording import Campaign, Recording, load_campaign
+from rx90b_flex.signals.tables import read_table
+from rx90b_flex.simulate.command import STATE_FILE
+from rx90b_flex.view.meshcat import MAGNIFY, Run, View, compare, show, show_modes
+
+CAMPAIGN_FILE = "campaign.toml"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the user asks for.
+
+    Attributes
+    ----------
+    source : str
+        A run's folder, a campaign file, or a robot as `load_robot` takes it, whose mode shapes are then shown.
+    beside : str or None
+        A second run, shown beside the first.
+    recording : str or None
+        Name of the recording; the first of the campaign where not given.
+    magnify : float
+    modes : bool
+        Whether mode shapes of a run's robot are wanted and not its motion.
+    pose : str or None
+        Drive angles of the mode shapes, degrees, with commas between.
+    count : int
+        Mode shapes at most.
+    """
+
+    source: str
+    beside: str | None = None
+    recording: str | None = None
+    magnify: float = MAGNIFY
+    modes: bool = False
+    pose: str | None = None
+    count: int = 6
+
+
+def view_of(wanted: Wanted) -> View:
+    """The view that is asked for.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file, robot or option.
+    """
+    if not (np.isfinite(wanted.magnify) and wanted.magnify >= 0.0):
+        raise ValueError(f"--magnify is {wanted.magnify}; expected 0 or more")
+    campaign = _campaign_path(wanted.source)
+    if wanted.modes or (campaign is None and wanted.beside is None and wanted.recording is None):
+        if wanted.beside is not None:
+            raise ValueError("--beside and --modes: choose one")
+        robot = load_robot(wanted.source if campaign is None else load_campaign(campaign).robot_source)
+        return show_modes(robot, _pose(wanted.pose, len(robot.joints)), count=wanted.count)
+    if wanted.pose is not None:
+        raise ValueError("--pose is of mode shapes; add --modes, or leave it out")
+    run = read_run(wanted.source, wanted.recording)
+    if wanted.beside is None:
+        return show(run, magnify=wanted.magnify)
+    return compare(run, read_run(wanted.beside, wanted.recording), magnify=wanted.magnify)
+
+
+def read_run(source: str, recording: str | None = None) -> Run:
+    """The motion in a folder of `rx90b-flex simulate`, with all its coordinates, or of a campaign's recording.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and what is wrong.
+    """
+    path = _campaign_path(source)
+    if path is None:
+        raise ValueError(
+            f"{source}: no run and no campaign; expected a folder of `rx90b-flex simulate` or a campaign file"
+        )
+    campaign = load_campaign(path)
+    chosen = campaign.recordings[0] if recording is None else _named(campaign, recording)
+    robot = load_robot(campaign.robot_source)
+    try:
+        run = Run.of_recording(chosen, robot.restricted(chosen.joints))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    state = path.parent / STATE_FILE
+    if not state.is_file():
+        return run
+    table = read_table(state, ["time", *robot.coordinates])
+    q = table.columns(robot.coordinates)
+    if len(q) != len(run.q):
+        raise ValueError(f"{state}: {len(q)} rows; expected {len(run.q)}, as in recording {chosen.name!r}")
+    return Run(run.name, robot, run.time, q, run.reference)
+
+
+def write_view(view: View, path: Path) -> None:
+    """Write the page; its folder is made where it is missing.
+
+    Raises
+    ------
+    ValueError
+        A path that cannot be written.
+    """
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder; expected an HTML file to write")
+    try:
+        path.absolute().parent.mkdir(parents=True, exist_ok=True)
+        view.save_html(path)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def serve_until_interrupted(view: View, tell: Callable[[str], None], wait: Callable[[], object] | None = None) -> None:
+    """Open the view in the browser and keep serving it until Ctrl-C (or until `wait` returns)."""
+    visualizer = view.open()
+    try:
+        tell(visualizer.url())
+        (wait or threading.Event().wait)()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        visualizer.window.server_proc.terminate()
+
+
+def _campaign_path(source: str) -> Path | None:
+    """Of a folder with a campaign file, or of a file that is one; None where the name is neither."""
+    path = Path(source)
+    if path.is_dir():
+        inside = path / CAMPAIGN_FILE
+        if not inside.is_file():
+            raise ValueError(f"{path}: no {CAMPAIGN_FILE} in it; expected a folder of `rx90b-flex simulate`")
+        return inside
+    if (
+        path.suffix == ".toml"
+        and path.is_file()
+        and "[[recording]]" in path.read_text(encoding="utf-8", errors="replace")
+    ):
+        return path
+    return None
+
+
+def _named(campaign: Campaign, name: str) -> Recording:
+    for recording in campaign.recordings:
+        if recording.name == name:
+            return recording
+    known = ", ".join(recording.name for recording in campaign.recordings)
+    raise ValueError(f"{campaign.path}: no recording {name!r}; it has {known}")
+
+
+def _pose(text: str | None, joints: int) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        degrees = [float(x) for x in text.split(",")]
+    except ValueError:
+        raise ValueError(f"--pose is {text!r}; expected {joints} angles in degrees with commas between") from None
+    if len(degrees) != joints or not np.isfinite(degrees).all():
+        raise ValueError(f"--pose is {text!r}; expected {joints} angles in degrees, one a joint")
+    return np.deg2rad(degrees).tolist()
