@@ -221,6 +221,8 @@ class Fit:
     singular_values : array, shape (p,), descending
     directions : array, shape (p, p)
         V, right singular vectors as columns, in scaled parameters.
+    gain : array, shape (p, p)
+        U'A V: S, unless U belongs to instruments.
     contributions : array, shape (p,)
         U'y: what each direction explains of the weighted forces.
     noise : array, shape (p, p)
@@ -241,6 +243,7 @@ class Fit:
     scale: Array
     singular_values: Array
     directions: Array
+    gain: Array
     contributions: Array
     noise: Array
     unexplained: float
@@ -276,8 +279,8 @@ class Fit:
 
         Over the scale of each parameter, so that units do not matter.
         """
-        estimated = self.contributions / self.singular_values
-        error = estimated - self.directions.T @ (true / self.scale)
+        error = self.contributions / np.maximum(self.singular_values, ROUNDING * self.singular_values[0])
+        error -= self.directions.T @ (true / self.scale)
         return np.abs(np.cumsum(self.directions * error, axis=1)).max(axis=0)
 
     @property
@@ -303,9 +306,18 @@ class Fit:
 
     @cached_property
     def information(self) -> Array:
-        """Inverse of the covariance on the essential space, zero outside it, shape (p, p)."""
-        kept = self.directions[:, : self.dimension] / self.scale[:, None]
-        return np.asarray(kept @ np.linalg.inv(kept.T @ self.covariance @ kept) @ kept.T)
+        """Of the data on all parameters, shape (p, p): the inverse of a covariance, were none cut off.
+
+        The directions beyond the essential space count here too: what moves far along them leaves more than noise.
+        """
+        told = self.directions[:, : self.rank] / self.scale[:, None]
+        gain, noise = self.gain[: self.rank, : self.rank], self.noise[: self.rank, : self.rank]
+        return np.asarray(told @ gain.T @ np.linalg.solve(noise, gain) @ told.T)
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that are no exact dependences."""
+        return _rank(self.singular_values)
 
     @property
     def robot(self) -> Robot:
@@ -315,8 +327,8 @@ class Fit:
     def consistent(self, pull: float = 1e-2) -> tuple[Robot, ConsistentParameters]:
         """The robot with links that can exist, pulled to those of `start`, and all else fitted anew to them.
 
-        The second result tells how far the essential parameters went for it: its `p_value` is below 0.05 where they
-        left their confidence region of 95 %.
+        The second result tells how far the parameters went for it: its `p_value` is below 0.05 where they left their
+        confidence region of 95 %, so that no body that can exist agrees with the data.
         """
         links = len(self.equations.robot.link_parameters)
         information = self.information
@@ -375,7 +387,7 @@ def least_squares(
     v = vt.T
     contributions = u.T @ y
     mixed = np.diag(s) if instruments is None else u.T @ a @ v  # U_Z' A V
-    rank = int((s > ROUNDING * s[0]).sum())
+    rank = _rank(s)
     full = v[:, :rank] @ np.linalg.lstsq(mixed[:rank, :rank], contributions[:rank], rcond=None)[0]
     residual = (y - a @ full).reshape(equations.force.shape)
     noise = _noise(u, residual, equations)
@@ -392,8 +404,12 @@ def least_squares(
     reduced = inverse @ noise[:dimension, :dimension] @ inverse.T
     covariance = scale[:, None] * (kept @ reduced @ kept.T) * scale
     return Fit(
-        equations, start, w, scale, s, v, contributions, noise, unexplained, dimension, scale * (inside + outside), covariance
+        equations, start, w, scale, s, v, mixed, contributions, noise, unexplained, dimension, scale * (inside + outside), covariance
     )  # fmt: skip
+
+
+def _rank(singular_values: Array) -> int:
+    return int((singular_values > ROUNDING * singular_values[0]).sum())
 
 
 def _scale(start: Array, equations: Equations) -> Array:
