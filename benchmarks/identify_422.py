@@ -1,7 +1,8 @@
-"""The identification experiment of section 4.2.2: errors of all parameters beside table D.1's, and the tip on the 1.7 m line.
+"""The identification experiment of section 4.2.2: errors of all parameters beside table D.1's, and the tip on the line.
 
-One run of 8.2 s of the robot rx90b_4dof under the CS8, every coordinate logged at 250 Hz, 78 parameters from a first guess that is up
-to 20 % off. Three ways: the source's (differences at 250 Hz), least squares and re-weighted least squares of this package's equations.
+One run of 8.2 s of the robot rx90b_4dof under the CS8, every coordinate logged at 250 Hz, 78 parameters from a first
+guess that is up to 20 % off. Three ways: the source's (differences at 250 Hz), least squares and re-weighted least
+squares of this package's equations.
 
     python benchmarks/identify_422.py                   # tables
     python benchmarks/identify_422.py --figures FOLDER  # and the source's two plots for each way
@@ -18,7 +19,15 @@ import numpy as np
 import rx90b_flex as rf
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import with_parameters
-from rx90b_flex.identify.all_coordinates import Equations, Fit, FullLog, full_log, least_squares, logs_everything, reweighted
+from rx90b_flex.identify.all_coordinates import (
+    Equations,
+    Fit,
+    FullLog,
+    full_log,
+    least_squares,
+    logs_everything,
+    reweighted,
+)
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, sine_excitation, straight_line
 
@@ -76,7 +85,9 @@ def main() -> None:
     }
     fits = {name: way() for name, way in ways.items()}
 
-    print("Essential dimension of 78 (source: 59): by the estimated noise, and where the true parameters' residual is crossed")
+    print(
+        "Essential dimension of 78 (source: 59): by the estimated noise, and where the true parameters' residual is crossed"
+    )
     for name, fit in fits.items():
         crossed = int(np.argmax(fit.residual_norms <= fit.norm_of(true)))
         print(f"  {name:14s} {fit.dimension}, {crossed}; noise {fit.noise_norm:.4g}, true {fit.norm_of(true):.4g}")
@@ -88,7 +99,9 @@ def main() -> None:
 
     line, controller = straight_line(robot), load_cs8()
     truth = simulate(robot, controller, line)
-    print(f"Tip on the line: deviation {np.linalg.norm(truth.tip_deviation_mm, axis=1).max():.3g} mm; from the true model's, mm:")
+    print(
+        f"Tip on the line: deviation {np.linalg.norm(truth.tip_deviation_mm, axis=1).max():.3g} mm; from the true model's, mm:"
+    )
     asperity = [i for i, name in enumerate(robot.parameter_names) if "stribeck" in name]
     for name, fit in fits.items():
         replaced = fit.parameters.copy()

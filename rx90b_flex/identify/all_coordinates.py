@@ -1,13 +1,15 @@
 """Linear least squares of all parameters of the flexible model, with every coordinate measured (section 4.2).
 
-The equations of motion are linear in the parameters, ``y = A p + rho`` (4.2): one equation a coordinate and sample, the drive torque
-on the left in a drive's row and zero in a hinge's. A's columns are divided by a first guess of the parameters, its rows multiplied by
-weights, and the singular value decomposition ``A = U S V'`` (4.4) is cut off where what is left is noise. The first columns V1 of V span
-the essential parameter space: of two parameter vectors only the projections ``V1 V1' p`` (4.8) can be compared.
+The equations of motion are linear in the parameters, ``y = A p + rho`` (4.2): one equation a coordinate and sample, on
+the left the drive torque in a drive's row and zero in a hinge's. A's columns are divided by a first guess of the
+parameters, its rows multiplied by weights, and the singular value decomposition ``A = U S V'`` (4.4) is cut off where
+what is left is noise. The first columns V1 of V span the essential parameter space: of two parameter vectors only the
+projections ``V1 V1' p`` (4.8) can be compared.
 
-All that is measured passes the same linear-phase low-passes on its way into A and into y, so that they drop out; only what they do to
-products of fast signals stays. Eighth-order differences at 250 Hz are far off at 110 Hz (2.8 rad a sample); the log holds nothing above
-its Nyquist frequency, so it is interpolated to a multiple of its rate, differentiated there, and the finished equations are brought back.
+All that is measured passes the same linear-phase low-passes on its way into A and into y, so that they drop out; only
+what they do to products of fast signals stays. Eighth-order differences at 250 Hz are far off at 110 Hz (2.8 rad a
+sample). But the log holds nothing above its Nyquist frequency, so it is interpolated to a multiple of its rate,
+differentiated there, and the finished equations are brought back.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -176,7 +179,7 @@ class Equations:
             parts.append(columns[kept])
             forces.append(force[kept])
         ends = np.cumsum([0, *(len(f) for f in forces)])
-        spans = tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        spans = tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
         return Equations(robot, np.concatenate(parts), np.concatenate(forces), rate, spans)
 
     def residual(self, parameters: Array) -> Array:
@@ -300,8 +303,8 @@ class Fit:
         for entry, value, std, told in zip(
             self.equations.robot.parameter_entries, self.parameters, self.std, self.determined, strict=True
         ):
-            known = (float(value), float(std)) if told else (None, None)
-            out.append(Estimate(entry.name, *known, entry.unit))
+            known = float(value) if told else None
+            out.append(Estimate(entry.name, known, float(std) if told else None, entry.unit))
         return tuple(out)
 
     @cached_property
@@ -384,10 +387,10 @@ def least_squares(
     a = (w[:, :, None] * equations.columns).reshape(-1, p) * scale
     z = a if instruments is None else (w[:, :, None] * instruments.columns).reshape(-1, p) * scale
     u, s, vt = np.linalg.svd(z, full_matrices=False)
-    v = vt.T
+    v, rank = vt.T, _rank(s)
+    u[:, rank:] = 0.0  # what rounding has left of exact dependences is no direction of the data
     contributions = u.T @ y
     mixed = np.diag(s) if instruments is None else u.T @ a @ v  # U_Z' A V
-    rank = _rank(s)
     full = v[:, :rank] @ np.linalg.lstsq(mixed[:rank, :rank], contributions[:rank], rcond=None)[0]
     residual = (y - a @ full).reshape(equations.force.shape)
     noise = _noise(u, residual, equations)
@@ -479,7 +482,9 @@ def other_periods(equations: Equations) -> Equations:
     """
     lengths = {s.stop - s.start for s in equations.spans}
     if len(equations.spans) < 2 or len(lengths) > 1:
-        raise ValueError(f"{len(equations.spans)} logs of {sorted(lengths)} samples; expected two or more of one length")
+        raise ValueError(
+            f"{len(equations.spans)} logs of {sorted(lengths)} samples; expected two or more of one length"
+        )
     turned = [*equations.spans[1:], equations.spans[0]]
     columns, force = (np.concatenate([x[s] for s in turned]) for x in (equations.columns, equations.force))
     return dataclasses.replace(equations, columns=columns, force=force)
