@@ -146,7 +146,7 @@ def _bodies(parameters: Array, bodies: int, what: str) -> Array:
 # ---- information --------------------------------------------------------------------------------------------
 
 
-def _square_root(information: Array) -> Array:
+def information_root(information: Array) -> Array:
     """F, shape (rank, p), with F'F = information up to rounding; what the data does not determine is dropped.
 
     The same rule as in the least squares: columns are first scaled to length one, since their units differ.
@@ -172,7 +172,7 @@ def marginal_information(information: Array, links: int) -> Array:
     -------
     array, shape (links, links)
     """
-    root = _square_root(np.asarray(information, dtype=float))
+    root = information_root(np.asarray(information, dtype=float))
     rest = _orthonormal(root[:, links:])
     left = root[:, :links] - rest @ (rest.T @ root[:, :links])
     return left.T @ left
@@ -192,7 +192,7 @@ def refitted_rest(information: Array, links: int, change: Array) -> Array:
     -------
     array, shape (p - links,)
     """
-    root = _square_root(np.asarray(information, dtype=float))
+    root = information_root(np.asarray(information, dtype=float))
     columns = root[:, links:]
     scale = _lengths(columns)
     solution = np.linalg.lstsq(columns / scale, -root[:, :links] @ change, rcond=RANK_TOLERANCE)[0]
@@ -296,7 +296,7 @@ def consistent_parameters(
     # The cost is |root (x - estimate)|^2 + pull |u - u_prior|^2 = |z|^2 + constant, with u = free + spread z: in z
     # all directions weigh the same, though the information spans many decades. The singular value decomposition keeps
     # the digits that a Cholesky factor of the sum would lose.
-    root = _square_root(information)
+    root = information_root(information)
     left, values, right = np.linalg.svd(root @ from_scaled, full_matrices=True)
     padded = np.zeros(10 * bodies)
     padded[: len(values)] = values
