@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.identify.least_squares import Estimate, Identification, identify
+from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale, identify
 from rx90b_flex.identify.physical import (
     Inconsistency,
     consistent_parameters,
@@ -301,8 +301,7 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
     inertial parameters of robots", Journal of Robotic Systems 8(4), 1991).
     """
     root = information_root(model.information)
-    length = np.linalg.norm(root, axis=0)
-    scale = np.where(length > 0, length, 1.0)
+    scale = column_scale((root**2).sum(axis=0))
     _, upper, order = linalg.qr(root / scale, mode="economic", pivoting=True)
     rank = len(root)
     leading, rest = order[:rank], order[rank:]

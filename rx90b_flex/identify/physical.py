@@ -25,7 +25,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.least_squares import RANK_TOLERANCE
+from rx90b_flex.identify.least_squares import RANK_TOLERANCE, column_scale
 
 # An eigenvalue this far below zero, as a part of the trace, is rounding: point masses and thin rods have zeros.
 ROUNDING = 1e-12
@@ -151,8 +151,7 @@ def information_root(information: Array) -> Array:
 
     The same rule as in the least squares: columns are first scaled to length one, since their units differ.
     """
-    diagonal = np.diag(information)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = column_scale(np.diag(information))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     kept = values > RANK_TOLERANCE**2 * max(values[-1], 1e-300)
     root: Array = np.sqrt(values[kept])[:, None] * vectors[:, kept].T * scale
