@@ -172,6 +172,20 @@ def test_instruments_from_another_period_remove_the_bias_of_noisy_columns(robot:
     assert np.abs(left).max() < 4
 
 
+def test_so_do_instruments_from_a_simulation_of_the_first_guess(robot: Robot, log: FullLog) -> None:
+    noisy = Equations.of(robot, [log.with_noise(CAMERA, 0.2, np.random.default_rng(5))], upsampling=2)
+    model = with_parameters(robot, guess(robot), allow_inconsistent=True)
+    trajectory = sine_excitation(robot, np.random.default_rng(0))
+    run = simulate(model, logs_everything(load_cs8()), trajectory, raw=True)
+    instruments = Equations.of(robot, [full_log(run).downsampled()], upsampling=2)
+    biased = least_squares(noisy, guess(robot), dimension=55)
+    freed = least_squares(noisy, guess(robot), dimension=55, instruments=instruments)
+    checked = [*places(robot, "drive_flexibility.stiffness", 3), *places(robot, "joint_flexibility.stiffness", 2)]
+    off, left = (((f.parameters - robot.parameters) / f.std)[checked] for f in (biased, freed))
+    assert np.sqrt(np.mean(off**2)) > 5
+    assert np.abs(left).max() < 4
+
+
 @pytest.mark.slow
 def test_the_standard_deviations_of_the_instrumental_estimates_are_those_of_repeated_experiments(
     robot: Robot, log: FullLog

@@ -365,8 +365,9 @@ def least_squares(
         source's rule (its figure 4.4), which takes the noise from the true parameters.
     instruments : Equations, optional
         The same equations from signals whose noise is independent of that in `equations`: another period of the same
-        experiment, or a simulation. Their columns Z span the space that the residual is made orthogonal to, ``U_Z'
-        (y - A p) = 0``; least squares on noisy columns is biased, this is not (to first order in the noise).
+        experiment (`other_periods`), or a simulation of it with parameters that are roughly right, such as the guess. Their
+        columns Z span the space that the residual is made orthogonal to, ``U_Z' (y - A p) = 0``; least squares on noisy
+        columns is biased, this is not (to first order in the noise).
 
     Raises
     ------

@@ -82,8 +82,9 @@ def relative_stds(names: Sequence[str], relative: Array) -> Figure:
     rows = np.arange(len(names))
     ax.barh(rows, 100 * relative, color=AFTER, height=0.6)
     ax.set_yticks(rows, list(names))
-    ax.invert_yaxis()
+    ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
     ax.axvline(10.0, color=FLOOR, linewidth=0.8, linestyle="--")
     ax.set_xlabel("standard deviation over value, %", fontsize=9)
     _plain(ax)
@@ -93,4 +94,5 @@ def relative_stds(names: Sequence[str], relative: Array) -> Figure:
 def _plain(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(labelsize=8)
+    ax.set_axisbelow(True)
     ax.grid(color="#dddddd", linewidth=0.5)

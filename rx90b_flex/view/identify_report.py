@@ -9,6 +9,7 @@ import numpy as np
 from rx90b_flex.identify.command import Identified, RoleError
 from rx90b_flex.view.identify_plots import relative_stds, torque_fit
 from rx90b_flex.view.page import Image, Section, Table, image, write_page
+from rx90b_flex.view.report import number, unit_text
 
 LARGEST_BARS = 40  # parameters in the figure of standard deviations; the table holds all
 
@@ -73,11 +74,9 @@ def _errors(result: Identified) -> Section:
 
 
 def _parameters(result: Identified) -> Section:
-    rows = tuple(
-        (e.name, _value(e.value), _value(e.std), e.unit, "" if e.value is not None else "only in combination")
-        for e in result.parameters
-    )
-    table = Table(("parameter", "value", "std", "unit", "note"), rows, "Parameters by themselves", numbers=(1, 2))
+    told = [e for e in result.parameters if e.value is not None]
+    rows = tuple((e.name, number(e.value), number(e.std), unit_text(e.unit)) for e in told)
+    table = Table(("parameter", "value", "std", "unit"), rows, "Parameters by themselves", numbers=(1, 2))
     images: tuple[Image, ...] = ()
     sized = [(e.name, abs(e.std / e.value)) for e in result.parameters if e.value and e.std]
     if sized:
@@ -89,7 +88,7 @@ def _parameters(result: Identified) -> Section:
 
 
 def _base(result: Identified) -> Section:
-    rows = tuple((b.text, _value(b.value), _value(b.std), b.unit) for b in result.base)
+    rows = tuple((b.text, number(b.value), number(b.std), unit_text(b.unit)) for b in result.base)
     table = Table(("combination", "value", "std", "unit"), rows, "Base parameters", numbers=(1, 2))
     text = "The smallest set of combinations that the torques depend on; each is led by a parameter that stands in no other."
     return Section("Base parameters", (text,), (table,))
@@ -122,7 +121,3 @@ def _facts(result: Identified) -> Section:
     if flexible:
         text.append(f"Kept as declared, since motor signals at low frequency do not tell them: {', '.join(flexible)}.")
     return Section("Data and method", tuple(text), (table,))
-
-
-def _value(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
