@@ -28,12 +28,7 @@ from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.export import with_parameters
 from rx90b_flex.identify.coloured import parzen
 from rx90b_flex.identify.least_squares import Estimate
-from rx90b_flex.identify.physical import (
-    ConsistentParameters,
-    consistent_parameters,
-    marginal_information,
-    refitted_rest,
-)
+from rx90b_flex.identify.physical import ConsistentParameters, consistent_parameters
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.filters import differentiate, resample
 
@@ -328,19 +323,16 @@ class Fit:
         return with_parameters(self.equations.robot, self.parameters, allow_inconsistent=True)
 
     def consistent(self, pull: float = 1e-2) -> tuple[Robot, ConsistentParameters]:
-        """The robot with links that can exist, pulled to those of `start`, and all else fitted anew to them.
+        """The robot with links that can exist and effects within their bounds, pulled to `start`; all moved together.
 
         The second result tells how far the parameters went for it: its `p_value` is below 0.05 where they left their
         confidence region of 95 %, so that no body that can exist agrees with the data.
         """
-        links = len(self.equations.robot.link_parameters)
-        information = self.information
-        found = consistent_parameters(
-            self.parameters[:links], marginal_information(information, links), self.start[:links], pull=pull
-        )
-        rest = refitted_rest(information, links, found.parameters - self.parameters[:links])
-        parameters = np.r_[found.parameters, self.parameters[links:] + rest]
-        return with_parameters(self.equations.robot, parameters), found
+        robot = self.equations.robot
+        bounds = [effect.coefficient_bounds for effect in robot.effects]
+        lower = np.array([bounds[e.source][e.column] for e in robot.parameter_entries if e.source >= 0])
+        found = consistent_parameters(self.parameters, self.information, self.start, lower=lower, pull=pull)
+        return with_parameters(robot, found.parameters), found
 
 
 def least_squares(

@@ -22,8 +22,6 @@ from rx90b_flex.identify.physical import (
     consistent_parameters,
     inconsistencies,
     information_root,
-    marginal_information,
-    refitted_rest,
 )
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
@@ -31,6 +29,7 @@ from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 SCHEMA = 1
 NEGLIGIBLE = 1e-4  # part of a base parameter below which a term is left out of its name
+AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies so near to it
 READ_BACK = 1e-9  # largest relative change of a parameter on its way through the files
 
 Progress = Callable[[str, float], None]
@@ -219,37 +218,21 @@ def _possible(model: Identification) -> tuple[Array, tuple[str, ...]]:
 
     What is moved takes the others with it, so that the error grows least.
     """
-    links = len(model.link_parameters) if model.links_fitted else 0
-    lower = np.concatenate([np.full(links, -np.inf), *(e.coefficient_bounds for e in model.effects)])
-    information, theta = model.information, model.theta.copy()
-    held = np.zeros(len(theta), dtype=bool)
-    for _ in theta:
-        below = (theta < lower) & ~held
-        if not below.any():
-            break
-        held |= below
-        theta = _moved(information, model.theta, held, lower[held])
-    if links and inconsistencies(theta[:links], [name for name, _ in model.regression.robot.bodies]):
-        free = np.flatnonzero(np.logical_not(held))
-        own = information[np.ix_(free, free)]
-        prior = model.regression.robot.link_parameters
-        consistent = consistent_parameters(theta[:links], marginal_information(own, links), prior).parameters
-        theta[free[links:]] += refitted_rest(own, links, consistent - theta[:links])
-        theta[:links] = consistent
-        held |= theta < lower
-        theta = np.maximum(theta, lower)
-    labels = [f"{e.label}.{name}" for e in model.effects for name in e.coefficient_names]
-    return theta, tuple(label for label, h in zip(labels, held[links:], strict=True) if h)
-
-
-def _moved(information: Array, theta: Array, held: Array, values: Array) -> Array:
-    """The optimum with some coefficients held at given values."""
-    order = np.r_[np.flatnonzero(held), np.flatnonzero(np.logical_not(held))]
-    count = int(held.sum())
-    out = theta.copy()
-    out[order[:count]] = values
-    out[order[count:]] += refitted_rest(information[np.ix_(order, order)], count, values - theta[order[:count]])
-    return out
+    links = model.link_parameters if model.links_fitted else np.zeros(0)
+    lower = np.concatenate([np.zeros(0), *(e.coefficient_bounds for e in model.effects)])
+    names = [name for name, _ in model.regression.robot.bodies] if model.links_fitted else []
+    theta = model.theta
+    if inconsistencies(links, names) or (theta[len(links) :] < lower).any():
+        declared = model.regression.robot
+        known = np.concatenate([np.zeros(0), *(e.coefficients for e in declared.effects)])
+        rest = np.where(np.isnan(known), theta[len(links) :], known)
+        prior = np.r_[declared.link_parameters[: len(links)], rest]
+        theta = consistent_parameters(theta, model.information, prior, lower=lower).parameters
+    labels = _names(model)[len(links) :]
+    at_bound = (theta[len(links) :] <= lower + AT_BOUND * np.abs(theta[len(links) :] - model.theta[len(links) :])) & (
+        model.theta[len(links) :] < lower
+    )
+    return theta, tuple(label for label, held in zip(labels, at_bound, strict=True) if held)
 
 
 def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
