@@ -189,7 +189,7 @@ def _identified(source: Path | Campaign, tell: Progress) -> Identified:
     fitted = declared.inertial_parameters == "fitted"
     model = identify(regression, regression.robot.effects, fit_links=fitted)
     tell("making it possible", 0.6)
-    theta, held = _possible(model)
+    theta, held = possible_coefficients(model)
     robot = _robot(declared, model, theta)
     base = base_parameters(model)
     tell("predicting", 0.8)
@@ -213,7 +213,7 @@ def _identified(source: Path | Campaign, tell: Progress) -> Identified:
 # ---- parameters that are possible -------------------------------------------------------------------------------
 
 
-def _possible(model: Identification) -> tuple[Array, tuple[str, ...]]:
+def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]]:
     """Coefficients of a robot that can exist and be loaded, and the names of those held at their bounds.
 
     What is moved takes the others with it, so that the error grows least.
@@ -224,15 +224,21 @@ def _possible(model: Identification) -> tuple[Array, tuple[str, ...]]:
     theta = model.theta
     if inconsistencies(links, names) or (theta[len(links) :] < lower).any():
         declared = model.regression.robot
-        known = np.concatenate([np.zeros(0), *(e.coefficients for e in declared.effects)])
+        known = np.concatenate([np.zeros(0), *(_declared(declared, e).coefficients for e in model.effects)])
         rest = np.where(np.isnan(known), theta[len(links) :], known)
         prior = np.r_[declared.link_parameters[: len(links)], rest]
         theta = consistent_parameters(theta, model.information, prior, lower=lower).parameters
+    rest, before = theta[len(links) :], model.theta[len(links) :]
+    held = (before < lower) & (rest - lower <= AT_BOUND * np.abs(lower - before))
+    rest = np.where(held, lower, rest)  # the solver ends a little above
     labels = _names(model)[len(links) :]
-    at_bound = (theta[len(links) :] <= lower + AT_BOUND * np.abs(theta[len(links) :] - model.theta[len(links) :])) & (
-        model.theta[len(links) :] < lower
-    )
-    return theta, tuple(label for label, held in zip(labels, at_bound, strict=True) if held)
+    return np.r_[theta[: len(links)], rest], tuple(label for label, h in zip(labels, held, strict=True) if h)
+
+
+def _declared(robot: Robot, effect: Effect) -> Effect:
+    """The effect as the robot declares it; as it is where it does not."""
+    same = [e for e in robot.effects if type(e) is type(effect) and e.place == effect.place]
+    return same[0] if same else effect
 
 
 def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:

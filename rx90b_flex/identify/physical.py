@@ -294,10 +294,12 @@ def consistent_parameters(
     least = np.zeros(0) if lower is None else np.asarray(lower, dtype=float)
     links = np.size(prior) - len(least)
     bodies = links // 10
+    if estimate.shape != prior.shape:
+        raise ValueError(f"estimate has shape {estimate.shape}; expected {prior.shape}, as the prior")
     prior_bodies = _bodies(prior[:links], bodies, "prior")
     _bodies(estimate[:links], bodies, "estimate")
-    if estimate.shape != prior.shape or not np.isfinite(np.r_[estimate, prior]).all():
-        raise ValueError(f"estimate has shape {estimate.shape}, prior {prior.shape}; expected the same, all finite")
+    if not np.isfinite(np.r_[estimate[links:], prior[links:]]).all():
+        raise ValueError(f"estimate or prior of the last {len(least)} parameters is not finite")
     difference = estimate - prior
     information = np.asarray(information, dtype=float)
     if information.shape != (len(prior),) * 2 or not np.isfinite(information).all():
