@@ -9,11 +9,12 @@ import independent as ind
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import optimize
 
 import rx90b_flex as rf
 from rx90b_flex import cli
 from rx90b_flex.identify.command import Identified, identify_campaign, write_identified
-from rx90b_flex.identify.physical import inconsistencies
+from rx90b_flex.identify.physical import consistent_parameters, inconsistencies
 
 RATE_HZ, CUTOFF_HZ = 100.0, 10.0
 COULOMB, VISCOUS, NOISE = (2.0, 1.0), (3.0, 1.5), (0.2, 0.08)
@@ -99,6 +100,17 @@ def test_friction_below_zero_is_held_at_zero_and_said(tmp_path: Path) -> None:
     assert by_name["elbow.viscous_friction.coefficient"] == 0.0
     (tmp_path / "out").mkdir()
     write_identified(held, tmp_path / "out")  # a robot file with a negative coefficient would not load
+
+
+def test_bounds_without_bodies_give_bounded_least_squares() -> None:
+    rng = np.random.default_rng(2)
+    columns, target = rng.normal(size=(30, 5)), rng.normal(size=30)
+    estimate = np.linalg.lstsq(columns, target, rcond=None)[0]
+    lower = np.where(np.arange(5) < 3, 0.0, -np.inf)
+    assert (estimate < lower).any()
+    found = consistent_parameters(estimate, columns.T @ columns, estimate, lower=lower, pull=1e-9).parameters
+    bounded = optimize.lsq_linear(columns, target, (lower, np.full(5, np.inf))).x
+    np.testing.assert_allclose(found, bounded, atol=1e-5)
 
 
 def test_known_links_are_kept(tmp_path: Path) -> None:

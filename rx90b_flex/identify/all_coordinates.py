@@ -251,7 +251,10 @@ class Fit:
 
     @cached_property
     def residual_norms(self) -> Array:
-        """Norm of the weighted residual with 0 to p directions, shape (p + 1,): figure 4.4, solid line."""
+        """Norm of the weighted residual with 0 to p directions, shape (p + 1,): figure 4.4, solid line.
+
+        Exact without instruments.
+        """
         left = np.r_[np.cumsum(self.contributions[::-1] ** 2)[::-1], 0.0]
         return np.sqrt(self.unexplained**2 + left)
 
@@ -275,7 +278,7 @@ class Fit:
     def errors_by_dimension(self, true: Array) -> Array:
         """Largest difference from true parameters in the essential space of 1 to p directions, shape (p,): figure 4.5.
 
-        Over the scale of each parameter, so that units do not matter.
+        Over the scale of each parameter, so that units do not matter. Without instruments only.
         """
         error = self.contributions / np.maximum(self.singular_values, ROUNDING * self.singular_values[0])
         error -= self.directions.T @ (true / self.scale)
@@ -354,7 +357,8 @@ def least_squares(
         One over the standard deviation of each equation (W_L of section 4.2.1); ones where not given.
     dimension : int, optional
         Of the essential space. By default the smallest with which the residual is no larger than the estimated noise: the
-        source's rule (its figure 4.4), which takes the noise from the true parameters.
+        source's rule (its figure 4.4), which takes the noise from the true parameters. Where the columns are noisy they
+        explain noise too, and this is too large: give instruments from a simulation, or the dimension.
     instruments : Equations, optional
         The same equations from signals whose noise is independent of that in `equations`: another period of the same
         experiment (`other_periods`), or a simulation of it with parameters that are roughly right, such as the guess. Their
