@@ -104,7 +104,8 @@ def test_friction_below_zero_is_held_at_zero_and_said(tmp_path: Path) -> None:
 
 def test_bounds_without_bodies_give_bounded_least_squares() -> None:
     rng = np.random.default_rng(2)
-    columns, target = rng.normal(size=(30, 5)), rng.normal(size=30)
+    columns = rng.normal(size=(30, 5)) + rng.normal(size=(30, 1))  # they look alike: one that is held moves the others
+    target = columns @ [-0.5, 0.3, -0.1, 1.0, -1.0] + 0.1 * rng.normal(size=30)
     estimate = np.linalg.lstsq(columns, target, rcond=None)[0]
     lower = np.where(np.arange(5) < 3, 0.0, -np.inf)
     assert (estimate < lower).any()
