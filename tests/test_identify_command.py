@@ -15,6 +15,7 @@ import rx90b_flex as rf
 from rx90b_flex import cli
 from rx90b_flex.identify.command import Identified, identify_campaign, write_identified
 from rx90b_flex.identify.physical import consistent_parameters, inconsistencies
+from rx90b_flex.view.identify_report import headline
 
 RATE_HZ, CUTOFF_HZ = 100.0, 10.0
 COULOMB, VISCOUS, NOISE = (2.0, 1.0), (3.0, 1.5), (0.2, 0.08)
@@ -112,6 +113,15 @@ def test_bounds_without_bodies_give_bounded_least_squares() -> None:
     found = consistent_parameters(estimate, columns.T @ columns, estimate, lower=lower, pull=1e-9).parameters
     bounded = optimize.lsq_linear(columns, target, (lower, np.full(5, np.inf))).x
     np.testing.assert_allclose(found, bounded, atol=1e-5)
+
+
+def test_without_validation_recordings_the_fit_itself_is_shown_and_said_to_be(tmp_path: Path) -> None:
+    source = campaign(tmp_path / "data")
+    source.write_text(source.read_text().replace('"validation"', '"identification"'))
+    found = identify_campaign(source)
+    assert found.validation is None
+    assert [p.recording.name for p in found.predictions] == ["log_1", "log_2"]
+    assert "on the data of the fit" in headline(found)[0]
 
 
 def test_known_links_are_kept(tmp_path: Path) -> None:

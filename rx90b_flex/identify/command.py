@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -387,7 +389,11 @@ def prediction_table(prediction: Prediction) -> str:
     joints = prediction.recording.joints
     names = ["time", *(f"{prefix}{joint}" for prefix in ("tau_", "tau_model_") for joint in joints)]
     values = np.column_stack([prediction.recording.time, prediction.measured, prediction.predicted])
-    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in values.tolist())]) + "\n"
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(values.tolist())
+    return out.getvalue()
 
 
 def write_identified(result: Identified, folder: Path) -> None:
