@@ -230,6 +230,37 @@ def import_command(
     console.print(f"Campaign: {out / 'campaign.toml'}", soft_wrap=True)
 
 
+@app.command("identify")
+def identify_command(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    out: Out,
+) -> None:
+    """Identify the declared robot of CAMPAIGN on its recordings: parameters, robot file and URDF, report."""
+    from rx90b_flex.identify.command import identify_campaign, write_identified
+    from rx90b_flex.signals.folders import check_folder, fill_folder
+    from rx90b_flex.view.identify_report import headline, write_identify_report
+
+    check_folder(out)
+    with _progress() as tell:
+        result = identify_campaign(campaign, progress=tell)
+        tell("writing the report", 0.95)
+
+        def fill(folder: Path) -> None:
+            write_identified(result, folder)
+            write_identify_report(result, folder / "report.html")
+
+        fill_folder(out, fill)
+    console = Console()
+    table = Table("parameter", "value", title=result.source.name, title_justify="left")
+    for e in result.parameters:
+        if e.value is not None:
+            table.add_row(e.name, _value("", e.value, e.std, e.unit).strip())
+    console.print(table)
+    for text in headline(result):
+        console.print(text, soft_wrap=True, highlight=False)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
 def _print_result(console: Console, result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
 

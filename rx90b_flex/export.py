@@ -65,6 +65,29 @@ def with_link_parameters(robot: Robot, link_parameters: Array, *, allow_inconsis
     return result
 
 
+def with_parameters(robot: Robot, parameters: Array, *, allow_inconsistent: bool = False) -> Robot:
+    """The same robot with other values of all its linear parameters.
+
+    Parameters
+    ----------
+    robot : Robot
+    parameters : array, shape (p,)
+        In the order of `robot.parameter_names`.
+    allow_inconsistent : bool
+        As for `with_link_parameters`, which raises what does not fit.
+    """
+    values = np.asarray(parameters, dtype=float)
+    entries = robot.parameter_entries
+    if values.shape != (len(entries),):
+        raise ValueError(f"{robot.name}: parameters have shape {values.shape}; expected ({len(entries)},)")
+    links = robot.link_parameters.copy()
+    coefficients = [effect.coefficients for effect in robot.effects]
+    for entry, value in zip(entries, values, strict=True):
+        (links if entry.source < 0 else coefficients[entry.source])[entry.column] = value
+    effects = [e.with_coefficients(c) for e, c in zip(robot.effects, coefficients, strict=True)]
+    return with_link_parameters(robot, links, allow_inconsistent=allow_inconsistent).with_effects(effects)
+
+
 def _inertial(robot: Robot, link: str, parameters: Array) -> Inertial | None:
     if not parameters.any():
         return None

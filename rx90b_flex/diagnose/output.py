@@ -12,13 +12,8 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
 from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.identify.command import possible_coefficients
 from rx90b_flex.identify.least_squares import Estimate
-from rx90b_flex.identify.physical import (
-    consistent_parameters,
-    inconsistencies,
-    marginal_information,
-    refitted_rest,
-)
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import fill_folder
 
@@ -70,23 +65,18 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 def closed_loop_robot(result: ClosedLoop) -> Robot:
     """The robot with the effects added and the identified values, flexible effects as declared.
 
-    Fitted links that no body could have are replaced by the nearest ones that a body can have, in the metric of
-    the data's own information (see `rx90b_flex.identify.physical`).
+    Fitted links that no body could have, and coefficients below their bounds, are replaced by the nearest that are possible,
+    in the metric of the data's own information (see `rx90b_flex.identify.physical`).
     """
     source, model = result.source, result.model
     flexible = [e for e in source.effects if e.virtual]
     if not model.links_fitted:
         held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(result.joints)]
         return source.with_effects([*flexible, *held, *model.effects])
-    rigid = model.regression.robot
-    links, effects = model.link_parameters, model.effects
-    if inconsistencies(links, [name for name, _ in rigid.bodies]):
-        information = model.information
-        own = marginal_information(information, len(links))
-        consistent = consistent_parameters(links, own, rigid.link_parameters).parameters
-        effects = model.with_rest(refitted_rest(information, len(links), consistent - links))
-        links = consistent
-    return with_link_parameters(rigid, links).with_effects([*flexible, *effects])
+    links = len(model.link_parameters)
+    theta, _ = possible_coefficients(model)
+    effects = model.with_rest(theta[links:] - model.theta[links:])
+    return with_link_parameters(model.regression.robot, theta[:links]).with_effects([*flexible, *effects])
 
 
 def prediction_table(prediction: Prediction) -> str:

@@ -81,7 +81,7 @@ def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, 
     kernel = np.correlate(whitening, whitening, mode="full")
     both = np.concatenate([raw[:0:-1], raw])
     white = np.convolve(both, kernel, mode="same")[len(raw) - 1 :][:lags]
-    return Spectrum(white * _parzen(lags), whitening, 3.7 * total / lags)
+    return Spectrum(white * parzen(lags), whitening, 3.7 * total / lags)
 
 
 def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array:
@@ -104,7 +104,7 @@ def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array
         size = fft.next_fast_len(span.stop - span.start + lags, real=True)
         power = (np.abs(fft.rfft(basis[span], size, axis=0)) ** 2).sum(axis=1)
         out += fft.irfft(power, size)[:lags]
-    return out / max(total, 1) * _parzen(lags)
+    return out / max(total, 1) * parzen(lags)
 
 
 def _autocovariance(parts: Sequence[Array], lags: int, absorbed: Array) -> Array:
@@ -136,7 +136,8 @@ def _autoregression(autocovariance: Array, samples: int) -> Array:
     return chosen
 
 
-def _parzen(lags: int) -> Array:
+def parzen(lags: int) -> Array:
+    """Parzen's lag window, from lag zero, shape (lags,)."""
     x = np.arange(lags) / lags
     return np.where(x <= 0.5, 1 - 6 * x**2 * (1 - x), 2 * (1 - x) ** 3)
 

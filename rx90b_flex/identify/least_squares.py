@@ -19,6 +19,7 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
+ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
 
 
@@ -99,13 +100,21 @@ class Solution:
         return np.linalg.norm(self.null, axis=1) < 1e-3
 
 
+def column_scale(squares: Array) -> Array:
+    """Lengths of columns from their squares, shape (p,).
+
+    A column of nothing but rounding gets the longest one's: brought to length one, it would count as determined.
+    """
+    largest = float(squares.max(initial=0.0))
+    return np.sqrt(np.where(squares > ROUNDING**2 * largest, squares, largest if largest > 0.0 else 1.0))
+
+
 def solve_weighted(gram: Array, cross: Array, prior: Array) -> tuple[Array, Array, Array, Array]:
     """Least squares from normal equations, staying at the prior where they are singular.
 
     Returns theta, the pseudo-inverse of `gram`, null directions (scaled), and the scale.
     """
-    diagonal = np.diag(gram)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = column_scale(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     largest = values[-1] if len(values) else 0.0
     kept = values > RANK_TOLERANCE**2 * max(largest, 1e-300)
@@ -491,8 +500,7 @@ class _Fit:
 def absorbed_each(columns: Array, weight: Array, spans: Sequence[slice], longest: int) -> list[Array]:
     """`absorbed_by_fit` of each joint, for columns (N, joints, p) fitted with the inverse variances `weight`."""
     gram = np.einsum("j,jpq->pq", weight, np.stack([x.T @ x for x in columns.transpose(1, 0, 2)]))
-    diagonal = np.diag(gram)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = column_scale(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
     to_basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])

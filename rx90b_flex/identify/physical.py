@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import linalg, stats
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.least_squares import RANK_TOLERANCE
+from rx90b_flex.identify.least_squares import RANK_TOLERANCE, column_scale
 
 # An eigenvalue this far below zero, as a part of the trace, is rounding: point masses and thin rods have zeros.
 ROUNDING = 1e-12
@@ -146,13 +146,12 @@ def _bodies(parameters: Array, bodies: int, what: str) -> Array:
 # ---- information --------------------------------------------------------------------------------------------
 
 
-def _square_root(information: Array) -> Array:
+def information_root(information: Array) -> Array:
     """F, shape (rank, p), with F'F = information up to rounding; what the data does not determine is dropped.
 
     The same rule as in the least squares: columns are first scaled to length one, since their units differ.
     """
-    diagonal = np.diag(information)
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = column_scale(np.diag(information))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     kept = values > RANK_TOLERANCE**2 * max(values[-1], 1e-300)
     root: Array = np.sqrt(values[kept])[:, None] * vectors[:, kept].T * scale
@@ -172,7 +171,7 @@ def marginal_information(information: Array, links: int) -> Array:
     -------
     array, shape (links, links)
     """
-    root = _square_root(np.asarray(information, dtype=float))
+    root = information_root(np.asarray(information, dtype=float))
     rest = _orthonormal(root[:, links:])
     left = root[:, :links] - rest @ (rest.T @ root[:, :links])
     return left.T @ left
@@ -192,7 +191,7 @@ def refitted_rest(information: Array, links: int, change: Array) -> Array:
     -------
     array, shape (p - links,)
     """
-    root = _square_root(np.asarray(information, dtype=float))
+    root = information_root(np.asarray(information, dtype=float))
     columns = root[:, links:]
     scale = _lengths(columns)
     solution = np.linalg.lstsq(columns / scale, -root[:, :links] @ change, rcond=RANK_TOLERANCE)[0]
@@ -247,7 +246,13 @@ class ConsistentParameters:
 
 
 def consistent_parameters(
-    estimate: Array, information: Array, prior: Array, *, pull: float = 1e-2, margin: float = 1e-6
+    estimate: Array,
+    information: Array,
+    prior: Array,
+    *,
+    lower: Array | None = None,
+    pull: float = 1e-2,
+    margin: float = 1e-6,
 ) -> ConsistentParameters:
     """Physically consistent parameters nearest to a least-squares estimate.
 
@@ -260,6 +265,9 @@ def consistent_parameters(
     deviation from the prior, however badly the data determines it: pull * t / (1 + pull * t^2) is largest at
     t = 1 / sqrt(pull), t its relative standard deviation. Where the data says nothing, x goes to the prior.
 
+    With `lower`, other parameters follow those of the bodies: they are moved along, not below their bounds, and pulled to
+    their priors in units of the larger one of prior and estimate.
+
     Parameters
     ----------
     estimate : array, shape (10 * bodies,)
@@ -269,6 +277,9 @@ def consistent_parameters(
         inverse of the estimate's covariance. May be singular.
     prior : array, shape (10 * bodies,)
         CAD values; need not be consistent, and a body may have no mass.
+    lower : array, shape (r,), optional
+        Smallest values of the last r parameters, which belong to no body; -inf for none. Estimate, information and prior
+        then hold ``10 * bodies + r`` parameters each.
     pull : float
         Weight of the prior, above zero.
     margin : float
@@ -279,49 +290,71 @@ def consistent_parameters(
     ValueError
         Shapes do not fit, or the solver finds no solution.
     """
-    bodies = np.size(prior) // 10
-    prior_bodies = _bodies(prior, bodies, "prior")
-    difference = np.ravel(_bodies(estimate, bodies, "estimate") - prior_bodies)
+    prior, estimate = np.asarray(prior, dtype=float), np.asarray(estimate, dtype=float)
+    least = np.zeros(0) if lower is None else np.asarray(lower, dtype=float)
+    links = np.size(prior) - len(least)
+    bodies = links // 10
+    if estimate.shape != prior.shape:
+        raise ValueError(f"estimate has shape {estimate.shape}; expected {prior.shape}, as the prior")
+    prior_bodies = _bodies(prior[:links], bodies, "prior")
+    _bodies(estimate[:links], bodies, "estimate")
+    if not np.isfinite(np.r_[estimate[links:], prior[links:]]).all():
+        raise ValueError(f"estimate or prior of the last {len(least)} parameters is not finite")
+    difference = estimate - prior
     information = np.asarray(information, dtype=float)
-    if information.shape != (10 * bodies, 10 * bodies) or not np.isfinite(information).all():
-        raise ValueError(f"information has shape {information.shape}; expected {(10 * bodies,) * 2}, all finite")
+    if information.shape != (len(prior),) * 2 or not np.isfinite(information).all():
+        raise ValueError(f"information has shape {information.shape}; expected {(len(prior),) * 2}, all finite")
     if not (pull > 0 and margin > 0):
         raise ValueError(f"pull is {pull!r} and margin {margin!r}; expected positive numbers")
 
     # In scaled coordinates u a body's ten numbers are the entries of D P D, and |u| is its Frobenius norm.
+    unit = np.maximum(np.abs(prior[links:]), np.abs(estimate[links:]))
+    unit[unit == 0] = 1.0
     to_scaled = [_scaled_coordinates(mass, length) for mass, length in _sizes(prior_bodies)]
-    from_scaled = _block_diagonal([np.asarray(np.linalg.inv(block), dtype=float) for block in to_scaled])
-    scaled_prior = np.concatenate([block @ body for block, body in zip(to_scaled, prior_bodies, strict=True)])
+    inverses = [np.linalg.inv(block) for block in to_scaled]
+    from_scaled = linalg.block_diag(*inverses, np.diag(unit))[: len(prior)]
+    scaled_bodies = [block @ body for block, body in zip(to_scaled, prior_bodies, strict=True)]
+    scaled_prior = np.concatenate([*scaled_bodies, prior[links:] / unit])
 
     # The cost is |root (x - estimate)|^2 + pull |u - u_prior|^2 = |z|^2 + constant, with u = free + spread z: in z
     # all directions weigh the same, though the information spans many decades. The singular value decomposition keeps
     # the digits that a Cholesky factor of the sum would lose.
-    root = _square_root(information)
+    root = information_root(information)
     left, values, right = np.linalg.svd(root @ from_scaled, full_matrices=True)
-    padded = np.zeros(10 * bodies)
+    padded = np.zeros(len(prior))
     padded[: len(values)] = values
-    along = np.zeros(10 * bodies)
+    along = np.zeros(len(prior))
     along[: len(values)] = (left.T @ (root @ difference))[: len(values)]
     free = scaled_prior + right.T @ (padded / (padded**2 + pull) * along)
     spread = right.T / np.sqrt(padded**2 + pull)
 
-    lowest = np.linalg.eigvalsh(_symmetric(free))[:, 0]
-    scaled, status = (free, "consistent") if (lowest >= margin).all() else _project(free, spread, margin)
+    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
+    possible = (lowest >= margin).all() and (free[links:] >= least / unit).all()
+    scaled, status = (free, "consistent") if possible else _project(free, spread, margin, least / unit)
     parameters = from_scaled @ scaled
-    increase = float(np.sum((root @ (parameters - prior_bodies.ravel() - difference)) ** 2))
+    parameters[links:] = np.maximum(parameters[links:], least)  # where the solver was a rounding below
+    increase = float(np.sum((root @ (parameters - estimate)) ** 2))
     return ConsistentParameters(parameters, increase, len(root), status)
 
 
-def _project(free: Array, spread: Array, margin: float) -> tuple[Array, str]:
-    """Minimise |z| so that the bodies in ``free + spread z`` are consistent; returns them and the solver's status."""
+def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:
+    """Minimise |z| so that the bodies in ``free + spread z`` are consistent and the rest is not below `least`.
+
+    Returns that and the solver's status.
+    """
     cp: Any = importlib.import_module("cvxpy")  # here, not at the top: it takes a second, and most users never need it
     # A feasible point, each body on its own, bounds |z|; in that unit the solver's tolerances mean something.
-    values, vectors = np.linalg.eigh(_symmetric(free))
+    links = len(free) - len(least)
+    values, vectors = np.linalg.eigh(_symmetric(free[:links]))
     clipped = _entries((vectors * np.maximum(values, margin)[:, None, :]) @ vectors.transpose(0, 2, 1))
+    clipped = np.r_[clipped, np.maximum(free[links:], least)]
     unit = float(np.linalg.norm(np.linalg.solve(spread, clipped - free)))
     z = cp.Variable(len(free))
     constraints = []
-    for b in range(len(free) // 10):
+    bounded = links + np.flatnonzero(np.isfinite(least))
+    if len(bounded):
+        constraints.append(free[bounded] + (unit * spread[bounded]) @ z >= least[bounded - links])
+    for b in range(links // 10):
         own = slice(10 * b, 10 * b + 10)
         matrix = cp.reshape(_UNPACK @ (free[own] + (unit * spread[own]) @ z), (4, 4), order="C")
         constraints.append(matrix >> 1.01 * margin * np.eye(4))
@@ -336,7 +369,7 @@ def _project(free: Array, spread: Array, margin: float) -> tuple[Array, str]:
     if z.value is None:
         raise ValueError(f"no physically consistent parameters found: the solver says {status!r}")
     scaled = free + spread @ (unit * np.asarray(z.value))
-    lowest = float(np.linalg.eigvalsh(_symmetric(scaled))[:, 0].min())
+    lowest = float(np.linalg.eigvalsh(_symmetric(scaled[:links]))[:, 0].min(initial=np.inf))
     # An inaccurate end is good enough if the bodies are consistent: what is lost is a little of the optimum.
     if lowest < 0.5 * margin:
         raise ValueError(
@@ -386,10 +419,3 @@ def _entries(matrices: Array) -> Array:
 def _symmetric(coordinates: Array) -> Array:
     """Inverse of `_entries`, (10 * k,) -> (k, 4, 4)."""
     return np.asarray((coordinates.reshape(-1, 10) @ _UNPACK.T).reshape(-1, 4, 4))
-
-
-def _block_diagonal(blocks: Sequence[Array]) -> Array:
-    out = np.zeros((10 * len(blocks), 10 * len(blocks)))
-    for b, block in enumerate(blocks):
-        out[10 * b : 10 * b + 10, 10 * b : 10 * b + 10] = block
-    return out

@@ -1,0 +1,421 @@
+"""What ``rx90b-flex identify`` does: the declared robot of a campaign, identified on its motor signals, as a result and as files."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+from threadpoolctl import threadpool_limits
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale, identify
+from rx90b_flex.identify.physical import (
+    Inconsistency,
+    consistent_parameters,
+    inconsistencies,
+    information_root,
+)
+from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
+from rx90b_flex.signals import Campaign, Recording, load_campaign
+
+SCHEMA = 1
+NEGLIGIBLE = 1e-4  # part of a base parameter below which a term is left out of its name
+AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies so near to it
+READ_BACK = 1e-9  # largest relative change of a parameter on its way through the files
+
+Progress = Callable[[str, float], None]
+
+
+# ---- result -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RoleError:
+    """Error of the exported robot on the recordings of one role.
+
+    Attributes
+    ----------
+    relative_error : float
+        2-norm of the torque error over the 2-norm of the torque.
+    torque_rms : tuple of float
+        One a joint, N m.
+    """
+
+    relative_error: float
+    torque_rms: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A combination of parameters that the data determines.
+
+    Attributes
+    ----------
+    terms : tuple of (str, float)
+        Names and their coefficients; the first one is 1.
+    value, std : float
+    unit : str
+        Of the first term.
+    """
+
+    terms: tuple[tuple[str, float], ...]
+    value: float
+    std: float
+    unit: str
+
+    @property
+    def text(self) -> str:
+        """The combination as a sum."""
+        first, *rest = self.terms
+        return first[0] + "".join(f" {'-' if c < 0 else '+'} {abs(c):.4g} {name}" for name, c in rest)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Whether the identified links can exist, and what it took to make them.
+
+    Attributes
+    ----------
+    found : tuple of Inconsistency
+        Of the least-squares estimate; none if its links can exist, or were not identified.
+    relative_error_before, relative_error_after : float
+        Of the least-squares estimate and of the exported robot, on the data of the fit.
+    largest_shift_std : float
+        Largest move of a base parameter, in its standard deviations.
+    held : tuple of str
+        Coefficients that came out below their physical bound and are held at it.
+    """
+
+    found: tuple[Inconsistency, ...]
+    relative_error_before: float
+    relative_error_after: float
+    largest_shift_std: float
+    held: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Torques of one recording, each (N, joints), N m, after the low-pass; what the exported robot says, and the log."""
+
+    recording: Recording
+    measured: Array
+    predicted: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A robot identified on a campaign.
+
+    Attributes
+    ----------
+    source : Robot
+        As declared.
+    campaign : Campaign
+    model : Identification
+        The least-squares estimate.
+    robot : Robot
+        With the identified values, made possible: what is exported.
+    base : tuple of BaseParameter
+    consistency : Consistency
+    identification : RoleError
+    validation : RoleError or None
+        None where no recording has that role.
+    predictions : tuple of Prediction
+        Of the validation recordings, of those of identification where there are none.
+    """
+
+    source: Robot
+    campaign: Campaign
+    model: Identification
+    robot: Robot
+    base: tuple[BaseParameter, ...]
+    consistency: Consistency
+    identification: RoleError
+    validation: RoleError | None
+    predictions: tuple[Prediction, ...]
+
+    @property
+    def parameters(self) -> tuple[Estimate, ...]:
+        """Every parameter by itself: links, then effects; value None where only combinations are determined."""
+        effects = []
+        for i, effect in enumerate(self.model.effects):
+            effects += [dataclasses.replace(e, name=f"{effect.label}.{e.name}") for e in self.model.estimates(i)]
+        return (*(self.model.link_estimates() if self.model.links_fitted else ()), *effects)
+
+
+def identify_campaign(source: Path | Campaign, *, progress: Progress | None = None) -> Identified:
+    """Identify the declared robot of a campaign on its identification recordings.
+
+    Weighted least squares over base parameters, shape parameters by variable projection; flexible effects stay as
+    declared, since motor signals below the first resonance do not tell them. Links that cannot exist are replaced by the
+    nearest ones that can, in the metric of the data and pulled to the declared ones.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and what is wrong in it.
+    """
+    tell = progress or (lambda _text, _part: None)
+    # many products of small matrices: threads would wait for each other longer than they work
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _identified(source, tell)
+
+
+def _identified(source: Path | Campaign, tell: Progress) -> Identified:
+    tell("reading", 0.0)
+    campaign = source if isinstance(source, Campaign) else load_campaign(source)
+    declared = load_robot(campaign.robot_source)
+    try:
+        declared.restricted(campaign.joints)
+    except ValueError as error:
+        raise ValueError(f"{campaign.path}: joints: {error}") from None
+    for recording in campaign.recordings:
+        if not recording.torque.any():
+            raise ValueError(
+                f"{recording.source or recording.name}: every torque is zero; errors have no size to go by"
+            )
+    tell("differentiating", 0.1)
+    regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz)
+    tell("identifying", 0.3)
+    fitted = declared.inertial_parameters == "fitted"
+    model = identify(regression, regression.robot.effects, fit_links=fitted)
+    tell("making it possible", 0.6)
+    theta, held = possible_coefficients(model)
+    robot = _robot(declared, model, theta)
+    base = base_parameters(model)
+    tell("predicting", 0.8)
+    fit = _predictions(robot, regression.robot, campaign.identification, campaign.cutoff_hz)
+    kept = _predictions(robot, regression.robot, campaign.validation, campaign.cutoff_hz)
+    consistency = _consistency(model, theta, held, base)
+    tell("done", 1.0)
+    return Identified(
+        declared,
+        campaign,
+        model,
+        robot,
+        base,
+        consistency,
+        _error(fit),
+        _error(kept) if kept else None,
+        kept or fit,
+    )
+
+
+# ---- parameters that are possible -------------------------------------------------------------------------------
+
+
+def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]]:
+    """Coefficients of a robot that can exist and be loaded, and the names of those held at their bounds.
+
+    What is moved takes the others with it, so that the error grows least.
+    """
+    links = model.link_parameters if model.links_fitted else np.zeros(0)
+    lower = np.concatenate([np.zeros(0), *(e.coefficient_bounds for e in model.effects)])
+    names = [name for name, _ in model.regression.robot.bodies] if model.links_fitted else []
+    theta = model.theta
+    if inconsistencies(links, names) or (theta[len(links) :] < lower).any():
+        declared = model.regression.robot
+        known = np.concatenate([np.zeros(0), *(_declared(declared, e).coefficients for e in model.effects)])
+        rest = np.where(np.isnan(known), theta[len(links) :], known)
+        prior = np.r_[declared.link_parameters[: len(links)], rest]
+        theta = consistent_parameters(theta, model.information, prior, lower=lower).parameters
+    rest, before = theta[len(links) :], model.theta[len(links) :]
+    held = (before < lower) & (rest - lower <= AT_BOUND * np.abs(lower - before))
+    rest = np.where(held, lower, rest)  # the solver ends a little above
+    labels = _names(model)[len(links) :]
+    return np.r_[theta[: len(links)], rest], tuple(label for label, h in zip(labels, held, strict=True) if h)
+
+
+def _declared(robot: Robot, effect: Effect) -> Effect:
+    """The effect as the robot declares it; as it is where it does not."""
+    same = [e for e in robot.effects if type(e) is type(effect) and e.place == effect.place]
+    return same[0] if same else effect
+
+
+def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
+    """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
+    effects = _effects(model, theta)
+    flexible = [e for e in declared.effects if e.virtual]
+    if not model.links_fitted:
+        joints = set(model.regression.joints)
+        resting = [e for e in declared.effects if not e.virtual and not set(e.joints) <= joints]
+        return declared.with_effects([*flexible, *resting, *effects])
+    rigid = model.regression.robot
+    kept = [e for e in flexible if set(e.joints) <= set(rigid.joints)]
+    return with_link_parameters(rigid, theta[: len(model.link_parameters)]).with_effects([*kept, *effects])
+
+
+def _effects(model: Identification, theta: Array) -> list[Effect]:
+    out = []
+    for i, effect in enumerate(model.effects):
+        first = model.first_column(i)
+        out.append(effect.with_coefficients(theta[first : first + len(effect.coefficients)]))
+    return out
+
+
+def _consistency(
+    model: Identification, theta: Array, held: tuple[str, ...], base: Sequence[BaseParameter]
+) -> Consistency:
+    found: tuple[Inconsistency, ...] = ()
+    if model.links_fitted:
+        found = inconsistencies(model.link_parameters, [name for name, _ in model.regression.robot.bodies])
+    residual = model.residual - model.columns @ (theta - model.theta)
+    names = {name: i for i, name in enumerate(_names(model))}
+    moves = [abs(sum(c * (theta - model.theta)[names[name]] for name, c in b.terms)) / b.std for b in base if b.std > 0]
+    return Consistency(
+        found,
+        model.relative_error,
+        float(np.linalg.norm(residual) / np.linalg.norm(model.regression.torque)),
+        float(max(moves, default=0.0)),
+        held,
+    )
+
+
+# ---- base parameters --------------------------------------------------------------------------------------------
+
+
+def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
+    """Combinations of coefficients that the data determines, each led by one coefficient that stands in no other.
+
+    By QR with column pivoting of the weighted columns, scaled to length one (M. Gautier, "Numerical calculation of the base
+    inertial parameters of robots", Journal of Robotic Systems 8(4), 1991).
+    """
+    root = information_root(model.information)
+    scale = column_scale((root**2).sum(axis=0))
+    _, upper, order = linalg.qr(root / scale, mode="economic", pivoting=True)
+    rank = len(root)
+    leading, rest = order[:rank], order[rank:]
+    mixed = linalg.solve_triangular(upper[:, :rank], upper[:, rank:])
+    mixed = mixed * scale[rest] / scale[leading][:, None]
+    names, units = _names(model), _units(model)
+    p = len(model.theta)
+    combination = np.zeros((rank, p))
+    combination[np.arange(rank), leading] = 1.0
+    combination[:, rest] = mixed
+    # a term counts by what it would add if its coefficient were as large as its column can make it
+    combination[np.abs(combination) * scale[leading][:, None] < NEGLIGIBLE * scale] = 0.0
+    covariance = model.covariance[:p, :p]
+    stds = np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", combination, covariance, combination), 0.0))
+    out = []
+    for row in np.argsort(leading):
+        others = [i for i in np.flatnonzero(combination[row]) if i != leading[row]]
+        terms = tuple((names[i], float(combination[row, i])) for i in (leading[row], *others))
+        value = float(combination[row] @ model.theta)
+        out.append(BaseParameter(terms, value, float(stds[row]), units[leading[row]]))
+    return tuple(out)
+
+
+def _names(model: Identification) -> list[str]:
+    bodies = model.regression.robot.bodies if model.links_fitted else ()
+    links = [f"{link}.{name}" for link, _ in bodies for name in LINK_PARAMETERS]
+    return links + [f"{e.label}.{name}" for e in model.effects for name in e.coefficient_names]
+
+
+def _units(model: Identification) -> list[str]:
+    bodies = model.regression.robot.bodies if model.links_fitted else ()
+    return [*LINK_UNITS * len(bodies), *(unit for e in model.effects for unit in e.coefficient_units)]
+
+
+# ---- errors -----------------------------------------------------------------------------------------------------
+
+
+def _predictions(
+    robot: Robot, rigid: Robot, recordings: Sequence[Recording], cutoff_hz: float | None
+) -> tuple[Prediction, ...]:
+    """What the exported robot says of recordings, at their own rate."""
+    own = robot.rigid().restricted(rigid.joints)
+    rows = np.array([own.layout.index(j) for j in recordings[0].joints]) if recordings else np.zeros(0, dtype=int)
+    out = []
+    for recording in recordings:
+        stretch = prepare(rigid, recording, cutoff_hz, thin=False)
+        seen = stretch.motion
+        motion = own.motion(seen.q, seen.v, seen.a, seen.time)
+        force = own.link_torque(motion)
+        for effect in own.effects:
+            force = force + effect.force(motion)
+        out.append(Prediction(recording, stretch.torque, stretch.brought(force[:, rows])))
+    return tuple(out)
+
+
+def _error(predictions: Sequence[Prediction]) -> RoleError:
+    measured = np.concatenate([p.measured for p in predictions])
+    error = measured - np.concatenate([p.predicted for p in predictions])
+    rms = np.sqrt((error**2).mean(axis=0))
+    return RoleError(float(np.linalg.norm(error) / np.linalg.norm(measured)), tuple(float(x) for x in rms))
+
+
+# ---- files ------------------------------------------------------------------------------------------------------
+
+
+def identification_json(result: Identified) -> dict[str, Any]:
+    """The content of ``identification.json``, schema 1."""
+    consistency = result.consistency
+    return {
+        "schema": SCHEMA,
+        "robot": result.source.name,
+        "joints": list(result.campaign.joints),
+        "identification": dataclasses.asdict(result.identification),
+        "validation": None if result.validation is None else dataclasses.asdict(result.validation),
+        "rank": result.model.solution.rank,
+        "parameters": [dataclasses.asdict(e) for e in result.parameters],
+        "base_parameters": [
+            {"terms": [list(t) for t in b.terms], "value": b.value, "std": b.std, "unit": b.unit} for b in result.base
+        ],
+        "physical_consistency": {
+            "links_fitted": result.model.links_fitted,
+            "consistent": not consistency.found,
+            "links": [{"link": f.link, "eigenvalue": f.eigenvalue, "message": f.message} for f in consistency.found],
+            "held_at_bounds": list(consistency.held),
+            "relative_error_before": consistency.relative_error_before,
+            "relative_error_after": consistency.relative_error_after,
+            "largest_shift_std": consistency.largest_shift_std,
+        },
+    }
+
+
+def prediction_table(prediction: Prediction) -> str:
+    """CSV of one recording: time, measured torque, torque of the exported robot."""
+    joints = prediction.recording.joints
+    names = ["time", *(f"{prefix}{joint}" for prefix in ("tau_", "tau_model_") for joint in joints)]
+    values = np.column_stack([prediction.recording.time, prediction.measured, prediction.predicted])
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(values.tolist())
+    return out.getvalue()
+
+
+def write_identified(result: Identified, folder: Path) -> None:
+    """JSON, robot file and URDF (read back and compared) and predictions into a folder that exists.
+
+    Raises
+    ------
+    ValueError
+        The robot does not come back from its files as it was.
+    """
+    text = json.dumps(identification_json(result), indent=2, allow_nan=False)
+    (folder / "identification.json").write_text(text + "\n", encoding="utf-8")
+    # known links are written as they were given, even if no body could have them
+    path = save_robot(result.robot, folder, allow_inconsistent=not result.model.links_fitted)
+    again = load_robot(path)
+    scale = np.abs(result.robot.parameters).max()
+    same = again.parameter_names == result.robot.parameter_names and np.allclose(
+        again.parameters, result.robot.parameters, rtol=READ_BACK, atol=READ_BACK * scale, equal_nan=True
+    )
+    if not same:
+        raise ValueError(f"{path}: the robot read back is not the one that was written")
+    for prediction in result.predictions:
+        (folder / f"prediction_{prediction.recording.name}.csv").write_text(
+            prediction_table(prediction), encoding="utf-8"
+        )

@@ -1,0 +1,98 @@
+"""Figures of an identification, each a function that returns one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.all_coordinates import Fit
+from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, envelope
+
+WIDTH = 6.4  # inches
+
+
+def residual_by_dimension(fit: Fit, true: Array | None = None) -> Figure:
+    """Norm of the residual over the number of singular values kept: figure 4.4 of the source.
+
+    Parameters
+    ----------
+    fit : Fit
+    true : array, shape (p,), optional
+        True parameters, where a simulation knows them: their residual is the noise.
+    """
+    figure, ax = _by_dimension(fit, "norm of the weighted residual")
+    dimensions = np.arange(len(fit.residual_norms))
+    ax.semilogy(dimensions, fit.residual_norms, color=AFTER, linewidth=1.2, label="residual")
+    ax.axhline(fit.noise_norm, color=FLOOR, linewidth=1.0, linestyle="--", label="noise, estimated")
+    if true is not None:
+        ax.axhline(fit.norm_of(true), color=MEASURED, linewidth=1.0, linestyle=":", label="true parameters")
+    ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def error_by_dimension(fit: Fit, true: Array) -> Figure:
+    """Largest error of a parameter in the essential space over the number of singular values kept: figure 4.5.
+
+    Each over its first guess, so that units do not matter.
+    """
+    figure, ax = _by_dimension(fit, "largest error in the essential\nspace, over the first guess")
+    errors = fit.errors_by_dimension(true)[: fit.rank]
+    ax.semilogy(1 + np.arange(len(errors)), errors, color=AFTER, linewidth=1.2, marker="o", markersize=2.5)
+    return figure
+
+
+def _by_dimension(fit: Fit, what: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
+    ax = figure.subplots()
+    ax.axvline(fit.dimension, color=BEFORE, linewidth=0.8, linestyle=":")
+    ax.text(fit.dimension, 1.01, str(fit.dimension), transform=ax.get_xaxis_transform(), ha="center", fontsize=8)
+    ax.set_xlim(0, len(fit.start))
+    ax.set_xlabel("number of singular values", fontsize=9)
+    ax.set_ylabel(what, fontsize=9)
+    _plain(ax)
+    return figure, ax
+
+
+def torque_fit(time: Array, measured: Array, predicted: Array, joint: str) -> Figure:
+    """Torque of one joint, measured and predicted, and below it what is left; each (N,), s and N m."""
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    above.plot(*envelope(time, measured), color=MEASURED, linewidth=1.8, label="measured")
+    above.plot(*envelope(time, predicted), color=AFTER, linewidth=0.8, label="identified model")
+    below.plot(*envelope(time, measured - predicted), color=AFTER, linewidth=0.8)
+    below.axhline(0.0, color=FLOOR, linewidth=0.6)
+    above.set_ylabel(f"{joint}\ntorque, N m", fontsize=9)
+    below.set_ylabel("error, N m", fontsize=9)
+    below.set_xlabel("time, s", fontsize=9)
+    above.legend(frameon=False, fontsize=8, ncols=2)
+    for ax in (above, below):
+        _plain(ax)
+    figure.align_ylabels((above, below))
+    return figure
+
+
+def relative_stds(names: Sequence[str], relative: Array) -> Figure:
+    """Standard deviation of each parameter over its value, in percent; bars in the order given."""
+    figure = Figure(figsize=(WIDTH, 0.7 + 0.19 * len(names)), layout="constrained")
+    ax = figure.subplots()
+    rows = np.arange(len(names))
+    ax.barh(rows, 100 * relative, color=AFTER, height=0.6)
+    ax.set_yticks(rows, list(names))
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.set_xscale("log")
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.axvline(10.0, color=FLOOR, linewidth=0.8, linestyle="--")
+    ax.set_xlabel("standard deviation over value, %", fontsize=9)
+    _plain(ax)
+    return figure
+
+
+def _plain(ax: Axes) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(labelsize=8)
+    ax.set_axisbelow(True)
+    ax.grid(color="#dddddd", linewidth=0.5)

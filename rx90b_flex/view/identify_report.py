@@ -1,0 +1,123 @@
+"""The report of ``rx90b-flex identify``: one HTML file that opens offline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rx90b_flex.identify.command import Identified, RoleError
+from rx90b_flex.view.identify_plots import relative_stds, torque_fit
+from rx90b_flex.view.page import Image, Section, Table, image, write_page
+from rx90b_flex.view.report import number, unit_text
+
+LARGEST_BARS = 40  # parameters in the figure of standard deviations; the table holds all
+
+
+def write_identify_report(result: Identified, path: Path) -> None:
+    """Write the report of an identification; it appears whole or not at all."""
+    sections = [_errors(result), _parameters(result), _base(result), _consistency(result), _facts(result)]
+    write_page(path, f"Identification of {result.source.name}", headline(result), sections)
+
+
+def headline(result: Identified) -> list[str]:
+    """The main result in a sentence, then what qualifies it."""
+    told = [e for e in result.parameters if e.value is not None]
+    error = result.validation or result.identification
+    where = "on data that was not fitted" if result.validation else "on the data of the fit (no validation recording)"
+    lead = [
+        f"The identified model's torque error is {100 * error.relative_error:.3g} % {where}.",
+        f"The data determine {len(result.base)} combinations of {len(result.model.theta)} parameters; "
+        f"{len(told)} of {len(result.parameters)} values are told by themselves.",
+    ]
+    lead.append(consistency_words(result))
+    return lead
+
+
+def consistency_words(result: Identified) -> str:
+    """A sentence on whether the identified links can exist."""
+    found = result.consistency.found
+    if not result.model.links_fitted:
+        return "The links' inertias were known and are kept."
+    if not found:
+        return "The identified links are physically consistent."
+    links = ", ".join(f.link for f in found)
+    after, before = (
+        100 * x for x in (result.consistency.relative_error_after, result.consistency.relative_error_before)
+    )
+    return (
+        f"Links as estimated could not exist ({links}); they were replaced by the nearest that can, which moves the error "
+        f"on the data of the fit from {before:.4g} % to {after:.4g} %."
+    )
+
+
+def _errors(result: Identified) -> Section:
+    roles: list[tuple[str, RoleError]] = [("identification", result.identification)]
+    if result.validation is not None:
+        roles.append(("validation", result.validation))
+    joints = result.campaign.joints
+    rows = tuple((role, f"{100 * e.relative_error:.4g}", *(f"{x:.4g}" for x in e.torque_rms)) for role, e in roles)
+    table = Table(
+        ("recordings", "relative error, %", *(f"{j}, N m" for j in joints)), rows, "Error, and its root mean square a joint"
+    )  # fmt: skip
+    first = result.predictions[0]
+    images = tuple(
+        image(
+            torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint),
+            f"Torque of {joint}, measured and predicted",
+            f"{joint}: recording {first.recording.name} ({first.recording.role})",
+        )
+        for i, joint in enumerate(joints)
+    )
+    text = "Of the robot as it is exported. Signals are compared after the campaign's low-pass, where it has one."
+    return Section("Errors", (text,), (table,), images)
+
+
+def _parameters(result: Identified) -> Section:
+    told = [e for e in result.parameters if e.value is not None]
+    rows = tuple((e.name, number(e.value), number(e.std), unit_text(e.unit)) for e in told)
+    table = Table(("parameter", "value", "std", "unit"), rows, "Parameters by themselves", numbers=(1, 2))
+    images: tuple[Image, ...] = ()
+    sized = [(e.name, abs(e.std / e.value)) for e in result.parameters if e.value and e.std]
+    if sized:
+        names, relative = zip(*sorted(sized, key=lambda pair: -pair[1])[:LARGEST_BARS], strict=True)
+        caption = "Standard deviation over value, least certain first; dashed: 10 %"
+        images = (image(relative_stds(names, np.array(relative)), "Relative standard deviations", caption),)
+    text = "Standard deviations allow for residuals that are correlated in time. They count noise, not what the model lacks."
+    return Section("Parameters", (text,), (table,), images)
+
+
+def _base(result: Identified) -> Section:
+    rows = tuple((b.text, number(b.value), number(b.std), unit_text(b.unit)) for b in result.base)
+    table = Table(("combination", "value", "std", "unit"), rows, "Base parameters", numbers=(1, 2))
+    text = "The smallest set of combinations that the torques depend on; each is led by a parameter that stands in no other."
+    return Section("Base parameters", (text,), (table,))
+
+
+def _consistency(result: Identified) -> Section:
+    consistency = result.consistency
+    text = [consistency_words(result)]
+    if consistency.found or consistency.held:
+        text.append(
+            f"Base parameters moved by {consistency.largest_shift_std:.3g} of their standard deviations at the most. "
+            "More than about 3 says that the model lacks something."
+        )
+    if consistency.held:
+        text.append(f"Held at their physical bounds: {', '.join(consistency.held)}.")
+    rows = tuple((f.link, f"{f.eigenvalue:.4g}", f.message) for f in consistency.found)
+    tables = (
+        (Table(("link", "smallest eigenvalue", "reason"), rows, "Links as estimated", numbers=(1,)),) if rows else ()
+    )
+    return Section("Physical consistency", tuple(text), tables)
+
+
+def _facts(result: Identified) -> Section:
+    campaign = result.campaign
+    rows = tuple((r.name, r.role, f"{r.duration_s:.4g}", str(r.samples)) for r in campaign.recordings)
+    table = Table(("recording", "role", "duration, s", "samples"), rows, numbers=(2, 3))
+    cutoff = "no low-pass" if campaign.cutoff_hz is None else f"low-pass at {campaign.cutoff_hz:g} Hz"
+    flexible = sorted({e.type_name() for e in result.source.effects if e.virtual})
+    text = [f"{campaign.sample_rate_hz:g} Hz, {cutoff}. Weighted least squares, one weight a joint."]
+    if flexible:
+        text.append(f"Kept as declared, since motor signals at low frequency do not tell them: {', '.join(flexible)}.")
+    return Section("Data and method", tuple(text), (table,))
