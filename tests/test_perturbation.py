@@ -18,7 +18,9 @@ from rx90b_flex.simulate import (
     square_wave,
     straight_line,
 )
-from rx90b_flex.simulate.perturbation import Friction, _from_table, _port_torque, _ports, hermite, perturb_lanes
+from rx90b_flex.kernels import _from_table, _port_torque
+from rx90b_flex.simulate.closed_loop import hermite
+from rx90b_flex.simulate.perturbation import Friction, _ports, perturb_lanes
 
 ROBOT = rf.load_robot("rx90b_4dof")
 CONTROLLER = load_cs8()
