@@ -952,7 +952,7 @@ class Logs(NamedTuple):
 
 @compiled
 def _rounded(x, step):  # type: ignore[no-untyped-def]
-    return x if step == 0.0 else step * math.floor(x / step + 0.5)
+    return x if step == 0.0 else step * np.floor(x / step + 0.5)
 
 
 @compiled
@@ -979,8 +979,9 @@ def _command(joint, angle, speed, reference, rate, feedforward, integral, curren
     command = position_gain * error + velocity_gain * (rate - speed) + (integral + more + feedforward)
     limited = abs(command) > limit
     # at the limit the integrator waits, unless it would help out of it
-    integral = integral if limited and command * more >= 0.0 else integral + more
-    command = _rounded(math.copysign(limit, command) if limited else command, torque_step)
+    integral += 0.0 if limited & (command * more >= 0.0) else more
+    command = limit if command > limit else (-limit if command < -limit else command)
+    command = _rounded(command, torque_step)
     missing = current - command
     return angle, speed, integral, command + left * missing, command + mean * missing, limited
 
@@ -1315,25 +1316,16 @@ def _invert(matrix, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _call_law(laws, m, x, rate, out):  # type: ignore[no-untyped-def]
-    _call(laws.address[m], x, rate, laws.parameters[m].ctypes.data, out.ctypes.data)
-
-
-@compiled
-def _add_linear_laws(laws, x, v, before, after, damping, stiffness, force, out):  # type: ignore[no-untyped-def]
+def _add_linear_laws(laws, x, v, before, after, damping, stiffness, force):  # type: ignore[no-untyped-def]
     """Add the laws' functions along the nominal motion: torque, slope by the angle, chord over the step by the rate."""
     for m in range(len(laws.inertia)):
         if laws.address[m] == 0:
             continue
         angle, rate = combine(laws, m, x), combine(laws, m, v)
-        _call_law(laws, m, angle, rate, out)
-        torque, by_x, by_rate = out[0], out[1], out[2]
+        torque, by_x, by_rate = _ask(laws, m, angle, rate)
         low, high = combine(laws, m, before), combine(laws, m, after)
         if abs(high - low) > 1e-9:
-            _call_law(laws, m, angle, high, out)
-            upper = out[0]
-            _call_law(laws, m, angle, low, out)
-            by_rate = (upper - out[0]) / (high - low)
+            by_rate = (_ask(laws, m, angle, high)[0] - _ask(laws, m, angle, low)[0]) / (high - low)
         scatter(laws, m, torque, force)
         for w in range(laws.place.shape[1]):
             for u in range(laws.place.shape[1]):
@@ -1361,7 +1353,7 @@ def _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, steps,
         torque = laws.stiffness[m] * combine(laws, m, middle[0]) + laws.damping[m] * combine(laws, m, middle[1])
         scatter(laws, m, torque + laws.inertia[m] * combine(laws, m, middle[2]), force)
     if not exact:
-        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force, laws.out)
+        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force)
     for i in range(n):
         force[i] += along.other[at, i]
         for j in range(n):
@@ -1421,11 +1413,19 @@ def _product(matrix, y, shift, out):  # type: ignore[no-untyped-def]
         for c in range(lanes):
             out[i, c] = shift[i]
         j = 0
-        while j + 4 <= inner:
-            a0, a1, a2, a3 = matrix[i, j], matrix[i, j + 1], matrix[i, j + 2], matrix[i, j + 3]
+        while j + 6 <= inner:  # several at a time, since looks at `out` cost as much as the arithmetic
+            a0, a1, a2, a3, a4, a5 = (
+                matrix[i, j],
+                matrix[i, j + 1],
+                matrix[i, j + 2],
+                matrix[i, j + 3],
+                matrix[i, j + 4],
+                matrix[i, j + 5],
+            )
             for c in range(lanes):
-                out[i, c] += a0 * y[j, c] + a1 * y[j + 1, c] + a2 * y[j + 2, c] + a3 * y[j + 3, c]
-            j += 4
+                half = a0 * y[j, c] + a1 * y[j + 1, c] + a2 * y[j + 2, c]
+                out[i, c] += half + (a3 * y[j + 3, c] + a4 * y[j + 4, c] + a5 * y[j + 5, c])
+            j += 6
         while j < inner:
             a0 = matrix[i, j]
             for c in range(lanes):
@@ -1436,7 +1436,6 @@ def _product(matrix, y, shift, out):  # type: ignore[no-untyped-def]
 @called
 def fill_tables(laws, start, law, probes, tabulated, table):  # type: ignore[no-untyped-def]
     """Cubics with the torque and slope of each cell's ends, for ports whose laws depend on the rate alone."""
-    out = np.zeros(3)
     for p in range(len(tabulated)):
         depends = False
         for cell in range(2 * CELLS):
@@ -1447,14 +1446,12 @@ def fill_tables(laws, start, law, probes, tabulated, table):  # type: ignore[no-
             for place in range(start[p], start[p + 1]):
                 for end in range(2):
                     rate = sign * (low + end * width)
-                    _call_law(laws, law[place], 0.0, rate, out)
-                    torque = out[0]
+                    torque, by_x, by_rate = _ask(laws, law[place], 0.0, rate)
                     ends[end, 0] += torque
-                    ends[end, 1] += out[2] * sign * width
-                    depends = depends or out[1] != 0.0
+                    ends[end, 1] += by_rate * sign * width
+                    depends = depends or by_x != 0.0
                     for x in probes:
-                        _call_law(laws, law[place], x, rate, out)
-                        depends = depends or out[0] != torque
+                        depends = depends or _ask(laws, law[place], x, rate)[0] != torque
             more = ends[1, 0] - ends[0, 0]
             table[p, cell, 0], table[p, cell, 1] = ends[0, 0], ends[0, 1] / width
             table[p, cell, 2] = (3.0 * more - 2.0 * ends[0, 1] - ends[1, 1]) / width**2
@@ -1480,13 +1477,13 @@ def _from_table(table, rate):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _port_torque(laws, ports, p, x, rate, half, out):  # type: ignore[no-untyped-def]
+def _port_torque(laws, ports, p, x, rate, half):  # type: ignore[no-untyped-def]
     """Torque of the laws at port p, and its slope by the rate in the middle of a step, with which the angle moves by half a step."""
     torque, slope = 0.0, 0.0
     for place in range(ports.start[p], ports.start[p + 1]):
-        _call_law(laws, ports.law[place], x + half * rate, rate, out)
-        torque += out[0]
-        slope += out[2] + half * out[1]
+        own, by_x, by_rate = _ask(laws, ports.law[place], x + half * rate, rate)
+        torque += own
+        slope += by_rate + half * by_x
     return torque, slope
 
 
@@ -1528,12 +1525,12 @@ def _solve_by_table(table, guess, target, gain):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _solve_by_laws(laws, ports, p, x, guess, target, gain, half, out):  # type: ignore[no-untyped-def]
+def _solve_by_laws(laws, ports, p, x, guess, target, gain, half):  # type: ignore[no-untyped-def]
     """The same with ``torque(x + half * rate, rate)`` from the laws themselves."""
     rate, bracket = guess, (-np.inf, np.inf)
     torque = 0.0
     for _ in range(NEWTON):
-        torque, slope = _port_torque(laws, ports, p, x, rate, half, out)
+        torque, slope = _port_torque(laws, ports, p, x, rate, half)
         new, near, bracket = _newton(rate, torque, slope, target, gain, bracket)
         if near:
             return torque + slope * (new - rate)
@@ -1542,7 +1539,7 @@ def _solve_by_laws(laws, ports, p, x, guess, target, gain, half, out):  # type: 
 
 
 @compiled
-def _rub(laws, ports, steps, at, h, y, middle, torques, memory, running, out):  # type: ignore[no-untyped-def]
+def _rub(laws, ports, steps, at, h, y, middle, torques, memory, running):  # type: ignore[no-untyped-def]
     """Correct the rates in the middle of a step for the exact laws of each lane.
 
     `torques` (ports, lanes) of the step before are a first guess that couples the ports; then each port in turn.
@@ -1581,9 +1578,7 @@ def _rub(laws, ports, steps, at, h, y, middle, torques, memory, running, out):  
                 change[c] = 0.0
             elif not tabulated or not np.isfinite(change[c]):
                 right = target[c] + gain * torques[p, c]
-                change[c] = (
-                    _solve_by_laws(laws, ports, p, angle[c], target[c], right, gain, 0.5 * h, out) - torques[p, c]
-                )
+                change[c] = _solve_by_laws(laws, ports, p, angle[c], target[c], right, gain, 0.5 * h) - torques[p, c]
         for c in range(count):
             torques[p, c] += change[c]
         for i in range(n):
@@ -1614,8 +1609,8 @@ def _control_lanes(loop, lanes, inputs, logs, j, k, angle, speed, torque, wrong)
         integral[c], current[c], held[c], torque[c] = whole, now, mean, mean
         counts[c] = counts[c] + 1 if limited else 0
         # not a number is not inside either
-        if not (abs(speed[c]) <= fastest and lower <= angle[c] <= upper and counts[c] < longest):
-            wrong[c] = 1
+        inside = (abs(speed[c]) <= fastest) & (angle[c] >= lower) & (angle[c] <= upper) & (counts[c] < longest)
+        wrong[c] += 0 if inside else 1
 
 
 @compiled
@@ -1648,7 +1643,7 @@ def advance(laws, ports, loop, lanes, inputs, logs, steps, state, samples):  # t
     y, middle, torques, last = state.y, state.middle, state.torques, state.angle
     n, number = middle.shape
     h, joints = loop.period, len(loop.drive)
-    out, target, angle, speed = np.zeros(3), np.zeros(number), np.zeros(number), np.zeros(number)
+    target, angle, speed = np.zeros(number), np.zeros(number), np.zeros(number)
     wrong = np.zeros(number, dtype=np.int64)
     work, status, first_stop = lanes.work, lanes.status, lanes.stop[:, 0].min()
     for at in range(samples):
@@ -1667,7 +1662,7 @@ def advance(laws, ports, loop, lanes, inputs, logs, steps, state, samples):  # t
             if status.all():
                 return
         _product(steps.move[at], y, steps.shift[at], middle)
-        _rub(laws, ports, steps, at, h, y, middle, torques, (target, angle, speed), status, out)
+        _rub(laws, ports, steps, at, h, y, middle, torques, (target, angle, speed), status)
         for i in range(n):
             for c in range(number):
                 y[i, c] = 2.0 * middle[i, c] - y[i, c]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.kernels import _from_table, _port_torque
 from rx90b_flex.simulate import (
     Noise,
     Trajectory,
@@ -18,7 +19,6 @@ from rx90b_flex.simulate import (
     square_wave,
     straight_line,
 )
-from rx90b_flex.kernels import _from_table, _port_torque
 from rx90b_flex.simulate.closed_loop import hermite
 from rx90b_flex.simulate.perturbation import Friction, _ports, perturb_lanes
 
@@ -112,11 +112,11 @@ def test_an_effect_without_a_compiled_law_takes_part() -> None:
 
 
 def test_the_table_of_the_friction_is_the_friction() -> None:
-    ports, laws, out = _ports(ROBOT, True), ROBOT.plant.laws, np.zeros(3)
+    ports, laws = _ports(ROBOT, True), ROBOT.plant.laws
     for p in np.flatnonzero(ports.tabulated):
         for rate in (-2.3, -0.11, -1e-3, -2e-4, -1e-7, 3e-7, 1e-4, 0.04, 0.9, 7.0):
             torque, slope = _from_table(ports.table[p], rate)
-            true, true_slope = _port_torque(laws, ports, p, 0.0, rate, 0.0, out)
+            true, true_slope = _port_torque(laws, ports, p, 0.0, rate, 0.0)
             assert torque == pytest.approx(true, rel=1e-6)
             assert slope == pytest.approx(true_slope, rel=2e-3, abs=0.01)
 

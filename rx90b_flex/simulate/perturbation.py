@@ -246,6 +246,16 @@ class _PerturbationRunner(closed_loop._Runner):
         return dataclasses.replace(result, dissipated=np.full_like(result.dissipated, np.nan))
 
 
+def steps_bytes(robot: Robot, controller: CS8, reference: Trajectory) -> float:
+    """Bound of the memory of the steps along a nominal motion: those that are kept, and those of a chunk in work, bytes."""
+    n, joints = robot.model.nv, len(robot.joints)
+    one = sum(x.nbytes for x in _room(1, n, joints, _ports(robot, True).vector.shape[1]))
+    chunk = one * closed_loop.CHUNK_S * controller.controller_rate_hz
+    # chunks at the ends of a run differ from those inside, since the nominal acceleration does
+    once = one * reference.duration_s * controller.controller_rate_hz + 2.0 * chunk
+    return min(KNOWN_BYTES, once) + 2.0 * chunk
+
+
 def _room(samples: int, n: int, joints: int, ports: int) -> Steps:
     """Steps that are still to be filled."""
     shapes = [(n,), (n,), (n, 2 * n + joints), (n,), (n, ports), (ports,), (ports,), (ports, ports)]

@@ -268,7 +268,7 @@ def square_wave(
     """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s
     alone.
 
-    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2 % only at
+    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2.3 % only, at
     its flanks; the position swings evenly about `pose`.
 
     Parameters
