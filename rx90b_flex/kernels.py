@@ -1681,12 +1681,15 @@ class Plant:
     tree, laws, drives : arrays
     others : tuple of Effect
         Asked for `force` and `derivatives` at each step.
+    in_tree : tuple of Effect
+        Part of `tree`: masses that they fix to it, gravity that they turn.
     """
 
     tree: Tree
     laws: Laws
     others: tuple[Effect, ...]
     drives: Integers  # (joints,) where the drive angles stand among the coordinates
+    in_tree: tuple[Effect, ...] = ()
 
     @cached_property
     def _packed(self) -> tuple[Integers, Array, Array]:
@@ -1705,11 +1708,23 @@ class Plant:
 def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives: Integers) -> Plant:
     """The arrays of a model and its effects; `motion` is any sample."""
     laws: list[Law] = []
-    others = []
-    for effect in effects:
-        own = effect.laws(motion)
-        if own is None:
-            others.append(effect)
-        else:
+    others: list[Effect] = []
+    in_tree: list[Effect] = []
+    loaded = model.copy()
+    # masses first: where there are some, gravity stays as it is, since tilts turn that of the links alone
+    for effect in sorted(effects, key=lambda effect: effect.gravity_change() is not None):
+        own, mass, tilt = effect.laws(motion), effect.point_mass(), effect.gravity_change()
+        if own is not None:
             laws += own
-    return Plant(tree_of(model), laws_of(laws, model.nv), tuple(others), drives)
+        elif mass is not None:
+            frame, weight, centre = mass
+            place = model.frames[model.getFrameId(frame)]
+            body = pin.Inertia(weight, centre, np.zeros((3, 3)))
+            loaded.appendBodyToJoint(place.parentJoint, body, place.placement)
+            in_tree.append(effect)
+        elif tilt is not None and not any(e.point_mass() is not None for e in in_tree):
+            loaded.gravity.linear += np.linalg.norm(model.gravity.linear) * tilt
+            in_tree.append(effect)
+        else:
+            others.append(effect)
+    return Plant(tree_of(loaded), laws_of(laws, model.nv), tuple(others), drives, tuple(in_tree))

@@ -487,8 +487,27 @@ def test_effect_without_a_law_is_simulated_all_the_same(name: str, values: dict[
     part = line().part(0.0, 0.02)
     run, plain = simulate(changed, load_cs8(), part), simulate(robot(), load_cs8(), part)
     assert run.ended is None
+    assert len(changed.plant.others) == (name == "load_friction")
     assert run.power_balance_error < 1e-3
     assert largest(run.q - plain.q) > 1e-6
+
+
+@pytest.mark.parametrize("name", ["payload", "base_tilt", "both"])
+def test_masses_and_tilts_are_simulated_as_part_of_the_tree(name: str) -> None:
+    """The compiled tree holds them; accelerations are those of the effects' own forces."""
+    load = catalogue()["payload"](frame="tool0", mass=5.0, centre=(0.02, -0.03, 0.1))  # type: ignore[call-arg]
+    tilt = catalogue()["base_tilt"](angle_x=0.01, angle_y=-0.02)  # type: ignore[call-arg]
+    added = {"payload": [load], "base_tilt": [tilt], "both": [tilt, load]}[name]
+    changed = robot().with_effects([*robot().effects, *added])
+    # a tilt turns the links' gravity alone, so that with a payload it cannot be the tree's
+    assert changed.plant.in_tree == ((tilt,) if name == "base_tilt" else (load,))
+    assert changed.plant.others == ((tilt,) if name == "both" else ())
+    rng = np.random.default_rng(9)
+    q, v, torque = 0.5 * rng.normal(size=16), rng.normal(size=16), 50 * rng.normal(size=4)
+    a = changed.forward_dynamics(q, v, torque)
+    scale = largest(changed.mass_matrix(q)) * largest(a)
+    assert largest(changed.inverse_dynamics(q, v, a) - changed.input_matrix @ torque) < 1e-11 * scale
+    assert largest(a - robot().forward_dynamics(q, v, torque)) > 1e-3
 
 
 def test_both_ways_through_an_effect_agree() -> None:

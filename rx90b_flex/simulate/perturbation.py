@@ -154,7 +154,7 @@ class _Along:
         rows = np.minimum(rows, len(self.position) - 1)
         motion = self.robot.motion(*(self._whole(x[rows]) for x in (self.position, self.velocity, self.acceleration)))
         totals = [own + fixed for own, fixed in zip(motion.on_tree.derivatives(), self.constant, strict=True)]
-        for effect in self.robot.plant.others:
+        for effect in (*self.robot.plant.others, *self.robot.plant.in_tree):
             for total, own in zip(totals, effect.derivatives(motion), strict=True):
                 total += own
         return np.stack(totals[::-1], axis=1)
