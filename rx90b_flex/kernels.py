@@ -1,8 +1,8 @@
 """Compiled code: dynamics of a tree, scalar laws, the integrator's step, and the sampling loop around it.
 
 Newton-Euler in world axes about the joints' own origins. The virtual hinges of a flexible joint share their origin and
-carry no mass, so that most of a flexible tree costs one plane rotation a hinge. Everything here is for one lane (one
-run); the callers loop over lanes. Nothing here knows of robots or effects: only of arrays.
+carry no mass, so that most of a flexible tree costs one plane rotation a hinge. Everything is for one lane (one
+run), and the callers loop over lanes; only the perturbation method, at the end, advances all of them at once.
 """
 
 from __future__ import annotations
