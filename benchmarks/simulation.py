@@ -1,8 +1,10 @@
 """Speed of the nonlinear closed-loop simulation, in multiples of real time: python benchmarks/simulation.py [--quick]
 
-rx90b_4dof, 16 coordinates, friction, spring, controller at 4 kHz, log at 250 Hz; beside MuJoCo's bare stepping of the
-same tree (no controller, no friction, no spring; stiffness and damping of the hinges and drive inertias alone) at the
-same 4 kHz. Runs on two processes, one thread each.
+rx90b_4dof, 16 coordinates, friction, spring, controller at 4 kHz, log at 250 Hz; beside MuJoCo's and Exudyn's bare
+stepping of the same tree (no controller, no friction, no gravity spring; stiffness and damping of the hinges and drive
+inertias alone) at the same 4 kHz: MuJoCo by its linearly implicit method of first order, Exudyn (where it is installed:
+extra `bench`) by the explicit midpoint rule, which is of second order as ours is; both are checked to fall alike. The
+campaign runs on two processes, one thread each.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import resource
 import statistics
 import time
 from collections.abc import Callable
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -23,6 +26,7 @@ from joblib import Parallel, delayed
 from lxml import etree
 
 import rx90b_flex as rf
+from rx90b_flex import kernels
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Trajectory, load_cs8, multisine, simulate, simulate_lanes, square_wave, straight_line
 from rx90b_flex.simulate.trajectories import FEEDFORWARD_LINES, FEEDFORWARD_PEAK
@@ -86,15 +90,87 @@ def bare_mujoco(robot: Robot) -> mujoco.MjModel:
     return model
 
 
-def mujoco_speed(robot: Robot, start: np.ndarray) -> float:
+def mujoco_speed(robot: Robot, start: np.ndarray) -> tuple[float, np.ndarray]:
+    """Times real time, and where 0.1 s leads from the start."""
     model = bare_mujoco(robot)
     data = mujoco.MjData(model)
     data.qpos[:] = start
+    mujoco.mj_step(model, data, 400)
+    early = data.qpos.copy()
+    return 1.0 / median_s(lambda: mujoco.mj_step(model, data, 4000)), early
 
-    def second() -> None:
-        mujoco.mj_step(model, data, 4000)
 
-    return 1.0 / median_s(second)
+def bare_exudyn(robot: Robot, start: np.ndarray) -> tuple[Any, Any]:
+    """The same tree in Exudyn: a kinematic tree, and on the same coordinates an object with the hinges' stiffness and
+    damping and the drives' inertias.
+    """
+    import exudyn as exu
+    from exudyn import itemInterface as items
+
+    container = exu.SystemContainer()
+    system = container.AddSystem()
+    tree, n = kernels.tree_of(robot.model), robot.model.nv
+    centres = tree.moment / np.where(tree.mass > 0.0, tree.mass, 1.0)[:, None]
+    crosses = np.array([np.cross(np.eye(3), c) for c in centres])
+    about_centres = tree.inertia + tree.mass[:, None, None] * crosses @ crosses
+    kinds = (exu.JointType.RevoluteX, exu.JointType.RevoluteY, exu.JointType.RevoluteZ)
+    assert not tree.prismatic.any() and (tree.axis.max(axis=1) == 1.0).all()
+    node = system.AddNode(
+        items.NodeGenericODE2(
+            numberOfODE2Coordinates=n, referenceCoordinates=[0.0] * n, initialCoordinates=list(start),
+            initialCoordinates_t=[0.0] * n,
+        )
+    )  # fmt: skip
+    system.AddObject(
+        items.ObjectKinematicTree(
+            nodeNumber=node,
+            gravity=list(tree.gravity),
+            jointTypes=[kinds[a.argmax()] for a in tree.axis],
+            linkParents=[int(p) for p in tree.parent],
+            jointTransformations=exu.Matrix3DList(list(tree.rotation)),
+            jointOffsets=exu.Vector3DList(list(tree.offset)),
+            linkInertiasCOM=exu.Matrix3DList(list(about_centres)),
+            linkCOMs=exu.Vector3DList(list(centres)),
+            linkMasses=list(tree.mass),
+        )
+    )
+    bare = robot.with_effects([e for e in robot.effects if e.virtual or e.type_name() == "drive_inertia"])
+    drives = np.zeros(n)
+    drives[bare.plant.drives] = [e.coefficients[0] for e in bare.effects if e.type_name() == "drive_inertia"]
+    hinges = np.zeros((2, n))
+    for e in bare.effects:
+        for kind, k, d in zip(e.virtual, *np.split(e.coefficients, 2), strict=True) if e.virtual else []:
+            hinges[:, bare.layout.index(e.joints[0], kind)] = k, d
+    matrices = {
+        "massMatrix": np.diag(drives),
+        "stiffnessMatrix": np.diag(hinges[0]),
+        "dampingMatrix": np.diag(hinges[1]),
+    }
+    system.AddObject(items.ObjectGenericODE2(nodeNumbers=[node], **matrices))
+    system.Assemble()
+    settings = exu.SimulationSettings()
+    settings.timeIntegration.verboseMode = 0
+    settings.solution.file.write = False
+    settings.timeIntegration.generalizedAlpha.computeInitialAccelerations = False
+    return system, settings
+
+
+def exudyn_speed(robot: Robot, start: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """The same by Exudyn; None where it is not installed."""
+    try:
+        import exudyn as exu
+    except ImportError:
+        return None
+    system, settings = bare_exudyn(robot, start)
+
+    def steps(seconds: float) -> None:
+        settings.timeIntegration.numberOfSteps = round(4000 * seconds)
+        settings.timeIntegration.endTime = seconds
+        system.SolveDynamic(settings, solverType=exu.DynamicSolverType.ExplicitMidpoint)
+
+    steps(0.1)
+    early = np.array(system.systemData.GetODE2Coordinates())
+    return 1.0 / median_s(lambda: steps(1.0), 3), early
 
 
 def main() -> None:
@@ -108,8 +184,20 @@ def main() -> None:
     print(f"start-up (compiled code from the cache, or compiled now): {time.perf_counter() - start:.2f} s")
     single = line.duration_s / median_s(lambda: simulate(robot, controller, line))
     print(f"one run, the 1.7 m line:  {single:6.1f} x real time   (asked: 5)")
-    bare = mujoco_speed(robot, np.array(simulate(robot, controller, line.part(0.0, 0.02)).q[0]))
+    start_q = np.array(simulate(robot, controller, line.part(0.0, 0.02)).q[0])
+    bare, there = mujoco_speed(robot, start_q)
     print(f"MuJoCo, bare stepping:    {bare:6.1f} x real time   ratio of ours to it: {single / bare:.2f}")
+    other = exudyn_speed(robot, start_q)
+    if other is None:
+        print("Exudyn is not installed: pip install rx90b-flex[bench]")
+    else:
+        apart = np.abs(other[1] - there).max() / np.abs(there - start_q).max()
+        assert apart < 0.05, "not the same tree"
+        print(
+            f"Exudyn, bare stepping:    {other[0]:6.1f} x real time   ratio of ours to it: {single / other[0]:.2f}",
+            end="",
+        )
+        print(f"   (0.1 s of fall: {100 * apart:.2g} % from MuJoCo's)")
 
     runs, periods = (12, 2) if quick else (96, 9)
     trajectories = campaign(robot, runs, periods)

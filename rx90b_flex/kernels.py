@@ -1,8 +1,8 @@
 """Compiled code: dynamics of a tree, scalar laws, the integrator's step, and the sampling loop around it.
 
 Newton-Euler in world axes about the joints' own origins. The virtual hinges of a flexible joint share their origin and
-carry no mass, so that most of a flexible tree costs one plane rotation a hinge. Everything here is for one lane (one
-run); the callers loop over lanes. Nothing here knows of robots or effects: only of arrays.
+carry no mass, so that most of a flexible tree costs one plane rotation a hinge. Everything is for one lane (one
+run), and the callers loop over lanes; only the perturbation method, at the end, advances all of them at once.
 """
 
 from __future__ import annotations
@@ -912,10 +912,10 @@ class Lanes(NamedTuple):
     q: Array  # (lanes, n)
     v: Array  # (lanes, n)
     a: Array  # (lanes, n) of the last stage, where effects ask for it
-    integral: Array  # (lanes, joints) N m
-    current: Array  # (lanes, joints) N m, behind the current loop, now
-    held: Array  # (lanes, joints) N m, mean over the sample
-    overloaded: Integers  # (lanes, joints) samples at the limit without a break
+    integral: Array  # (joints, lanes) N m
+    current: Array  # (joints, lanes) N m, behind the current loop, now
+    held: Array  # (joints, lanes) N m, mean over the sample
+    overloaded: Integers  # (joints, lanes) samples at the limit without a break
     open: Array  # (lanes,) s, half the last step: what its end still adds to the dissipation, per W
     work: Array  # (lanes,) J
     dissipated: Array  # (lanes,) J
@@ -928,32 +928,62 @@ class Lanes(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """A chunk of inputs at the controller's rate."""
+    """A chunk of inputs. Lanes come last, so that what acts on all of them lies side by side."""
 
     first: int  # number of the chunk's first sample
-    position: Array  # (lanes, samples, joints) rad, reference
-    velocity: Array  # (lanes, samples, joints) rad/s, reference
-    feedforward: Array  # (lanes, samples, joints) N m
-    position_noise: Array  # (lanes, samples, joints) rad; no samples where there is none
-    velocity_noise: Array  # (lanes, samples, joints) rad/s
+    up: int  # samples of the controller between two of the feed-forward torque
+    position: Array  # (samples, joints, lanes or 1) rad, reference; 1: the lanes share it
+    velocity: Array  # (samples, joints, lanes or 1) rad/s, reference
+    feedforward: Array  # (samples / up + 1, joints, lanes) N m, straight lines between
+    noise: Array  # (samples or 1, 2, joints, lanes) of angle and speed, rad and rad/s; or one sample for all
 
 
 class Logs(NamedTuple):
-    """A chunk of logs: measured signals at the controller's rate, states every `stride` samples."""
+    """Signals of a chunk as the controller sees them, and the states of the whole run, every `stride` samples."""
 
     stride: int
-    position: Array  # (lanes, samples, joints) rad
-    velocity: Array  # (lanes, samples, joints) rad/s
-    torque: Array  # (lanes, samples, joints) N m, mean over one period centred on the sample
-    q: Array  # (lanes, states, n)
-    v: Array  # (lanes, states, n)
-    work: Array  # (lanes, states) J
-    dissipated: Array  # (lanes, states) J
+    row: int  # of the chunk's first state
+    measured: Array  # (samples, 3, joints, lanes) rad, rad/s, and the torque's mean over a period centred on the sample
+    q: Array  # (lanes, all states, n)
+    v: Array  # (lanes, all states, n)
+    work: Array  # (lanes, all states) J
+    dissipated: Array  # (lanes, all states) J
 
 
 @compiled
 def _rounded(x, step):  # type: ignore[no-untyped-def]
-    return x if step == 0.0 else step * math.floor(x / step + 0.5)
+    return x if step == 0.0 else step * np.floor(x / step + 0.5)
+
+
+@compiled
+def _joint_in_loop(loop, j):  # type: ignore[no-untyped-def]
+    """The numbers of one joint that `_command` reads; numbers, since looking into arrays costs more than arithmetic."""
+    gains = loop.position_gain[j], loop.velocity_gain[j], loop.integral_gain[j] * loop.period
+    steps = loop.position_step[j], loop.velocity_step[j], loop.torque_step[j]
+    return gains, steps, loop.torque_limit[j], loop.current_mean, loop.current_left
+
+
+@compiled
+def _command(joint, angle, speed, reference, rate, feedforward, integral, current):  # type: ignore[no-untyped-def]
+    """One sample of one joint's controller and current loop.
+
+    Returns angle and speed as the resolver shows them, the new integral and current, the torque that acts until the next
+    sample (its mean), and whether the command was at its limit.
+    """
+    (position_gain, velocity_gain, integral_gain), (position_step, velocity_step, torque_step), limit, mean, left = (
+        joint
+    )
+    angle, speed = _rounded(angle, position_step), _rounded(speed, velocity_step)
+    error = reference - angle
+    more = integral_gain * error
+    command = position_gain * error + velocity_gain * (rate - speed) + (integral + more + feedforward)
+    limited = abs(command) > limit
+    # at the limit the integrator waits, unless it would help out of it
+    integral += 0.0 if limited & (command * more >= 0.0) else more
+    command = limit if command > limit else (-limit if command < -limit else command)
+    command = _rounded(command, torque_step)
+    missing = current - command
+    return angle, speed, integral, command + left * missing, command + mean * missing, limited
 
 
 @compiled
@@ -975,7 +1005,7 @@ def _check(loop, lanes, lane, sample):  # type: ignore[no-untyped-def]
             _end(lanes, lane, OVERSPEED, j, sample)
         elif angle < loop.lower[j] or angle > loop.upper[j]:
             _end(lanes, lane, ANGLE_LIMIT, j, sample)
-        elif lanes.overloaded[lane, j] >= loop.overload_samples:
+        elif lanes.overloaded[j, lane] >= loop.overload_samples:
             _end(lanes, lane, OVERLOAD, j, sample)
     if sample >= lanes.stop[lane, 0]:
         _end(lanes, lane, JUMP, lanes.stop[lane, 1], sample)
@@ -983,41 +1013,35 @@ def _check(loop, lanes, lane, sample):  # type: ignore[no-untyped-def]
 
 @called
 def control(loop, lanes, inputs, logs, lane, k, torque):  # type: ignore[no-untyped-def]
-    """One sample of the controller for one lane: measure, command, current loop, log, check.
+    """One sample of the controller for one lane: measure, command, log, check.
 
     `torque` (n,) receives the drive torques that act until the next sample.
     """
+    row, part = k // inputs.up, (k % inputs.up) / inputs.up
+    own, noise = lane if inputs.position.shape[2] > 1 else 0, k if inputs.noise.shape[0] > 1 else 0
     for j in range(len(loop.drive)):
         i = loop.drive[j]
         angle, speed = lanes.q[lane, i], lanes.v[lane, i]
-        if inputs.position_noise.shape[1] > 0:
-            angle += inputs.position_noise[lane, k, j]
-            speed += inputs.velocity_noise[lane, k, j]
-        angle, speed = _rounded(angle, loop.position_step[j]), _rounded(speed, loop.velocity_step[j])
-        error = inputs.position[lane, k, j] - angle
-        more = loop.integral_gain[j] * loop.period * error
-        command = loop.position_gain[j] * error + loop.velocity_gain[j] * (inputs.velocity[lane, k, j] - speed)
-        command += lanes.integral[lane, j] + more + inputs.feedforward[lane, k, j]
-        limit = loop.torque_limit[j]
-        if abs(command) > limit:
-            # the integrator waits, unless it would help out of the limit
-            if command * more < 0.0:
-                lanes.integral[lane, j] += more
-            command = math.copysign(limit, command)
-            lanes.overloaded[lane, j] += 1
-        else:
-            lanes.integral[lane, j] += more
-            lanes.overloaded[lane, j] = 0
-        command = _rounded(command, loop.torque_step[j])
-        before = lanes.held[lane, j]
-        missing = lanes.current[lane, j] - command
-        lanes.held[lane, j] = command + loop.current_mean * missing
-        lanes.current[lane, j] = command + loop.current_left * missing
-        torque[i] = lanes.held[lane, j]
-        logs.position[lane, k, j], logs.velocity[lane, k, j] = angle, speed
-        logs.torque[lane, k, j] = 0.5 * (before + lanes.held[lane, j])
+        angle += inputs.noise[noise, 0, j, lane]
+        speed += inputs.noise[noise, 1, j, lane]
+        start, end = inputs.feedforward[row, j, lane], inputs.feedforward[row + 1, j, lane]
+        angle, speed, integral, current, held, limited = _command(
+            _joint_in_loop(loop, j),
+            angle,
+            speed,
+            inputs.position[k, j, own],
+            inputs.velocity[k, j, own],
+            start + part * (end - start),
+            lanes.integral[j, lane],
+            lanes.current[j, lane],
+        )
+        lanes.overloaded[j, lane] = lanes.overloaded[j, lane] + 1 if limited else 0
+        logs.measured[k, 0, j, lane], logs.measured[k, 1, j, lane] = angle, speed
+        logs.measured[k, 2, j, lane] = 0.5 * (lanes.held[j, lane] + held)
+        lanes.integral[j, lane], lanes.current[j, lane], lanes.held[j, lane] = integral, current, held
+        torque[i] = held
     if k % logs.stride == 0:
-        at = k // logs.stride
+        at = logs.row + k // logs.stride
         for i in range(lanes.q.shape[1]):
             logs.q[lane, at, i], logs.v[lane, at, i] = lanes.q[lane, i], lanes.v[lane, i]
         # what the last step's end adds to the dissipation is known in the next `begin`, which logs it again
@@ -1126,7 +1150,7 @@ def _run_pack(  # type: ignore[no-untyped-def]
                 if lanes.status[lane] != RUNNING:
                     continue
                 if part == 0 and k % logs.stride == 0:
-                    at = k // logs.stride
+                    at = logs.row + k // logs.stride
                     logs.dissipated[lane, at] = lanes.dissipated[lane] + lanes.open[lane] * lane_of(lost, place)
                 if lane_of(bend, place) > loop.tolerance:
                     _divide(tree, laws, wide, single, loop, extra, lanes, lane, torque[place : place + 1], h)
@@ -1183,16 +1207,466 @@ def finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h):  # type
 
 @called
 def decimate(buffer, weights, stride, out):  # type: ignore[no-untyped-def]
-    """Every `stride`-th sample of a filtered signal: buffer (lanes, samples, channels), out (lanes, outputs,
-    channels).
+    """Every `stride`-th sample of a filtered signal.
+
+    Parameters
+    ----------
+    buffer : (samples, channels)
+    weights : (2 half + 1,), symmetric
+    out : (outputs, channels)
     """
-    for lane in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            for c in range(out.shape[2]):
-                out[lane, k, c] = 0.0
-            for t in range(len(weights)):
-                for c in range(out.shape[2]):
-                    out[lane, k, c] += weights[t] * buffer[lane, k * stride + t, c]
+    half, channels = len(weights) // 2, buffer.shape[1]
+    for k in range(out.shape[0]):
+        low, high = k * stride, k * stride + 2 * half
+        middle = weights[half]
+        for c in range(channels):
+            out[k, c] = middle * buffer[low + half, c]
+        t = 0
+        while t + 2 <= half:  # two pairs at a time, which halves the looks at `out`
+            w0, w1 = weights[t], weights[t + 1]
+            for c in range(channels):
+                outer = w0 * (buffer[low + t, c] + buffer[high - t, c])
+                out[k, c] += outer + w1 * (buffer[low + t + 1, c] + buffer[high - t - 1, c])
+            t += 2
+        if t < half:
+            w0 = weights[t]
+            for c in range(channels):
+                out[k, c] += w0 * (buffer[low + t, c] + buffer[high - t, c])
+
+
+# ---- the perturbation method ------------------------------------------------------------------------------------
+#
+# Lanes stand in the columns: a step of all of them is one product of matrices.
+
+NEWTON = 30  # iterations for one rate; one is usual, more where a joint sticks
+# Friction is read from a table over the rate, whose cells are 1/16 of an octave: a cell's number is the leading bits of
+# the floating-point number, and a cubic in each leaves relative errors of 1e-8. Below 2^-30 rad/s the torque is linear,
+# from 2^8 rad/s on the law itself is asked.
+LOWEST, OCTAVES, FINE = -30, 38, 16
+CELLS = OCTAVES * FINE
+SMALLEST, LARGEST = 2.0**LOWEST, 2.0 ** (LOWEST + OCTAVES)
+
+
+class Along(NamedTuple):
+    """The nominal motion of a chunk and the system about it."""
+
+    nodes: Array  # (rows + 1, 3, n, n) M, D and K at the references' rate, without the compiled laws' functions
+    q: Array  # (samples + 1, n) at the controller's rate
+    v: Array  # (samples + 1, n)
+    middle: Array  # (samples, 3, n) coordinates, rates, accelerations in the middle of a sample
+    other: Array  # (samples, n) forces of the effects without a compiled law
+
+
+class Steps(NamedTuple):
+    """The linear system of a chunk, a step a sample, the same for all lanes.
+
+    With y = (dq', dq, drive torque) the rate in the middle of a step is ``move @ y + shift - push @ port torques``.
+    """
+
+    q: Array  # (samples, n) nominal coordinates at the step's start
+    v: Array  # (samples, n)
+    move: Array  # (samples, n, 2 n + joints)
+    shift: Array  # (samples, n) rad/s
+    push: Array  # (samples, n, ports) rad/s per N m, of the exact laws
+    port_x: Array  # (samples, ports) combination of the nominal coordinates in the middle of the step
+    port_rate: Array  # (samples, ports)
+    gain: Array  # (samples, ports, ports) ports.T @ push
+
+
+class Ports(NamedTuple):
+    """Combinations of the coordinates that exact laws depend on."""
+
+    vector: Array  # (n, ports)
+    start: Integers  # (ports + 1,) first law of each port in `law`
+    law: Integers
+    tabulated: Integers  # (ports,) whether the torque depends on the rate alone and is read from the table
+    table: Array  # (ports, 2 * CELLS, 4) cubics of the torque by |rate| less the cell's start; negative rates second
+
+
+class Perturbed(NamedTuple):
+    """State of all lanes about the nominal motion."""
+
+    y: Array  # (2 n + joints, lanes) dq', dq, drive torque
+    middle: Array  # (n, lanes) dq' in the middle of a step
+    torques: Array  # (ports, lanes) N m, of the step before
+    angle: Array  # (joints, lanes) rad, of the drives at the sample before
+
+
+@compiled
+def _invert(matrix, out):  # type: ignore[no-untyped-def]
+    """Inverse by Gauss and Jordan without pivots: the mass matrix dominates."""
+    n = len(matrix)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 1.0 if i == j else 0.0
+    for k in range(n):
+        scale = 1.0 / matrix[k, k]
+        for j in range(k, n):
+            matrix[k, j] *= scale
+        for j in range(k + 1):
+            out[k, j] *= scale
+        for i in range(n):
+            if i != k:
+                factor = matrix[i, k]
+                if factor != 0.0:
+                    for j in range(k, n):
+                        matrix[i, j] -= factor * matrix[k, j]
+                    for j in range(k + 1):
+                        out[i, j] -= factor * out[k, j]
+
+
+@compiled
+def _add_linear_laws(laws, x, v, before, after, damping, stiffness, force):  # type: ignore[no-untyped-def]
+    """Add the laws' functions along the nominal motion: torque, slope by the angle, chord over the step by the rate."""
+    for m in range(len(laws.inertia)):
+        if laws.address[m] == 0:
+            continue
+        angle, rate = combine(laws, m, x), combine(laws, m, v)
+        torque, by_x, by_rate = _ask(laws, m, angle, rate)
+        low, high = combine(laws, m, before), combine(laws, m, after)
+        if abs(high - low) > 1e-9:
+            by_rate = (_ask(laws, m, angle, high)[0] - _ask(laws, m, angle, low)[0]) / (high - low)
+        scatter(laws, m, torque, force)
+        for w in range(laws.place.shape[1]):
+            for u in range(laws.place.shape[1]):
+                weight = laws.weight[m, w] * laws.weight[m, u]
+                damping[laws.place[m, w], laws.place[m, u]] += weight * by_rate
+                stiffness[laws.place[m, w], laws.place[m, u]] += weight * by_x
+
+
+@compiled
+def _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, steps, exact):  # type: ignore[no-untyped-def]
+    """Matrices of the step at a chunk's sample `at`."""
+    row = at // up
+    part = (at - row * up + 0.5) / up
+    middle, low, high = along.middle[at], along.nodes[row], along.nodes[row + 1]
+    n = middle.shape[1]
+    mass, damping, stiffness, system, inverse = work[0], work[1], work[2], work[3], work[4]
+    for i in range(n):
+        for j in range(n):
+            mass[i, j] = low[0, i, j] + part * (high[0, i, j] - low[0, i, j])
+            damping[i, j] = low[1, i, j] + part * (high[1, i, j] - low[1, i, j])
+            stiffness[i, j] = low[2, i, j] + part * (high[2, i, j] - low[2, i, j])
+    force = scratch.generalised
+    inverse_dynamics(tree, scratch, middle[0], middle[1], middle[2], force)
+    for m in range(len(laws.inertia)):
+        torque = laws.stiffness[m] * combine(laws, m, middle[0]) + laws.damping[m] * combine(laws, m, middle[1])
+        scatter(laws, m, torque + laws.inertia[m] * combine(laws, m, middle[2]), force)
+    if not exact:
+        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force)
+    for i in range(n):
+        force[i] += along.other[at, i]
+        for j in range(n):
+            system[i, j] = mass[i, j] + 0.5 * h * damping[i, j] + 0.25 * h * h * stiffness[i, j]
+    _invert(system, inverse)
+    move, push, gain = steps.move[at], steps.push[at], steps.gain[at]
+    port_x, port_rate = steps.port_x[at], steps.port_rate[at]
+    for i in range(n):
+        for j in range(2 * n):
+            move[i, j] = 0.0
+        shift = 0.0
+        for m in range(n):
+            x = inverse[i, m]
+            y = -0.5 * h * x
+            shift += y * force[m]
+            for j in range(n):
+                move[i, j] += x * mass[m, j]
+            for j in range(n):
+                move[i, n + j] += y * stiffness[m, j]
+        steps.shift[at, i] = shift
+        for j in range(len(drive)):
+            move[i, 2 * n + j] = 0.5 * h * inverse[i, drive[j]]
+        for p in range(push.shape[1]):
+            total = 0.0
+            for m in range(n):
+                total += inverse[i, m] * ports.vector[m, p]
+            push[i, p] = 0.5 * h * total
+    for p in range(push.shape[1]):
+        port_x[p], port_rate[p] = 0.0, 0.0
+        for i in range(n):
+            port_x[p] += ports.vector[i, p] * middle[0, i]
+            port_rate[p] += ports.vector[i, p] * middle[1, i]
+        for u in range(push.shape[1]):
+            total = 0.0
+            for i in range(n):
+                total += ports.vector[i, u] * push[i, p]
+            gain[u, p] = total
+
+
+@called
+def make_steps(tree, laws, ports, memory, drive, h, up, along, steps, exact):  # type: ignore[no-untyped-def]
+    """Fill `steps` for all samples of a chunk, `up` of them between two nodes."""
+    n = along.q.shape[1]
+    scratch, work = scratch_in(memory, n, len(laws.inertia)), np.zeros((5, n, n))
+    for at in range(len(along.middle)):
+        for i in range(n):
+            steps.q[at, i], steps.v[at, i] = along.q[at, i], along.v[at, i]
+        _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, steps, exact)
+
+
+@compiled
+def _product(matrix, y, shift, out):  # type: ignore[no-untyped-def]
+    """out = matrix @ y + shift, lanes in the columns."""
+    rows, inner = matrix.shape
+    lanes = y.shape[1]
+    for i in range(rows):
+        for c in range(lanes):
+            out[i, c] = shift[i]
+        j = 0
+        while j + 6 <= inner:  # several at a time, since looks at `out` cost as much as the arithmetic
+            a0, a1, a2, a3, a4, a5 = (
+                matrix[i, j],
+                matrix[i, j + 1],
+                matrix[i, j + 2],
+                matrix[i, j + 3],
+                matrix[i, j + 4],
+                matrix[i, j + 5],
+            )
+            for c in range(lanes):
+                half = a0 * y[j, c] + a1 * y[j + 1, c] + a2 * y[j + 2, c]
+                out[i, c] += half + (a3 * y[j + 3, c] + a4 * y[j + 4, c] + a5 * y[j + 5, c])
+            j += 6
+        while j < inner:
+            a0 = matrix[i, j]
+            for c in range(lanes):
+                out[i, c] += a0 * y[j, c]
+            j += 1
+
+
+@called
+def fill_tables(laws, start, law, probes, tabulated, table):  # type: ignore[no-untyped-def]
+    """Cubics with the torque and slope of each cell's ends, for ports whose laws depend on the rate alone."""
+    for p in range(len(tabulated)):
+        depends = False
+        for cell in range(2 * CELLS):
+            sign, at = (1.0, cell) if cell < CELLS else (-1.0, cell - CELLS)
+            low = 2.0 ** (LOWEST + at // FINE) * (1.0 + (at % FINE) / FINE)
+            width = 2.0 ** (LOWEST + at // FINE) / FINE
+            ends = np.zeros((2, 2))
+            for place in range(start[p], start[p + 1]):
+                for end in range(2):
+                    rate = sign * (low + end * width)
+                    torque, by_x, by_rate = _ask(laws, law[place], 0.0, rate)
+                    ends[end, 0] += torque
+                    ends[end, 1] += by_rate * sign * width
+                    depends = depends or by_x != 0.0
+                    for x in probes:
+                        depends = depends or _ask(laws, law[place], x, rate)[0] != torque
+            more = ends[1, 0] - ends[0, 0]
+            table[p, cell, 0], table[p, cell, 1] = ends[0, 0], ends[0, 1] / width
+            table[p, cell, 2] = (3.0 * more - 2.0 * ends[0, 1] - ends[1, 1]) / width**2
+            table[p, cell, 3] = (ends[0, 1] + ends[1, 1] - 2.0 * more) / width**3
+        tabulated[p] = not depends
+
+
+@compiled
+def _from_table(table, rate):  # type: ignore[no-untyped-def]
+    """Torque and slope by the rate; the rate within the table."""
+    size = abs(rate)
+    sign, base = (1.0, 0) if rate >= 0.0 else (-1.0, CELLS)
+    if size < SMALLEST:
+        # from here through the torque of either side's first point
+        middle, span = 0.5 * (table[0, 0] + table[CELLS, 0]), 0.5 * (table[0, 0] - table[CELLS, 0])
+        return middle + span * rate / SMALLEST, span / SMALLEST
+    # exponent and first bits of the mantissa number the cell, the other bits are the place in it
+    leading = np.float64(size).view(np.int64) >> 48
+    s = size - np.int64(leading << 48).view(np.float64)
+    cell = base + leading - ((1023 + LOWEST) << 4)
+    c0, c1, c2, c3 = table[cell, 0], table[cell, 1], table[cell, 2], table[cell, 3]
+    return c0 + s * (c1 + s * (c2 + s * c3)), sign * (c1 + s * (2.0 * c2 + s * 3.0 * c3))
+
+
+@compiled
+def _port_torque(laws, ports, p, x, rate, half):  # type: ignore[no-untyped-def]
+    """Torque of the laws at port p, and its slope by the rate in the middle of a step, with which the angle moves by half a step."""
+    torque, slope = 0.0, 0.0
+    for place in range(ports.start[p], ports.start[p + 1]):
+        own, by_x, by_rate = _ask(laws, ports.law[place], x + half * rate, rate)
+        torque += own
+        slope += by_rate + half * by_x
+    return torque, slope
+
+
+@compiled
+def _newton(rate, torque, slope, target, gain, bracket):  # type: ignore[no-untyped-def]
+    """Next guess of the rate with ``rate + gain * torque(rate) = target``, and whether it is near enough to be the last.
+
+    Newton's method; where friction's steep reversal throws it out of the interval known to hold the root (`bracket`, (low, high)),
+    halving.
+    """
+    low, high = bracket
+    miss = rate + gain * torque - target
+    if miss > 0.0:
+        high = rate
+    else:
+        low = rate
+    new = rate - miss / max(1.0 + gain * slope, 0.1)
+    near = abs(new - rate) <= 0.01 * abs(rate) + 1e-6
+    if new <= low or new >= high:
+        near = not (np.isfinite(low) and np.isfinite(high))
+        new = rate if near else 0.5 * (low + high)
+    return new, near, (low, high)
+
+
+@compiled
+def _solve_by_table(table, guess, target, gain):  # type: ignore[no-untyped-def]
+    """The torque at the rate with ``rate + gain * torque(rate) = target``; not a number where a rate is beyond the table."""
+    rate, bracket = guess, (-np.inf, np.inf)
+    torque = np.nan
+    for _ in range(NEWTON):
+        if not abs(rate) < LARGEST:
+            return np.nan
+        torque, slope = _from_table(table, rate)
+        new, near, bracket = _newton(rate, torque, slope, target, gain, bracket)
+        if near:
+            return torque + slope * (new - rate)
+        rate = new
+    return torque
+
+
+@compiled
+def _solve_by_laws(laws, ports, p, x, guess, target, gain, half):  # type: ignore[no-untyped-def]
+    """The same with ``torque(x + half * rate, rate)`` from the laws themselves."""
+    rate, bracket = guess, (-np.inf, np.inf)
+    torque = 0.0
+    for _ in range(NEWTON):
+        torque, slope = _port_torque(laws, ports, p, x, rate, half)
+        new, near, bracket = _newton(rate, torque, slope, target, gain, bracket)
+        if near:
+            return torque + slope * (new - rate)
+        rate = new
+    return torque
+
+
+@compiled
+def _rub(laws, ports, steps, at, h, y, middle, torques, memory, running):  # type: ignore[no-untyped-def]
+    """Correct the rates in the middle of a step for the exact laws of each lane.
+
+    `torques` (ports, lanes) of the step before are a first guess that couples the ports; then each port in turn.
+    `memory` is three arrays of a number a lane.
+    """
+    n, count = middle.shape
+    number = torques.shape[0]
+    target, angle, change = memory
+    vector, push, gains = ports.vector, steps.push[at], steps.gain[at]
+    port_x, port_rate = steps.port_x[at], steps.port_rate[at]
+    for p in range(number):
+        for i in range(n):
+            each = push[i, p]
+            for c in range(count):
+                middle[i, c] -= each * torques[p, c]
+    for p in range(number):
+        tabulated, table, gain, nominal = ports.tabulated[p], ports.table[p], gains[p, p], port_rate[p]
+        # the angle at the step's start; half a step of the rate is added to it
+        x = port_x[p] - 0.5 * h * nominal
+        for c in range(count):
+            target[c], angle[c] = nominal, x
+        for i in range(n):
+            weight = vector[i, p]
+            if weight != 0.0:
+                for c in range(count):
+                    target[c] += weight * middle[i, c]
+                if not tabulated:
+                    for c in range(count):
+                        angle[c] += weight * y[n + i, c]
+        if tabulated:
+            for c in range(count):
+                torque = _solve_by_table(table, target[c], target[c] + gain * torques[p, c], gain)
+                change[c] = torque - torques[p, c]
+        for c in range(count):
+            if running[c] != RUNNING:
+                change[c] = 0.0
+            elif not tabulated or not np.isfinite(change[c]):
+                right = target[c] + gain * torques[p, c]
+                change[c] = _solve_by_laws(laws, ports, p, angle[c], target[c], right, gain, 0.5 * h) - torques[p, c]
+        for c in range(count):
+            torques[p, c] += change[c]
+        for i in range(n):
+            each = push[i, p]
+            for c in range(count):
+                middle[i, c] -= each * change[c]
+
+
+@compiled
+def _control_lanes(loop, lanes, inputs, logs, j, k, angle, speed, torque, wrong):  # type: ignore[no-untyped-def]
+    """`control` of joint j for all lanes, whose drive angles and speeds are (lanes,); its torques go to `torque`.
+
+    `wrong` (lanes,) is set where something must be looked at.
+    """
+    joint = _joint_in_loop(loop, j)
+    lower, upper, fastest, longest = loop.lower[j], loop.upper[j], loop.speed[j], loop.overload_samples
+    row, part = k // inputs.up, (k % inputs.up) / inputs.up
+    start, end = inputs.feedforward[row, j], inputs.feedforward[row + 1, j]
+    reference, rate = inputs.position[k, j, 0], inputs.velocity[k, j, 0]
+    noise = inputs.noise[k if inputs.noise.shape[0] > 1 else 0]
+    seen_angle, seen_speed, seen_torque = logs.measured[k, 0, j], logs.measured[k, 1, j], logs.measured[k, 2, j]
+    integral, current, held, counts = lanes.integral[j], lanes.current[j], lanes.held[j], lanes.overloaded[j]
+    for c in range(len(angle)):
+        a, v = angle[c] + noise[0, j, c], speed[c] + noise[1, j, c]
+        forward = start[c] + part * (end[c] - start[c])
+        a, v, whole, now, mean, limited = _command(joint, a, v, reference, rate, forward, integral[c], current[c])
+        seen_angle[c], seen_speed[c], seen_torque[c] = a, v, 0.5 * (held[c] + mean)
+        integral[c], current[c], held[c], torque[c] = whole, now, mean, mean
+        counts[c] = counts[c] + 1 if limited else 0
+        # not a number is not inside either
+        inside = (abs(speed[c]) <= fastest) & (angle[c] >= lower) & (angle[c] <= upper) & (counts[c] < longest)
+        wrong[c] += 0 if inside else 1
+
+
+@compiled
+def _stop(loop, lanes, steps, y, at, sample, wrong):  # type: ignore[no-untyped-def]
+    """Look at the lanes where something is wrong, or whose reference jumps here."""
+    n = steps.q.shape[1]
+    for c in range(len(wrong)):
+        if lanes.status[c] == RUNNING and (wrong[c] != 0 or sample >= lanes.stop[c, 0]):
+            for i in range(n):
+                lanes.v[c, i], lanes.q[c, i] = steps.v[at, i] + y[i, c], steps.q[at, i] + y[n + i, c]
+            _check(loop, lanes, c, sample)
+        wrong[c] = 0
+
+
+@compiled
+def _log_states(lanes, logs, steps, y, at):  # type: ignore[no-untyped-def]
+    q, v, work, log_q, log_v, log_work, status = lanes.q, lanes.v, lanes.work, logs.q, logs.v, logs.work, lanes.status
+    n, row = steps.q.shape[1], logs.row + at // logs.stride
+    for c in range(len(work)):
+        if status[c] == RUNNING:
+            for i in range(n):
+                q[c, i], v[c, i] = steps.q[at, i] + y[n + i, c], steps.v[at, i] + y[i, c]
+                log_q[c, row, i], log_v[c, row, i] = q[c, i], v[c, i]
+            log_work[c, row] = work[c]
+
+
+@called
+def advance(laws, ports, loop, lanes, inputs, logs, steps, state, samples):  # type: ignore[no-untyped-def]
+    """Controller and robot for that many samples, all lanes."""
+    y, middle, torques, last = state.y, state.middle, state.torques, state.angle
+    n, number = middle.shape
+    h, joints = loop.period, len(loop.drive)
+    target, angle, speed = np.zeros(number), np.zeros(number), np.zeros(number)
+    wrong = np.zeros(number, dtype=np.int64)
+    work, status, first_stop = lanes.work, lanes.status, lanes.stop[:, 0].min()
+    for at in range(samples):
+        for j in range(joints):
+            i = loop.drive[j]
+            nominal_angle, nominal_speed, pull = steps.q[at, i], steps.v[at, i], y[2 * n + j]
+            for c in range(number):
+                angle[c], speed[c] = nominal_angle + y[n + i, c], nominal_speed + y[i, c]
+                work[c] += pull[c] * (angle[c] - last[j, c]) if status[c] == RUNNING else 0.0
+                last[j, c] = angle[c]
+            _control_lanes(loop, lanes, inputs, logs, j, at, angle, speed, pull, wrong)
+        if at % logs.stride == 0:
+            _log_states(lanes, logs, steps, y, at)
+        if wrong.any() or inputs.first + at >= first_stop:
+            _stop(loop, lanes, steps, y, at, inputs.first + at, wrong)
+            if status.all():
+                return
+        _product(steps.move[at], y, steps.shift[at], middle)
+        _rub(laws, ports, steps, at, h, y, middle, torques, (target, angle, speed), status)
+        for i in range(n):
+            for c in range(number):
+                y[i, c] = 2.0 * middle[i, c] - y[i, c]
+                y[n + i, c] += h * middle[i, c]
 
 
 # ---- a robot --------------------------------------------------------------------------------------------------
@@ -1207,12 +1681,15 @@ class Plant:
     tree, laws, drives : arrays
     others : tuple of Effect
         Asked for `force` and `derivatives` at each step.
+    in_tree : tuple of Effect
+        Part of `tree`: masses that they fix to it, gravity that they turn.
     """
 
     tree: Tree
     laws: Laws
     others: tuple[Effect, ...]
     drives: Integers  # (joints,) where the drive angles stand among the coordinates
+    in_tree: tuple[Effect, ...] = ()
 
     @cached_property
     def _packed(self) -> tuple[Integers, Array, Array]:
@@ -1231,11 +1708,23 @@ class Plant:
 def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives: Integers) -> Plant:
     """The arrays of a model and its effects; `motion` is any sample."""
     laws: list[Law] = []
-    others = []
-    for effect in effects:
-        own = effect.laws(motion)
-        if own is None:
-            others.append(effect)
-        else:
+    others: list[Effect] = []
+    in_tree: list[Effect] = []
+    loaded = model.copy()
+    # masses first: where there are some, gravity stays as it is, since tilts turn that of the links alone
+    for effect in sorted(effects, key=lambda effect: effect.gravity_change() is not None):
+        own, mass, tilt = effect.laws(motion), effect.point_mass(), effect.gravity_change()
+        if own is not None:
             laws += own
-    return Plant(tree_of(model), laws_of(laws, model.nv), tuple(others), drives)
+        elif mass is not None:
+            frame, weight, centre = mass
+            place = model.frames[model.getFrameId(frame)]
+            body = pin.Inertia(weight, centre, np.zeros((3, 3)))
+            loaded.appendBodyToJoint(place.parentJoint, body, place.placement)
+            in_tree.append(effect)
+        elif tilt is not None and not any(e.point_mass() is not None for e in in_tree):
+            loaded.gravity.linear += np.linalg.norm(model.gravity.linear) * tilt
+            in_tree.append(effect)
+        else:
+            others.append(effect)
+    return Plant(tree_of(loaded), laws_of(laws, model.nv), tuple(others), drives, tuple(in_tree))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 from pathlib import Path
 
 import joblib
@@ -13,7 +14,7 @@ import rx90b_flex as rf
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, simulate_lanes
 from rx90b_flex.simulate import campaign as campaigns
-from rx90b_flex.simulate.campaign import Plan, run_campaign, section_662
+from rx90b_flex.simulate.campaign import Plan, batch_bytes, run_campaign, section_662, simulate_batch
 
 
 def small_plan(**changes: object) -> Plan:
@@ -123,6 +124,22 @@ def test_both_methods_share_plan_and_noise(tmp_path: Path) -> None:
     a, b = numbers(tmp_path / "nonlinear"), numbers(tmp_path / "perturbation")
     motion = a[:, :, :3] - a[:, :1, :3]
     assert np.linalg.norm(a[:, :, :3] - b[:, :, :3]) < 0.01 * np.linalg.norm(motion)
+
+
+@pytest.mark.parametrize("method", ["nonlinear", "perturbation"])
+def test_memory_of_a_batch_stays_below_what_is_stated(tmp_path: Path, method: str) -> None:
+    realisations, periods = {"nonlinear": (1, 1), "perturbation": (4, 2)}[method]
+    robot, noise = rf.load_robot("rx90b_3dof"), Noise(0.1, 1e-6, 1e-4)
+    plan = section_662(robot, load_cs8(), noise=noise, realisations=realisations, periods=periods, method=method)
+    (tmp_path / "runs").mkdir()
+    simulate_batch(small_plan(method=method), small_plan().runs[:1], tmp_path)  # what is made once, compiled code say
+    tracemalloc.start()
+    results = simulate_batch(plan, plan.runs, tmp_path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert all(reason is None for _, reason in results)
+    stated = batch_bytes(plan, len(plan.runs))
+    assert 0.5 * stated < peak < stated, (peak, stated)
 
 
 @pytest.mark.parametrize("change", [{"signs": (2,)}, {"periods": 0}, {"validation": 2}, {"moving": ("joint_9",) * 3}])

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy import signal
+from scipy import signal, special
 from scipy.integrate import solve_ivp
 
 import rx90b_flex as rf
@@ -194,14 +194,14 @@ def reference_tip(trajectory: Trajectory, controller: CS8) -> Array:
     q, v, torque = static_start(robot(), trajectory.position[0], trajectory.velocity[0])
     y, integral, current = np.r_[q, v], torque.copy(), torque.copy()
     rows = np.arange(len(trajectory.position))
-    r, w = micro_interpolate(trajectory.position[None], trajectory.velocity[None], rows, up, 250.0)
+    r, w = micro_interpolate(trajectory.position, trajectory.velocity, rows, up, 250.0)
     states = []
-    for k in range(r.shape[1]):
+    for k in range(len(r)):
         if k % up == 0:
             states.append(y[:16])
-        error = r[0, k] - y[DRIVES]
+        error = r[k] - y[DRIVES]
         integral = integral + ki * error / rate
-        command = kp * error + kv * (w[0, k] - y[16:][DRIVES]) + integral
+        command = kp * error + kv * (w[k] - y[16:][DRIVES]) + integral
         torque = command + share * (current - command)
         current = command + decay * (current - command)
         solution = solve_ivp(derivative, (0, 1 / rate), y, method="Radau", rtol=1e-9, atol=1e-12, args=(torque,))
@@ -230,9 +230,10 @@ def test_tip_agrees_with_radau_to_a_micrometre_on_the_whole_line() -> None:
 
 
 def test_halving_the_step_quarters_the_error() -> None:
-    controller = load_cs8().ideal()
-    exact = simulate(robot(), controller, line(), substeps=16).tip[:, :3, 3]
-    errors = [largest(simulate(robot(), controller, line(), substeps=s).tip[:, :3, 3] - exact) for s in (1, 2, 4)]
+    # up to the reversal of joints 2 and 3, where long steps are divided and the error then falls by less
+    controller, part = load_cs8().ideal(), line().part(0.0, 0.5)
+    exact = simulate(robot(), controller, part, substeps=16).tip[:, :3, 3]
+    errors = [largest(simulate(robot(), controller, part, substeps=s).tip[:, :3, 3] - exact) for s in (1, 2, 4)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert errors[0] < 1e-6
     assert orders == pytest.approx([2.0, 2.0], abs=0.15)
@@ -252,31 +253,41 @@ def test_a_run_repeats_to_the_bit() -> None:
 # ---- figure 4.7 -----------------------------------------------------------------------------------------------
 
 
+def vibration(run: Simulation, start_s: float, end_s: float) -> Array:
+    """Largest departure of the tip's path deviation from a cubic over a part of the run, shape (3,), mm."""
+    part = run.path_deviation_mm[round(250 * start_s) : round(250 * end_s)]
+    place = np.vander(np.linspace(-1.0, 1.0, len(part)), 4)
+    return np.asarray(np.abs(part - place @ np.linalg.lstsq(place, part, rcond=None)[0]).max(axis=0))
+
+
 def test_tip_deviates_by_about_a_millimetre() -> None:
     assert line_run().ended is None
-    _, across, up = line_run().path_deviation_mm[125:].T  # after the start
-    assert 0.3 < across.max() < 2.0
-    assert -2.0 < up.min() < -0.3
+    _, across, up = line_run().path_deviation_mm.T
+    assert 0.5 < across.max() < 2.0 and across.min() > -0.2
+    assert -2.0 < up.min() < -0.5 and up.max() < 0.2
+    # behind the first vibration it stays on the figure's axes, which reach from -1 to 0 mm
+    assert up[125:].min() > -1.0
 
 
-def test_start_shakes_the_tip_for_half_a_second() -> None:
-    sections = signal.butter(4, 8.0, "high", fs=250.0, output="sos")
-    shaking = np.abs(signal.sosfiltfilt(sections, line_run().path_deviation_mm[:, 2]))
-    first, later = shaking[:60].max(), shaking[125:225].max()
-    assert first > 0.1
-    assert later < 0.1 * first
+def test_start_shakes_the_tip_and_that_dies_within_half_a_second() -> None:
+    first, later = (vibration(line_run(), *part)[1:] for part in ((0.0, 0.2), (0.28, 0.48)))  # the ramp ends at 0.5 s
+    assert (first > 0.05).all() and (first < 1.0).all()
+    assert (later < 0.05 * first).all()  # what is left of a vibration that has settled, by the usual 5 %
 
 
-def test_reversal_half_way_kicks_the_tip() -> None:
-    time, reference = line_run().time, line_run().recording.reference_velocity
-    assert reference is not None
+def test_reversal_of_joints_2_and_3_half_way_kicks_the_tip() -> None:
+    time, rate = line_run().time, line().velocity
     for joint in (1, 2):
-        sign = np.sign(reference[125:375, joint])
-        assert sign[0] != sign[-1]
-    across = np.abs(line_run().path_deviation_mm[:, 1])
-    inside = (time > 0.5) & (time < 1.7)
-    assert abs(time[inside][across[inside].argmax()] - 1.0) < 0.15
-    assert across[inside].max() > 2.0 * np.median(across[inside])
+        turns = np.flatnonzero(np.diff(np.sign(rate[10:-10, joint]))) + 10
+        assert time[turns] == pytest.approx(1.0, abs=0.01)
+    kick = vibration(line_run(), 0.92, 1.12)[1:]
+    beside = np.maximum(vibration(line_run(), 0.7, 0.9), vibration(line_run(), 1.2, 1.4))[1:]
+    assert (kick > 10.0 * beside).all()
+    # it is the friction of these joints that changes its sign
+    rubbing = [e for e in robot().effects if "friction" in e.type_name() and e.joints[0] in ("joint_2", "joint_3")]
+    smooth = robot().with_effects([e for e in robot().effects if e not in rubbing])
+    assert len(rubbing) == 4
+    assert (vibration(simulate(smooth, load_cs8(), line()), 0.92, 1.12)[1:] < 0.1 * kick).all()
 
 
 def test_sag_is_smaller_half_way() -> None:
@@ -289,25 +300,35 @@ def test_sag_is_smaller_half_way() -> None:
         for state in (q, np.where(np.isin(np.arange(16), DRIVES), q, 0.0)):
             pin.framesForwardKinematics(model, data, state)
             heights.append(data.oMf[tip].translation[2])
-        sag.append(heights[1] - heights[0])
-    assert 0.2e-3 < sag[0] < 2e-3
-    assert sag[2] == pytest.approx(sag[0], rel=0.3)
-    assert sag[1] < 0.7 * min(sag[0], sag[2])
+        sag.append(1e3 * (heights[1] - heights[0]))
+    assert 0.2 < sag[0] < 2.0
+    assert sag[2] == pytest.approx(sag[0], rel=1e-3)  # the line and the arm are alike to the left and to the right
+    assert sag[1] < 0.5 * sag[0]
+    # the moving tip shows it: it rises from A to the middle and sinks towards B
     up = line_run().path_deviation_mm[:, 2]
-    assert abs(up[150:230].mean()) < 0.7 * abs(up[-60:].mean())
+    start, middle, end = up[0], up[200:240].mean(), up[450:].mean()
+    assert middle > max(start, end) + 0.5 * (sag[0] - sag[1])
 
 
-def test_little_power_above_125_hz() -> None:
-    raw = line_run().raw
-    assert raw is not None and raw.rate_hz == 4000.0
-    share, rms = raw.share_above(125.0), raw.rms_above(125.0)
-    assert share["position"][:3].max() < 1e-9
-    assert share["velocity"][:3].max() < 1e-6
-    assert share["torque"][:3].max() < 1e-4
-    # joint 4 stands still: what is left is a few steps of quantisation
+def test_nothing_rings_or_aliases_above_125_hz() -> None:
+    raw, ideal = line_run().raw, simulate(robot(), load_cs8().ideal(), line(), raw=True).raw
+    assert raw is not None and ideal is not None and raw.rate_hz == 4000.0
     controller = load_cs8().for_joints(robot().joints)
-    assert (rms["position"] < 3 * controller.column("position_step")).all()
-    assert (rms["torque"] < 8 * controller.column("torque_step")).all()
+    step = {name: controller.column(f"{name}_step") for name in ("position", "velocity", "torque")}
+    physical = ideal.rms_above(125.0)
+    # what would alias is less than the least step of the current
+    assert (physical["torque"] < step["torque"]).all()
+    # the references' acceleration jumps, so that the torque's slope does: an amplitude of 1/f^2, a power above f of 1/f^3.
+    # Ringing at the controller's rate would stand out of that.
+    assert (ideal.rms_above(1000.0)["torque"] < (125.0 / 1000.0) ** 1.5 * physical["torque"]).all()
+    # rounding adds its own noise, of a uniform distribution of one step; angle and speed bring theirs through the gains
+    rounding = step["torque"] ** 2 + sum(
+        (controller.column(f"{x}_gain") * step[x]) ** 2 for x in ("position", "velocity")
+    )
+    measured = raw.rms_above(125.0)
+    assert (measured["torque"] ** 2 < physical["torque"] ** 2 + rounding / 12.0).all()
+    for name in ("position", "velocity"):
+        assert (measured[name] < physical[name] + step[name]).all()
 
 
 # ---- controller -----------------------------------------------------------------------------------------------
@@ -366,31 +387,34 @@ def test_sensitivity_is_the_sampled_loops_response(bandwidth: float) -> None:
 
 
 def test_sensitivity_foretells_a_run() -> None:
-    samples = 1024
-    rng = np.random.default_rng(4)
-    wave = multisine(range(41, 322, 40), samples, 20.0, rng, 4) * [1.0, 1.0, 0.5, 0.1]
-    moving = square_wave(robot(), STRETCHED, speed=0.11)
-    runs = simulate_lanes(
-        robot(),
-        load_cs8().ideal(),
-        [moving.with_feedforward(sign * wave).repeated(2) for sign in (1, -1)],
-    )
+    # at a steady speed, with torques that change it little, four times a period of 0.512 s
+    samples, speed = 128, 0.1
+    lines = np.arange(4, 41, 4)
+    hz = lines * 250.0 / samples
+    wave = multisine(list(lines), samples, 1.0, np.random.default_rng(4), 4) * [1.0, 1.0, 0.5, 0.1]
+    time = np.arange(4 * samples)[:, None] / 250.0
+    half = 0.5 * speed * samples / 250.0  # by which the last period moves to either side of the pose
+    position = np.array(STRETCHED) + speed * (time - time[-1]) + half
+    steady = Trajectory("steady", robot().joints, 250.0, position, np.full_like(position, speed))
+    pair = [steady.with_feedforward(sign * np.tile(wave, (4, 1))) for sign in (1, -1)]
+    runs = simulate_lanes(robot(), load_cs8().ideal(), pair)
     torque, forward = (
-        np.fft.rfft(0.5 * (x[0] - x[1])[samples:], axis=0)
-        for x in (
-            [r.recording.torque for r in runs],
-            [r.recording.feedforward_torque for r in runs],
-        )
+        np.fft.rfft(0.5 * (x[0] - x[1])[-samples:], axis=0)[lines]
+        for x in ([r.recording.torque for r in runs], [t.torque for t in pair])
     )
-    lines = np.arange(41, 322, 40)
-    q, v = np.zeros(16), np.zeros(16)
-    q[DRIVES], v[DRIVES] = STRETCHED, 0.11
-    # straight lines between the samples fed forward pass sinc^2 of them; the log's filter is flat up to 80 Hz
-    fed = forward[lines, :, None] * (np.sinc(lines / samples) ** 2)[:, None, None]
-    foretold = load_cs8().sensitivity(robot().linearize(q, v), lines / 4.096) @ fed
-    scale = np.abs(forward[lines]).max(axis=0)
-    # flanks of the square wave and the change of pose leave some per cent
-    assert (np.abs(torque[lines] - foretold[..., 0]) / scale).max() < 0.1
+    # straight lines between the samples fed forward pass sinc^2 of them
+    fed = forward[:, :, None] * (np.sinc(lines / samples) ** 2)[:, None, None]
+
+    def foretold(moved: float) -> Array:
+        q, v = np.zeros(16), np.zeros(16)
+        q[DRIVES], v[DRIVES] = np.add(STRETCHED, moved), speed
+        return np.asarray((load_cs8().sensitivity(robot().linearize(q, v), hz) @ fed)[..., 0])
+
+    scale = np.abs(forward).max(axis=0)
+    # how much it changes with the pose along the period, and 1 % as in the test above for what it takes as continuous
+    spread = max(np.abs((foretold(x) - foretold(0.0)) / scale).max() for x in (half, -half))
+    assert spread < 0.02
+    assert (np.abs(torque - foretold(0.0)) / scale).max() < spread + 0.01
 
 
 # ---- runs that cannot go on -------------------------------------------------------------------------------------
@@ -464,8 +488,27 @@ def test_effect_without_a_law_is_simulated_all_the_same(name: str, values: dict[
     part = line().part(0.0, 0.02)
     run, plain = simulate(changed, load_cs8(), part), simulate(robot(), load_cs8(), part)
     assert run.ended is None
+    assert len(changed.plant.others) == (name == "load_friction")
     assert run.power_balance_error < 1e-3
     assert largest(run.q - plain.q) > 1e-6
+
+
+@pytest.mark.parametrize("name", ["payload", "base_tilt", "both"])
+def test_masses_and_tilts_are_simulated_as_part_of_the_tree(name: str) -> None:
+    """The compiled tree holds them; accelerations are those of the effects' own forces."""
+    load = catalogue()["payload"](frame="tool0", mass=5.0, centre=(0.02, -0.03, 0.1))  # type: ignore[call-arg]
+    tilt = catalogue()["base_tilt"](angle_x=0.01, angle_y=-0.02)  # type: ignore[call-arg]
+    added = {"payload": [load], "base_tilt": [tilt], "both": [tilt, load]}[name]
+    changed = robot().with_effects([*robot().effects, *added])
+    # a tilt turns the links' gravity alone, so that with a payload it cannot be the tree's
+    assert changed.plant.in_tree == ((tilt,) if name == "base_tilt" else (load,))
+    assert changed.plant.others == ((tilt,) if name == "both" else ())
+    rng = np.random.default_rng(9)
+    q, v, torque = 0.5 * rng.normal(size=16), rng.normal(size=16), 50 * rng.normal(size=4)
+    a = changed.forward_dynamics(q, v, torque)
+    scale = largest(changed.mass_matrix(q)) * largest(a)
+    assert largest(changed.inverse_dynamics(q, v, a) - changed.input_matrix @ torque) < 1e-11 * scale
+    assert largest(a - robot().forward_dynamics(q, v, torque)) > 1e-3
 
 
 def test_both_ways_through_an_effect_agree() -> None:
@@ -495,6 +538,12 @@ def test_a_lane_does_not_feel_its_neighbours() -> None:
         assert np.array_equal(alone.dissipated, together[i].dissipated)
 
 
+def test_progress_goes_from_chunk_to_chunk_up_to_the_end() -> None:
+    told: list[float] = []
+    simulate(robot(), load_cs8(), line().part(0.0, 0.6), progress=told.append)
+    assert told == pytest.approx([0.256 / 0.6, 0.512 / 0.6, 1.0])
+
+
 def test_noise_is_drawn_by_lane_and_from_the_seed() -> None:
     noise = Noise(torque=0.5, position=1e-5, velocity=1e-3)
     parts = [line().part(0.0, 0.3), line().part(0.3, 0.6)]
@@ -504,7 +553,9 @@ def test_noise_is_drawn_by_lane_and_from_the_seed() -> None:
     clean = simulate(robot(), load_cs8(), parts[0], raw=True)
     assert two[0].raw is not None and clean.raw is not None
     assert np.std(two[0].raw.torque - clean.raw.torque, axis=0).min() > 0.5  # velocity noise comes back as torque
-    assert np.std(two[0].raw.velocity - clean.raw.velocity, axis=0) == pytest.approx(np.full(4, 1e-3), rel=0.1)
+    # beside the true rates stand noise and a rounding that is small; 4 standard errors of a deviation from that many samples
+    noise_alone = two[0].raw.velocity[::16] - two[0].v[:, DRIVES]
+    assert np.std(noise_alone) == pytest.approx(1e-3, rel=4 / np.sqrt(2 * noise_alone.size))
     with pytest.raises(ValueError, match="needs a numpy"):
         simulate(robot(), load_cs8(), line(), noise=noise)
 
@@ -518,8 +569,12 @@ def test_recording_takes_the_road_of_measured_data(tmp_path) -> None:  # type: i
     path = write_campaign(tmp_path, "rx90b_4dof", [run.recording])
     (read,) = load_campaign(path).recordings
     assert np.array_equal(read.torque, run.recording.torque)
-    # what is logged is the state, but for filter and quantisation
-    assert largest(read.position - run.q[:, DRIVES]) < 5e-4
+    # what is logged is the state, but for a step of the resolver, the ripple of the filter's two stages, 80 dB each, and what
+    # the state has above their 80 Hz
+    state = run.q[:, DRIVES]
+    fast = state - signal.sosfiltfilt(signal.butter(8, 79.0, fs=250.0, output="sos"), state, axis=0)
+    ripple = 2.0 * 10.0 ** (-80.0 / 20.0) * np.abs(state - state.mean(axis=0)).max(axis=0)
+    assert (np.abs(read.position - state).max(axis=0) < 1e-6 + ripple + np.abs(fast).max(axis=0)).all()
 
 
 def test_log_filter_passes_80_hz_and_stops_what_would_alias() -> None:
@@ -527,11 +582,13 @@ def test_log_filter_passes_80_hz_and_stops_what_would_alias() -> None:
 
     time = np.arange(8000) / 4000
     for hz, low, high in ((20.0, 0.999, 1.001), (79.0, 0.99, 1.001), (126.0, 0.0, 1e-3), (230.0, 0.0, 1e-3)):
-        filter_ = _Decimator(load_cs8(), 16)
-        wave = np.cos(2 * np.pi * hz * time)[None, :, None]
-        out = np.concatenate([filter_.push(wave[:, :3000]), filter_.push(wave[:, 3000:]), filter_.finish()], axis=1)
-        assert out.shape == (1, 500, 1)
-        inside = out[0, 100:400, 0]
+        filter_ = _Decimator(load_cs8(), 16, 1, 5000)
+        out, done = np.full((501, 1), np.nan), 0
+        for part in np.split(np.cos(2 * np.pi * hz * time)[:, None], [3000]):
+            filter_.inbox(len(part))[:] = part
+            done += filter_.push(len(part), out[done:])
+        assert done + filter_.finish(out[done:]) == 500
+        inside = out[100:400, 0]
         expected = np.cos(2 * np.pi * hz * time[::16])[100:400]
         gain = (inside @ expected) / (expected @ expected) if high > 0.5 else largest(inside)
         assert low <= gain <= high, hz
@@ -574,7 +631,15 @@ def test_square_wave_has_odd_lines_alone_and_hardly_overshoots() -> None:
     t = square_wave(robot(), STRETCHED)
     spectrum = np.abs(np.fft.rfft(t.velocity[:, 0]))
     assert spectrum[::2].max() < 1e-9 * spectrum.max()
-    assert 0.10 < np.abs(t.velocity).max() < 1.03 * 0.11
+
+    # Lanczos's factor of line k is a mean over a length of pi at u = k t: of the sine integral, whose integral is u Si(u) + cos u,
+    # over the overshoot's neighbourhood; a finite number of lines stays below that limit
+    def primitive(u: Array) -> Array:
+        return np.asarray(u * special.sici(u)[0] + np.cos(u))
+
+    u = np.linspace(0.0, 20.0, 2001)
+    limit = np.max(primitive(u + np.pi) - primitive(u - np.pi)) / np.pi**2
+    assert 1.0 < np.abs(t.velocity).max() / 0.11 < limit < 1.03
     assert t.position.mean(axis=0) == pytest.approx(np.array(STRETCHED))
 
 

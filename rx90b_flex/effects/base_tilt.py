@@ -42,6 +42,9 @@ class BaseTilt(Effect):
     def potential(self, motion: Motion) -> Array:
         return np.stack([motion.on_tree.gravity_potential(d) for d in _DIRECTIONS], axis=1) @ self.known_coefficients()
 
+    def gravity_change(self) -> Array:
+        return np.asarray(self.known_coefficients() @ _DIRECTIONS)
+
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         return [cls()]

@@ -285,6 +285,20 @@ class Effect(ABC):
         """
         return None
 
+    def point_mass(self) -> tuple[str, float, Array] | None:
+        """Frame, mass (kg) and centre (3,) (m) of a point mass that is the whole effect, for a compiled simulation.
+
+        Optional, like `laws`.
+        """
+        return None
+
+    def gravity_change(self) -> Array | None:
+        """What the effect adds to the direction of gravity on the links, (3,), where that is all it does.
+
+        For a compiled simulation; optional, like `laws`.
+        """
+        return None
+
     def known_coefficients(self) -> Array:
         """Coefficients, with an error that names the first one without a value."""
         values = self.coefficients

@@ -46,6 +46,9 @@ class Payload(FrameEffect):
     def potential(self, motion: Motion) -> Array:
         return self.known_coefficients()[0] * motion.on_tree.body_potential(self.frame, self._unit_body())
 
+    def point_mass(self) -> tuple[str, float, Array]:
+        return self.frame, float(self.known_coefficients()[0]), self.known_shape()
+
     def shape_starts(self, motion: Motion) -> Array:
         return np.array(list(itertools.product((-REACH, REACH), repeat=3)))
 

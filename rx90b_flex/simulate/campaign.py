@@ -23,9 +23,9 @@ from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
 from rx90b_flex.signals.recording import Role
-from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate_lanes
+from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, save_cs8
-from rx90b_flex.simulate.perturbation import perturb_lanes
+from rx90b_flex.simulate.perturbation import perturb_lanes, steps_bytes
 from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_LINES,
     FEEDFORWARD_PEAK,
@@ -38,6 +38,7 @@ from rx90b_flex.simulate.trajectories import (
 Method = Literal["nonlinear", "perturbation"]
 Progress = Callable[[str, float], None]
 
+BATCH_RUNS, BATCH_BYTES = 48, 1e9  # of a worker, at most, unless the caller says otherwise
 PLAN_FILE = "plan.json"
 RUNS = "runs"
 
@@ -159,7 +160,8 @@ class Plan:
     def generator(self, key: RunKey) -> np.random.Generator:
         """For the noise of a run, whatever runs beside it."""
         place = self.runs.index(key)
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, place)))
+        # millions of numbers a run: the fastest of numpy's bit generators
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence(self.seed, spawn_key=(1, place))))
 
 
 def section_662(robot: Robot, controller: CS8, **changes: object) -> Plan:
@@ -230,8 +232,8 @@ def run_campaign(
     jobs : int
         Workers, as `joblib.Parallel` counts them; inside ``joblib.parallel_config(backend="dask")`` those of the cluster.
     batch : int, optional
-        Runs that one worker advances together; by default all, shared evenly among the workers, 48 at most. A worker's memory is
-        about ``batch * seconds * log rate * (2 n + 6 joints + 5) * 8`` bytes and 0.256 s of its signals at the controller's rate.
+        Runs that one worker advances together; by default all, shared evenly among the workers, 48 at most, and no more than take
+        1 GB by `batch_bytes`, which bounds a worker's arrays; the interpreter and its libraries come on top.
     progress : callable, optional
         Called with a text and the part that is done.
 
@@ -249,7 +251,8 @@ def run_campaign(
     count = len(plan.runs)
     done, failed = list(resumed), []
     tell(f"{len(done)} of {count} runs", len(done) / count)
-    size = batch or min(48, max(1, -(-len(missing) // max(joblib.effective_n_jobs(jobs), 1))))
+    share = -(-len(missing) // max(joblib.effective_n_jobs(jobs), 1))
+    size = batch or max(1, min(share, BATCH_RUNS, _runs_in(plan, BATCH_BYTES)))
     batches = [tuple(missing[i : i + size]) for i in range(0, len(missing), size)]
     work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
         joblib.delayed(simulate_batch)(plan, keys, folder) for keys in batches
@@ -266,6 +269,28 @@ def run_campaign(
     names = tuple(key.name for key in kept)
     file = _write_campaign_file(plan, kept, folder) if any(plan.role(k) == "identification" for k in kept) else None
     return CampaignResult(file, names, tuple(k.name for k in resumed), tuple(failed))
+
+
+def batch_bytes(plan: Plan, runs: int) -> float:
+    """Bound of the memory of a batch's arrays, bytes.
+
+    A run has, at the log's rate, 2 n states, their work and dissipation, three signals a joint and the time; at the references'
+    rate three signals a joint; and at the controller's rate, for 0.256 s, its signals, noise and the filter's memory, 13 numbers a
+    joint. The perturbation method adds the steps of the nominal motion, which all runs share.
+    """
+    n, joints, controller = plan.robot.model.nv, len(plan.robot.joints), plan.controller
+    seconds = plan.reference.duration_s * plan.periods
+    states = seconds * controller.log_rate_hz * (2 * n + 3 * joints + 3)
+    references = seconds * controller.reference_rate_hz * 3 * joints
+    chunk = (min(CHUNK_S, seconds) * controller.controller_rate_hz) * 13 * joints
+    shared = steps_bytes(plan.robot, controller, plan.reference) if plan.method == "perturbation" else 0.0
+    return 8.0 * runs * (states + references + chunk) + shared
+
+
+def _runs_in(plan: Plan, limit: float) -> int:
+    """How many runs a batch may have to stay below a memory, bytes."""
+    shared = batch_bytes(plan, 0)
+    return int(max(limit - shared, 0.0) // (batch_bytes(plan, 1) - shared))
 
 
 def simulate_batch(plan: Plan, keys: Sequence[RunKey], folder: Path) -> list[tuple[RunKey, str | None]]:

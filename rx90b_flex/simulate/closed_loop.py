@@ -8,7 +8,8 @@ Between two samples of the controller the drive torques are constant, and the ro
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -18,17 +19,17 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import signal
 
+from rx90b_flex import kernels
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.kernels import Extra, Plant, no_extra
+from rx90b_flex.kernels import Extra, Inputs, Lanes, Logs, Loop, Plant, no_extra
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording, Role
-from rx90b_flex.simulate import stepping
 from rx90b_flex.simulate.cs8 import CS8, drive_places
-from rx90b_flex.simulate.stepping import Inputs, Lanes, Logs, Loop
 from rx90b_flex.simulate.trajectories import Trajectory
 
 Indices = NDArray[np.int64]
+Progress = Callable[[float], None]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
 FILTER_ATTENUATION_DB = 80.0
@@ -195,11 +196,21 @@ def simulate(
     substeps: int = 1,
     raw: bool = False,
     role: Role = "identification",
+    progress: Progress | None = None,
 ) -> Simulation:
     """One run of a robot under its controller: `simulate_lanes` with one lane."""
-    return simulate_lanes(robot, controller, [trajectory], noise=noise, rng=rng, substeps=substeps, raw=raw, role=role)[
-        0
-    ]
+    (run,) = simulate_lanes(
+        robot,
+        controller,
+        [trajectory],
+        noise=noise,
+        rng=rng,
+        substeps=substeps,
+        raw=raw,
+        role=role,
+        progress=progress,
+    )
+    return run
 
 
 def simulate_lanes(
@@ -212,6 +223,7 @@ def simulate_lanes(
     substeps: int = 1,
     raw: bool = False,
     role: Role = "identification",
+    progress: Progress | None = None,
 ) -> list[Simulation]:
     """Several runs of one robot, advanced together.
 
@@ -233,6 +245,8 @@ def simulate_lanes(
     raw : bool
         Whether to keep the log at the controller's rate as well.
     role : of the recordings.
+    progress : callable, optional
+        Called with the part of the time that is simulated.
 
     Returns
     -------
@@ -248,7 +262,7 @@ def simulate_lanes(
     _refuse(robot, controller, trajectories, noise, rng, substeps)
     job = _Job(robot, controller.for_joints(robot.joints), tuple(trajectories), noise or Noise(), substeps, raw, role)
     children = [] if rng is None else rng.spawn(len(trajectories))
-    return _Runner(job, children).run()
+    return _Runner(job, children).run(progress)
 
 
 def _refuse(
@@ -332,61 +346,156 @@ def micro_interpolate(position: Array, velocity: Array, rows: Indices, up: int, 
 
     Parameters
     ----------
-    position, velocity : array, shape (lanes, N, joints)
+    position, velocity : array, shape (N, ...)
     rows : intervals, each from its sample to the next; behind the last sample the reference goes on with its last
-    velocity. up : points an interval.
+        velocity. up : points an interval.
 
     Returns
     -------
-    position, velocity : array, shape (lanes, len(rows) * up, joints)
+    position, velocity : array, shape (len(rows) * up, ...)
     """
-    lanes, count, joints = position.shape
-    after = np.minimum(rows + 1, count - 1)
-    x0, v0, v1 = position[:, rows, None], velocity[:, rows, None] / rate_hz, velocity[:, after, None] / rate_hz
-    x1 = np.where((rows + 1 < count)[:, None, None], position[:, after, None], x0 + v0)
-    s = (np.arange(up) / up)[:, None]
-    # Hermite's form, in the unit interval
-    more = x1 - x0 - v0
-    bend = v1 - v0
-    x = x0 + v0 * s + (3.0 * more - bend) * s**2 + (bend - 2.0 * more) * s**3
-    v = v0 + 2.0 * (3.0 * more - bend) * s + 3.0 * (bend - 2.0 * more) * s**2
-    shape = lanes, len(rows) * up, joints
-    return np.ascontiguousarray(x.reshape(shape)), np.ascontiguousarray(rate_hz * v.reshape(shape))
+    x, v, _ = hermite(position, velocity, rows, np.arange(up) / up, rate_hz)
+    return x, v
 
 
-class _Decimator:
-    """The anti-alias filter before the log: linear phase, its delay taken out, fed chunk by chunk.
+def hermite(position: Array, velocity: Array, rows: Indices, part: Array, rate_hz: float) -> tuple[Array, Array, Array]:
+    """Cubic through positions and velocities of samples, at parts of the intervals that begin at `rows`.
+
+    Parameters
+    ----------
+    position, velocity : array, shape (N, ...)
+    rows : array, shape (R,)
+        Behind the last sample the motion goes on with its last velocity.
+    part : array, shape (P,), 0 to 1
+
+    Returns
+    -------
+    position, velocity, acceleration : array, shape (R * P, ...)
+    """
+    after = np.minimum(rows + 1, len(position) - 1)
+    x0, v0, v1 = position[rows, None], velocity[rows, None] / rate_hz, velocity[after, None] / rate_hz
+    inside = (rows + 1 < len(position)).reshape(-1, *[1] * (x0.ndim - 1))
+    x1 = np.where(inside, position[after, None], x0 + v0)
+    s = np.reshape(part, (-1, *[1] * (position.ndim - 1)))
+    more, bend = x1 - x0 - v0, v1 - v0
+    square, cube = 3.0 * more - bend, bend - 2.0 * more
+    x = x0 + v0 * s + square * s**2 + cube * s**3
+    v = v0 + 2.0 * square * s + 3.0 * cube * s**2
+    a = 2.0 * square + 6.0 * cube * s
+    shape = len(rows) * len(s), *position.shape[1:]
+    return x.reshape(shape), rate_hz * v.reshape(shape), rate_hz**2 * a.reshape(shape)
+
+
+class _Band(NamedTuple):
+    """A low-pass that is flat to one frequency and stops from another, before a signal of `rate_hz` is thinned out."""
+
+    rate_hz: float
+    factor: int
+    passes_hz: float
+    stops_hz: float
+
+    def weights(self) -> Array:
+        """Of a linear phase, by Kaiser's window, an odd number."""
+        taps, beta = signal.kaiserord(FILTER_ATTENUATION_DB, (self.stops_hz - self.passes_hz) / (0.5 * self.rate_hz))
+        middle = 0.5 * (self.passes_hz + self.stops_hz)
+        return np.asarray(signal.firwin(2 * (taps // 2) + 1, middle, window=("kaiser", beta), fs=self.rate_hz))
+
+
+def _bands(rate_hz: float, stride: int, cutoff_hz: float) -> list[list[_Band]]:
+    """The ways to thin a signal out in one or two stages.
+
+    The last one has its transition about the cutoff; one before it only keeps away what its own rate folds into that.
+    """
+    low, high = (1.0 - 0.5 * FILTER_TRANSITION) * cutoff_hz, (1.0 + 0.5 * FILTER_TRANSITION) * cutoff_hz
+    ways = [[_Band(rate_hz, stride, low, high)]]
+    for first in range(2, stride + 1):
+        between = rate_hz / first
+        if stride % first == 0 and between > 2.0 * high:
+            ways.append([_Band(rate_hz, first, high, between - high), _Band(between, stride // first, low, high)])
+    return ways
+
+
+class _Stage:
+    """A linear-phase filter whose output is thinned out, its delay taken out, fed chunk by chunk.
 
     The ends are continued by odd reflection, so that value and slope go on.
     """
 
-    def __init__(self, controller: CS8, stride: int) -> None:
-        width = FILTER_TRANSITION * controller.log_cutoff_hz / (0.5 * controller.controller_rate_hz)
-        taps, beta = signal.kaiserord(FILTER_ATTENUATION_DB, width)
-        self.half = -(-taps // 2 // stride) * stride
-        window = ("kaiser", beta)
-        rate = controller.controller_rate_hz
-        self.weights = signal.firwin(2 * self.half + 1, controller.log_cutoff_hz, window=window, fs=rate)
-        self.stride = stride
-        self.waiting: Array | None = None
+    def __init__(self, weights: Array, factor: int, channels: int, longest: int) -> None:
+        self.weights, self.factor, self.half = weights, factor, len(weights) // 2
+        self.buffer = np.zeros((longest + len(weights) + self.half + factor, channels))
+        self.filled = 0
 
-    def push(self, samples: Array) -> Array:
-        """Add (lanes, samples, channels), take what is ready, (lanes, outputs, channels)."""
-        if self.waiting is None:
-            ahead = np.minimum(np.arange(self.half, 0, -1), samples.shape[1] - 1)
-            self.waiting = 2.0 * samples[:, :1] - samples[:, ahead]
-        buffer = np.concatenate([self.waiting, samples], axis=1)
-        ready = max(0, (buffer.shape[1] - len(self.weights)) // self.stride + 1)
-        out = np.zeros((buffer.shape[0], ready, buffer.shape[2]))
-        stepping.decimate(buffer, self.weights, self.stride, out)
-        self.waiting = np.ascontiguousarray(buffer[:, ready * self.stride :])
-        return out
+    def inbox(self, samples: int) -> Array:
+        """Where the next samples belong, (samples, channels): fill it, then `push`."""
+        start = self.filled or self.half
+        return self.buffer[start : start + samples]
 
-    def finish(self) -> Array:
+    def push(self, samples: int, out: Array) -> int:
+        """Filter what was put into the inbox; what is ready goes to `out` (N, channels). Returns the outputs' number."""
+        if self.filled == 0:
+            inbox = self.inbox(samples)
+            ahead = np.minimum(np.arange(self.half, 0, -1), samples - 1)
+            np.subtract(2.0 * inbox[0], inbox[ahead], out=self.buffer[: self.half])
+            self.filled = self.half
+        self.filled += samples
+        ready = max(0, (self.filled - len(self.weights)) // self.factor + 1)
+        kernels.decimate(self.buffer, self.weights, self.factor, out[:ready])
+        used = ready * self.factor
+        self.buffer[: self.filled - used] = self.buffer[used : self.filled].copy()
+        self.filled -= used
+        return ready
+
+    def finish(self, out: Array) -> int:
         """What the last samples still owe."""
-        assert self.waiting is not None
-        behind = np.maximum(self.waiting.shape[1] - 2 - np.arange(self.half), 0)
-        return self.push(2.0 * self.waiting[:, -1:] - self.waiting[:, behind])
+        behind = np.maximum(self.filled - 2 - np.arange(self.half), 0)
+        np.subtract(2.0 * self.buffer[self.filled - 1], self.buffer[behind], out=self.inbox(self.half))
+        return self.push(self.half, out)
+
+
+class _Decimator:
+    """The anti-alias filter before the log, in the stages that take the fewest multiplications.
+
+    Parameters
+    ----------
+    controller : CS8
+    stride : int
+        Samples an output.
+    channels : int
+    longest : int
+        Most samples that are pushed at once.
+    """
+
+    def __init__(self, controller: CS8, stride: int, channels: int, longest: int) -> None:
+        ways = []
+        for bands in _bands(controller.controller_rate_hz, stride, controller.log_cutoff_hz):
+            weights = [band.weights() for band in bands]
+            rates = [band.rate_hz / band.factor for band in bands]
+            ways.append((sum(len(w) * rate for w, rate in zip(weights, rates, strict=True)), bands, weights))
+        _, bands, weights = min(ways, key=lambda way: way[0])
+        self.stages = []
+        for band, own in zip(bands, weights, strict=True):
+            self.stages.append(_Stage(own, band.factor, channels, longest))
+            longest = len(self.stages[-1].buffer) // band.factor + 1
+
+    def inbox(self, samples: int) -> Array:
+        """Where the next samples belong, (samples, channels): fill it, then `push`."""
+        return self.stages[0].inbox(samples)
+
+    def push(self, samples: int, out: Array) -> int:
+        """Filter what was put into the inbox; what is ready goes to `out` (N, channels). Returns the outputs' number."""
+        for stage, after in itertools.pairwise(self.stages):
+            room = len(stage.buffer) // stage.factor + 1
+            samples = stage.push(samples, after.inbox(room))
+        return self.stages[-1].push(samples, out)
+
+    def finish(self, out: Array) -> int:
+        """What the last samples still owe."""
+        done = 0
+        for stage, after in itertools.pairwise(self.stages):
+            room = len(stage.buffer) // stage.factor + 1
+            done += after.push(stage.finish(after.inbox(room)), out[done:])
+        return done + self.stages[-1].finish(out[done:])
 
 
 def _tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
@@ -425,9 +534,9 @@ class _Runner:
         self.loop = _loop(job.robot, controller, job.substeps)
         self.plant: Plant = job.robot.plant
         self.memory = self.plant.scratch(len(job.trajectories))
-        self.position = np.stack([t.position for t in job.trajectories])
-        self.velocity = np.stack([t.velocity for t in job.trajectories])
-        self.torque = np.stack([t.torque for t in job.trajectories])
+        self.position, self.velocity = (
+            _lanes_last([getattr(t, x) for t in job.trajectories]) for x in ("position", "velocity")
+        )
         self.jumps = [_reference_jump(t, self.loop.speed) for t in job.trajectories]
         self.lanes = self._start()
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
@@ -436,23 +545,25 @@ class _Runner:
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
         found = []
-        for r, w in zip(self.position[:, 0], self.velocity[:, 0], strict=True):
-            key = np.r_[r, w].tobytes()
+        for t in self.job.trajectories:
+            key = np.r_[t.position[0], t.velocity[0]].tobytes()
             if key not in starts:  # the runs of a campaign start alike
-                starts[key] = static_start(self.job.robot, r, w)
+                starts[key] = static_start(self.job.robot, t.position[0], t.velocity[0])
             found.append(starts[key])
         q, v, torque = (np.stack(x) for x in zip(*found, strict=True))
-        count, joints = torque.shape
+        torque = np.ascontiguousarray(torque.T)
+        forward = np.stack([t.torque[0] for t in self.job.trajectories], axis=1)
+        count, joints = len(q), len(torque)
         whole = [np.zeros(count, dtype=np.int64) for _ in range(3)]
         jumps = [(self.samples, 0) if jump is None else (jump.sample * self.up, jump.joint) for jump in self.jumps]
         return Lanes(
             q=q,
             v=v,
             a=np.zeros_like(q),
-            integral=torque - self.torque[:, 0],
+            integral=torque - forward,
             current=torque.copy(),
             held=torque.copy(),
-            overloaded=np.zeros((count, joints), dtype=np.int64),
+            overloaded=np.zeros((joints, count), dtype=np.int64),
             open=np.zeros(count),
             closed=np.zeros(count),
             divided=np.zeros(count, dtype=np.int64),
@@ -464,77 +575,72 @@ class _Runner:
             stop=np.array(jumps, dtype=np.int64),
         )
 
-    def run(self) -> list[Simulation]:
+    def run(self, progress: Progress | None = None) -> list[Simulation]:
         """All chunks, then the results."""
         size = max(round(CHUNK_S * self.job.controller.controller_rate_hz) // (self.up * self.stride), 1)
         size *= self.up * self.stride
-        joints = len(self.job.robot.joints)
-        filtered = _Decimator(self.job.controller, self.stride)
-        states: list[tuple[Array, ...]] = []
+        count, n = self.lanes.q.shape
+        joints, states = len(self.loop.drive), -(-self.samples // self.stride)
+        filtered = _Decimator(self.job.controller, self.stride, 3 * joints * count, size)
+        logged = np.zeros((states, 3, joints, count))
+        out = logged.reshape(states, -1)
+        whole = [np.zeros((count, states, n)) for _ in range(2)] + [np.zeros((count, states)) for _ in range(2)]
         raw: list[Array] = []
-        logged: list[Array] = []
+        done = 0
         for first in range(0, self.samples, size):
             samples = min(size, self.samples - first)
-            inputs, logs = self._inputs(first, samples), self._logs(samples)
-            self._advance(inputs, logs, samples)
-            measured = np.concatenate([logs.position, logs.velocity, logs.torque], axis=2)
-            self._add_torque_noise(measured[:, :, 2 * joints :])
-            logged.append(filtered.push(self._held_at_end(measured, first, samples)))
-            states.append((logs.q, logs.v, logs.work, logs.dissipated))
+            measured = filtered.inbox(samples).reshape(samples, 3, joints, count)
+            logs = Logs(self.stride, first // self.stride, measured, *whole)
+            self._advance(self._inputs(first, samples), logs, samples)
+            self._add_torque_noise(measured[:, 2])
+            self._hold_ended(measured, first)
             if self.job.raw:
-                raw.append(measured)
+                raw.append(measured.copy())
+            done += filtered.push(samples, out[done:])
+            if progress is not None:
+                progress((first + samples) / self.samples)
             if self.lanes.status.all():
                 break
-        logged.append(filtered.finish())
-        parts = [np.concatenate(x, axis=1) for x in zip(*states, strict=True)]
-        whole = np.concatenate(raw, axis=1) if raw else None
-        log = np.concatenate(logged, axis=1)
-        return [self._result(i, log[i], parts, whole) for i in range(len(self.jumps))]
+        filtered.finish(out[done:])
+        unfiltered = np.concatenate(raw) if raw else None
+        return [self._result(i, logged[..., i], whole, unfiltered) for i in range(count)]
 
     def _inputs(self, first: int, samples: int) -> Inputs:
         rows = np.arange(first // self.up, (first + samples) // self.up)
-        position, velocity = micro_interpolate(
-            self.position, self.velocity, rows, self.up, self.job.trajectories[0].rate_hz
-        )
-        after = np.minimum(rows + 1, self.torque.shape[1] - 1)
-        part = (np.arange(self.up) / self.up)[:, None]
-        torque = self.torque[:, rows, None] * (1.0 - part) + self.torque[:, after, None] * part
-        noise = [self._noise(getattr(self.job.noise, name), samples) for name in ("position", "velocity")]
-        shape = position.shape
-        return Inputs(first, position, velocity, np.ascontiguousarray(torque.reshape(shape)), *noise)
+        rate = self.job.trajectories[0].rate_hz
+        references = micro_interpolate(self.position, self.velocity, rows, self.up, rate)
+        ends = np.minimum(np.append(rows, rows[-1] + 1), len(self.position) - 1)
+        torque = np.zeros((len(ends), *self.lanes.held.shape))
+        for lane, trajectory in enumerate(self.job.trajectories):
+            if trajectory.feedforward is not None:
+                torque[..., lane] = trajectory.feedforward[ends]
+        return Inputs(first, self.up, *references, torque, self._noise(samples))
 
-    def _noise(self, deviation: float | tuple[float, ...], samples: int) -> Array:
-        count, _, joints = self.position.shape
-        if not np.any(deviation) and not np.any([self.job.noise.position, self.job.noise.velocity]):
-            return np.zeros((count, 0, joints))
-        return np.stack([child.standard_normal((samples, joints)) * deviation for child in self.children])
+    def _noise(self, samples: int) -> Array:
+        """Of angles and speeds, (samples, 2, joints, lanes); one sample of zeros where there is none."""
+        noise, (joints, count) = self.job.noise, self.lanes.held.shape
+        if not np.any(noise.position) and not np.any(noise.velocity):
+            return np.zeros((1, 2, joints, count))
+        return self._draw(samples, np.stack([np.broadcast_to(x, joints) for x in (noise.position, noise.velocity)]))
 
     def _add_torque_noise(self, torque: Array) -> None:
         if np.any(self.job.noise.torque):
-            for lane, child in zip(torque, self.children, strict=True):
-                lane += child.standard_normal(lane.shape) * self.job.noise.torque
+            torque += self._draw(len(torque), np.broadcast_to(self.job.noise.torque, torque.shape[1]))
 
-    def _logs(self, samples: int) -> Logs:
-        count, n = self.lanes.q.shape
-        joints, states = len(self.loop.drive), -(-samples // self.stride)
-        signals = (np.zeros((count, samples, joints)) for _ in range(3))
-        return Logs(
-            self.stride,
-            *signals,
-            *(np.zeros((count, states, n)) for _ in range(2)),
-            *(np.zeros((count, states)) for _ in range(2)),
-        )
+    def _draw(self, samples: int, deviation: Array) -> Array:
+        """White noise of each lane's own generator, (samples, *shape of `deviation`, lanes)."""
+        drawn = np.empty((len(self.children), samples, *deviation.shape))
+        for lane, child in zip(drawn, self.children, strict=True):
+            child.standard_normal(out=lane)
+        out = np.empty((*drawn.shape[1:], len(drawn)))
+        return np.multiply(np.moveaxis(drawn, 0, -1), deviation[..., None], out=out)
 
-    def _held_at_end(self, measured: Array, first: int, samples: int) -> Array:
-        """Signals of lanes that have ended, held at their last value for the filter."""
-        held = measured
+    def _hold_ended(self, measured: Array, first: int) -> None:
+        """Hold the signals of lanes that have ended at their last value, for the filter."""
         for lane in np.flatnonzero(self.lanes.status):
             last = int(self.lanes.sample[lane]) - first
-            if last < samples:
-                held = held.copy() if held is measured else held
-                held[lane, max(last, 0) :] = measured[lane, last] if last >= 0 else self.last[lane]
-        self.last = held[:, -1]
-        return held
+            measured[max(last + 1, 0) :, ..., lane] = measured[last, ..., lane] if last >= 0 else self.last[..., lane]
+        self.last = measured[-1].copy()
 
     # ---- advancing --------------------------------------------------------------------------------------
 
@@ -543,15 +649,15 @@ class _Runner:
             self._advance_by_parts(inputs, logs, samples)
         else:
             tree, laws = self.plant.tree, self.plant.laws
-            stepping.run(tree, laws, self.memory, self.loop, no_extra(), self.lanes, inputs, logs, samples)
+            kernels.run(tree, laws, self.memory, self.loop, no_extra(), self.lanes, inputs, logs, samples)
 
     def _advance_by_parts(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        """The loop of `stepping.run`, with the effects that have no compiled law asked for their forces in between."""
+        """The loop of `kernels.run`, with the effects that have no compiled law asked for their forces in between."""
         lanes, loop = self.lanes, self.loop
         torque = np.zeros_like(lanes.q)
         h = loop.period / loop.substeps
         for k in range(samples):
-            stepping.control_all(loop, lanes, inputs, logs, k, torque)
+            kernels.control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
             for part in range(loop.substeps):
@@ -559,23 +665,23 @@ class _Runner:
                 time = (inputs.first + k) * loop.period + part * h
                 bend = self._step(torque, time, h)
                 if part == 0 and k % logs.stride == 0:
-                    running = lanes.status == stepping.RUNNING
-                    logs.dissipated[running, k // logs.stride] = lanes.closed[running]
+                    running = lanes.status == kernels.RUNNING
+                    logs.dissipated[running, logs.row + k // logs.stride] = lanes.closed[running]
                 if bend > loop.tolerance:
                     for now, before in zip(lanes, kept, strict=True):
                         now[:] = before
                     lanes.divided[:] += 1
-                    fine = h / stepping.DIVISION
-                    for i in range(stepping.DIVISION):
+                    fine = h / kernels.DIVISION
+                    for i in range(kernels.DIVISION):
                         self._step(torque, time + i * fine, fine)
 
     def _step(self, torque: Array, time: float, h: float) -> float:
         """One step of all lanes; returns the largest bend of the laws."""
         tree, laws, lanes, loop, memory = self.plant.tree, self.plant.laws, self.lanes, self.loop, self.memory
         extra = self._extra(time)
-        stepping.begin_all(tree, laws, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
+        kernels.begin_all(tree, laws, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
         late = self._force(self.late_q, self.late_v, lanes.a, time + h)
-        return float(stepping.finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h))
+        return float(kernels.finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h))
 
     def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
         motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
@@ -603,69 +709,83 @@ class _Runner:
 
     # ---- results ----------------------------------------------------------------------------------------
 
-    def _result(self, lane: int, logged: Array, parts: Sequence[Array], raw: Array | None) -> Simulation:
+    def _result(self, lane: int, logged: Array, states: Sequence[Array], raw: Array | None) -> Simulation:
         job, trajectory = self.job, self.job.trajectories[lane]
-        joints = len(job.robot.joints)
         ended = self._why(lane)
         end = self.samples if ended is None else int(self.lanes.sample[lane]) + 1
         count = -(-end // self.stride)
-        time = np.arange(count) / job.controller.log_rate_hz
-        q, v, work, dissipated = (part[lane, :count] for part in parts)
-        at = np.minimum(np.arange(count) * self.stride, self.samples - 1)
-        reference = self._references(lane, at)
-        period = trajectory.period_s if ended is None else None
+        time = self._time[:count]
+        q, v, work, dissipated = (state[lane, :count] for state in states)
+        position, velocity, torque = np.moveaxis(logged[:count], 1, 0)
+        reference_position, reference_velocity = (x[:count, :, lane % x.shape[2]] for x in self._references)
         recording = Recording(
             name=trajectory.name,
             role=job.role,
             time=time,
             sample_rate_hz=job.controller.log_rate_hz,
             joints=trajectory.joints,
-            position=logged[:count, :joints],
-            velocity=logged[:count, joints : 2 * joints],
-            torque=logged[:count, 2 * joints :],
-            reference_position=reference[0],
-            reference_velocity=reference[1],
-            feedforward_torque=None if trajectory.feedforward is None else reference[2],
-            period_s=period,
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            reference_position=reference_position,
+            reference_velocity=reference_velocity,
+            feedforward_torque=None if trajectory.feedforward is None else self._at_log(trajectory.feedforward)[:count],
+            period_s=trajectory.period_s if ended is None else None,
         )
-        own = None
-        if raw is not None:
-            split = np.split(raw[lane, :end], 3, axis=1)
-            own = RawLog(job.controller.controller_rate_hz, *split)
+        own = (
+            None if raw is None else RawLog(job.controller.controller_rate_hz, *np.moveaxis(raw[:end, ..., lane], 1, 0))
+        )
         return Simulation(job.robot, trajectory, time, q, v, work, dissipated, recording, own, ended)
 
-    def _references(self, lane: int, samples: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-        """References and feed-forward torque of a lane at samples of the controller, each (N, joints)."""
+    @cached_property
+    def _time(self) -> Array:
+        return np.arange(-(-self.samples // self.stride)) / self.job.controller.log_rate_hz
+
+    @cached_property
+    def _references(self) -> tuple[Array, Array]:
+        """References at the log's rate, each (N, joints, lanes or 1)."""
+        if self.up == self.stride:
+            return self.position, self.velocity
+        rows, parts = np.arange(len(self.position)), np.arange(self.up) / self.up
         rate = self.job.trajectories[0].rate_hz
-        rows, part = np.divmod(samples, self.up)
-        if not part.any():
-            return self.position[lane, rows], self.velocity[lane, rows], self.torque[lane, rows]
-        fine = micro_interpolate(self.position[lane : lane + 1], self.velocity[lane : lane + 1], rows, self.up, rate)
-        place = np.arange(len(rows)) * self.up + part
-        after, share = np.minimum(rows + 1, len(self.torque[lane]) - 1), part[:, None] / self.up
-        torque = self.torque[lane, rows] * (1.0 - share) + self.torque[lane, after] * share
-        return fine[0][0, place], fine[1][0, place], torque
+        fine = [x[:: self.stride] for x in hermite(self.position, self.velocity, rows, parts, rate)]
+        return fine[0], fine[1]
+
+    def _at_log(self, torque: Array) -> Array:
+        """A feed-forward torque (N, joints), with straight lines between its samples, at the log's rate."""
+        if self.up == self.stride:
+            return torque
+        rows, part = np.divmod(np.arange(len(self._time)) * self.stride, self.up)
+        after, share = np.minimum(rows + 1, len(torque) - 1), part[:, None] / self.up
+        return np.asarray(torque[rows] + share * (torque[after] - torque[rows]))
 
     def _why(self, lane: int) -> str | None:
         status, joint = int(self.lanes.status[lane]), int(self.lanes.joint[lane])
-        if status == stepping.RUNNING:
+        if status == kernels.RUNNING:
             return None
         at = f"at t = {self.lanes.sample[lane] / self.job.controller.controller_rate_hz:.4f} s"
-        if status == stepping.DIVERGED:
+        if status == kernels.DIVERGED:
             return f"{at} the motion diverged: coordinates are no longer finite"
         name, place = self.job.robot.joints[joint], int(self.loop.drive[joint])
-        if status == stepping.JUMP:
+        if status == kernels.JUMP:
             jump = self.jumps[lane]
             assert jump is not None
             return f"{at} the reference of {name} jumps: {jump.speed:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
-        if status == stepping.OVERLOAD:
+        if status == kernels.OVERLOAD:
             held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
             return f"{at} the torque of {name} has been at its limit of {limit:g} N m for {held:g} ms"
-        if status == stepping.OVERSPEED:
+        if status == kernels.OVERSPEED:
             speed_now = self.lanes.v[lane, place]
             return f"{at} {name} turns at {speed_now:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
         limits = f"{self.loop.lower[joint]:.4g} to {self.loop.upper[joint]:.4g} rad"
         return f"{at} {name} is at {self.lanes.q[lane, place]:.4g} rad, outside its limits {limits}"
+
+
+def _lanes_last(signals: Sequence[Array]) -> Array:
+    """Signals (N, joints) of all lanes as (N, joints, lanes), or (N, joints, 1) where the lanes share one."""
+    first = signals[0]
+    shared = all(x is first or np.array_equal(x, first) for x in signals)
+    return np.ascontiguousarray(np.stack(signals[:1] if shared else signals, axis=-1))
 
 
 def _dissipated(effect: Effect, force: Array, motion: Motion, still: Motion) -> Array:

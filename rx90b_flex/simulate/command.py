@@ -14,7 +14,7 @@ from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import write_campaign
 from rx90b_flex.signals.tables import read_table, write_table
-from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate
+from rx90b_flex.simulate.closed_loop import Noise, Progress, Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import (
@@ -204,8 +204,8 @@ def _header(path: Path) -> list[str]:
 # ---- the run and its files ------------------------------------------------------------------------------------
 
 
-def run(prepared: Prepared) -> Simulation:
-    """The run that a request asks for, with its raw log."""
+def run(prepared: Prepared, progress: Progress | None = None) -> Simulation:
+    """The run that a request asks for, with its raw log; `progress` is called with the part that is done."""
     request = prepared.request
     noise = request.noise
     noisy = any(np.any(x) for x in (noise.torque, noise.position, noise.velocity))
@@ -213,8 +213,8 @@ def run(prepared: Prepared) -> Simulation:
     robot, controller, trajectory = prepared.robot, prepared.controller, prepared.trajectory
     given = noise if noisy else None
     if request.perturbation:
-        return perturb_lanes(robot, controller, [trajectory], noise=given, rng=rng, raw=True)[0]
-    return simulate(robot, controller, trajectory, noise=given, rng=rng, raw=True)
+        return perturb_lanes(robot, controller, [trajectory], noise=given, rng=rng, raw=True, progress=progress)[0]
+    return simulate(robot, controller, trajectory, noise=given, rng=rng, raw=True, progress=progress)
 
 
 def write_run(result: Simulation, folder: Path) -> None:
@@ -255,9 +255,10 @@ def simulate_into(request: Request, folder: Path, tell: Callable[[str, float], N
 
     check_folder(folder)
     prepared = prepare(request)
-    tell(f"simulating {prepared.trajectory.name}", 0.1)
-    result = run(prepared)
-    tell("writing", 0.9)
+    what = f"simulating {prepared.trajectory.name}"
+    tell(what, 0.0)
+    result = run(prepared, lambda part: tell(what, 0.95 * part))
+    tell("writing", 0.95)
 
     def fill(at: Path) -> None:
         write_run(result, at)

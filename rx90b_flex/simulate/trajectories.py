@@ -102,15 +102,17 @@ def from_recording(recording: Recording) -> Trajectory:
 
 # ---- the straight line of section 4.2.2 -----------------------------------------------------------------------
 
-# Choices: the source shows the line (figure 4.6) and prints its length and duration. Across the robot, near enough for
-# joint 1 to sweep through 135 degrees and joints 2 and 3 to reverse half-way, at a height where its ends are within
-# reach.
+# The source prints the line's length, that it is horizontal, and (figures 4.6, 4.7) that it takes 2 s with joints 2 and 3
+# reversing at 1 s. The rest is chosen. Half-way it passes across the robot's front, near enough for joint 1 to sweep through
+# 135 degrees: that makes the reversal. Height and ramp are those at which the tip stays in the range of figure 4.7's axes,
+# -1 to 0 mm up and 0 to 1 mm across, but for the first vibration: a shorter ramp or a higher line shakes it more (0.3 s and
+# 0.55 m: by 1.9 mm), and with ramps of 0.3 s their ends kick the tip like the reversal, which the source does not mention.
 LINE_LENGTH = 1.7  # m
 LINE_TIME = 2.0  # s
 LINE_DISTANCE = 0.35  # m, from joint 1's axis
-LINE_HEIGHT = 0.55  # m, above the floor
+LINE_HEIGHT = 0.35  # m, above the floor
 LINE_RAMP = (
-    0.3  # s of constant acceleration at either end; it starts with a jump in acceleration, which shakes the robot
+    0.5  # s of constant acceleration at either end; it starts with a jump in acceleration, which shakes the robot
 )
 
 
@@ -268,7 +270,7 @@ def square_wave(
     """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s
     alone.
 
-    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2 % only at
+    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2.3 % only, at
     its flanks; the position swings evenly about `pose`.
 
     Parameters
