@@ -99,10 +99,10 @@ def lower_crest(
 ) -> Array:
     """Phases with a lower crest factor than the given ones, shape (F,).
 
-    ``clipping`` (Van der Ouderaa; Pintelon and Schoukens 2001, the source's): cut the signal near its peak, keep the phases of what is
-    left and the amplitudes asked for, again and again, cutting less and less. ``lp`` goes on from there: the norm ``|f|_p`` is
-    minimised for p = 4, 8, ..., 256 by Levenberg and Marquardt's steps, residuals ``f^(p/2)`` (Guillaume et al. 1991). As p grows the
-    norm nears the largest value; the phases of one p start the next.
+    ``clipping`` (Van der Ouderaa; Pintelon and Schoukens 2001; the source's): cut the signal near its peak, keep the phases
+    of what is left and the amplitudes asked for, again and again, cutting less and less. ``lp`` goes on from there: the norm
+    ``|f|_p`` is minimised for p = 4, 8, ..., 256 by Levenberg and Marquardt's steps, residuals ``f^(p/2)`` (Guillaume et al.
+    1991). As p grows the norm nears the largest value; the phases of one p start the next.
 
     Parameters
     ----------
@@ -116,9 +116,9 @@ def lower_crest(
 
 
 def whitening(sensitivity: ArrayLike) -> Array:
-    """Amplitudes of the multisine that make the drive torques' spectra flat (recommended in section 7.2), shape (joints, F).
+    """Amplitudes of the multisine that make the drive torques' spectra flat (section 7.2 recommends it), shape (joints, F).
 
-    Each joint's torque line over its feed-forward line is the loop's sensitivity; its own diagonal entry is divided out. Mean square 1.
+    Each joint's torque line over its feed-forward line is the loop's sensitivity, whose diagonal is divided out. Mean square 1.
 
     Parameters
     ----------

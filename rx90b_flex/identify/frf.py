@@ -25,7 +25,9 @@ from rx90b_flex.signals import Campaign, Recording
 EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of the largest
 SAME = 0.99  # correlation over lines from which two feed-forward spectra are the same multisine's
 OPPOSITE = 1e-6  # relative: how near a feed-forward must come to the negative of another
-WORST_CONDITION = 1e3  # of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular
+WORST_CONDITION = (
+    1e3  # of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular
+)
 CLEAR = 4.0  # standard deviations by which the weakest combination of torques must stand out of the noise
 POSE_SPREAD = 0.02  # rad: mean angles further apart belong to different poses
 NAME = re.compile(r"^(?P<realisation>.*\d)_(?P<experiment>\d+)_(?P<sign>plus|minus)(_\d+)?$")
@@ -50,7 +52,7 @@ class Spectra:
     hz : array, shape (L,)
     excited : bool array, shape (L,)
     torque, acceleration : array, shape (L, n), N m and rad/s^2
-        Of the half differences of sign pairs: the references' part is gone, as are distortions that do not change sign with the excitation.
+        Of the half differences of sign pairs: gone are the references' part and what does not change sign with the excitation.
     torque_noise, acceleration_noise : array, shape (L, n)
         Deviation of one period from the mean of the periods; NaN with one period.
     """
@@ -130,8 +132,8 @@ class MeasuredResponse(FrequencyResponse):
 def confidence_radius(response: FrequencyResponse, level: float = 0.95) -> Array:
     """Radius of the circle in the complex plane that holds each entry with the given probability, shape (F, n, n).
 
-    For a circular complex error d of variance s^2, estimated with nu degrees of freedom, ``|d|^2 / s^2`` has Fisher's distribution with 2
-    and 2 nu of them.
+    For a circular complex error d of variance s^2, estimated with nu degrees of freedom, ``|d|^2 / s^2`` has Fisher's
+    distribution with 2 and 2 nu of them.
     """
     nu = response.degrees_of_freedom
     ratio = -np.log1p(-level) if np.isinf(nu) else stats.f.ppf(level, 2, 2.0 * nu)
@@ -144,19 +146,17 @@ def confidence_radius(response: FrequencyResponse, level: float = 0.95) -> Array
 def group_recordings(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     """Tell realisation, experiment and sign of each recording from what was fed forward.
 
-    Recordings share a realisation if some joint's feed-forward spectrum in one is a multiple of some joint's in the other; within one, two
-    whose feed-forward torques are each other's negative are a pair. Where no feed-forward was logged, from names such as
-    ``run_000_1_plus``.
+    Recordings share a realisation if some joint's feed-forward spectrum in one is a multiple of some joint's in the other;
+    within one, two whose feed-forward torques are each other's negative are a pair. Where no feed-forward was logged, from
+    names such as ``run_000_1_plus``.
 
     Raises
     ------
     ValueError
         Neither tells; a run is there twice.
     """
-    if all(r.feedforward_torque is not None for r in recordings):
-        places = _from_feedforward(recordings)
-    else:
-        places = _from_names(recordings)
+    logged = all(r.feedforward_torque is not None for r in recordings)
+    places = _from_feedforward(recordings) if logged else _from_names(recordings)
     twice = [key for key, count in Counter((p.realisation, p.experiment, p.sign) for p in places).items() if count > 1]
     if twice:
         names = [p.recording for p in places if (p.realisation, p.experiment, p.sign) == twice[0]]
@@ -235,11 +235,12 @@ def estimate_frequency_response(
 ) -> MeasuredResponse:
     """Drive acceleration over drive torque of a robot about one pose, with covariances of noise and of nonlinear distortion.
 
-    Sign pairs are subtracted, so that the references' part goes. With U and Y the torques and accelerations of one realisation's
-    experiments (columns), averaged over periods, the estimate is ``P = mean(Y U^-1)`` over realisations: mapping them to common phases by
-    the measured input, (6.22-6.25), multiplies U and Y from the right by one matrix, so that (6.32) does not depend on the phases chosen.
-    Noise covariance (6.26-6.28) is that of the equation error ``Y - P U`` between periods, carried on by (6.33); torque and angle
-    noise and their correlation are all in it. The total covariance of the mean, (6.31), comes from the differences of realisations.
+    Sign pairs are subtracted, so that the references' part goes. With U and Y the torques and accelerations of one
+    realisation's experiments (columns), averaged over periods, the estimate is ``P = mean(Y U^-1)`` over realisations: mapping
+    them to common phases by the measured input, (6.22-6.25), multiplies U and Y from the right by one matrix, so that (6.32)
+    does not depend on the phases chosen. Noise covariance (6.26-6.28) is that of the equation error ``Y - P U`` between
+    periods, carried on by (6.33); torque and angle noise and their correlation are all in it. The total covariance of the
+    mean, (6.31), comes from the differences of realisations.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def _estimate(
     places: tuple[Place, ...],
     remarks: list[str],
 ) -> MeasuredResponse:
-    realisations, periods, lines, n, experiments = u.shape
+    realisations, periods, _, n, experiments = u.shape
     mean_u, mean_y = u.mean(axis=1), y.mean(axis=1)  # (R, F, n, E)
     inverse = np.linalg.pinv(mean_u)  # (R, F, E, n): experiments beyond the joints are averaged by it
     single = mean_y @ inverse
@@ -326,7 +327,9 @@ def _estimate(
         remarks.append("one realisation: the nonlinear distortion is unknown, the covariance holds noise alone")
         total, covariance, freedom = noise, noise_covariance, float((periods - 1) * experiments)
     else:
-        raise ValueError("one realisation of one period: no covariance can be estimated; record more periods or realisations")
+        raise ValueError(
+            "one realisation of one period: no covariance can be estimated; record more periods or realisations"
+        )
     common_u, common_y = _to_common_phase(mean_u, mean_y)
     return MeasuredResponse(
         hz=hz,
@@ -467,12 +470,16 @@ def _sign_pairs(recordings: Sequence[Recording], places: Sequence[Place], remark
         found.setdefault((p.realisation, p.experiment), {})[p.sign] = rows[p.recording]
     pairs = [_Pair(m, k, signs.get(1), signs.get(-1)) for (m, k), signs in sorted(found.items())]
     if all(pair.plus is None or pair.minus is None for pair in pairs):
-        remarks.append("no experiment was run with both signs: the response to the references stays in the lines they share")
+        remarks.append(
+            "no experiment was run with both signs: the response to the references stays in the lines they share"
+        )
         return pairs
     for pair in pairs:
         if pair.plus is None or pair.minus is None:
             there = recordings[pair.plus if pair.plus is not None else pair.minus or 0].name
-            remarks.append(f"realisation {pair.realisation + 1}: {there} lacks the run of opposite sign and is left out")
+            remarks.append(
+                f"realisation {pair.realisation + 1}: {there} lacks the run of opposite sign and is left out"
+            )
     return [pair for pair in pairs if pair.plus is not None and pair.minus is not None]
 
 
@@ -515,9 +522,7 @@ def _spectra_of(
     return torque, angle
 
 
-def _feedforward(
-    recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]
-) -> ComplexArray | None:
+def _feedforward(recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]) -> ComplexArray | None:
     """Feed-forward spectra, (R, E, L, n), or None where they were not logged."""
     if any(r.feedforward_torque is None for r in recordings):
         return None
@@ -552,7 +557,9 @@ def _lines(
     lines = lines[(lines * step >= low - 1e-9) & (lines * step <= high + 1e-9)]
     beyond = lines[lines * step >= nyquist - 1e-9]
     if len(beyond):
-        remarks.append(f"{len(beyond)} lines from {beyond[0] * step:g} Hz are at or beyond Nyquist ({nyquist:g} Hz) and left out")
+        remarks.append(
+            f"{len(beyond)} lines from {beyond[0] * step:g} Hz are at or beyond Nyquist ({nyquist:g} Hz) and left out"
+        )
     lines = lines[(lines > 0) & (lines * step < nyquist - 1e-9)]
     if len(lines) == 0:
         raise ValueError("no line is left to estimate; expected excited lines within the band and below Nyquist")
@@ -595,6 +602,10 @@ def _line_spectra(torque: ComplexArray, acceleration: ComplexArray, lines: NDArr
     for x in (torque[..., kept, :], acceleration[..., kept, :]):
         mean = x.mean(axis=2, keepdims=True)
         periods = x.shape[2]
-        noise = np.sum(np.abs(x - mean) ** 2, axis=2) / (periods - 1) if periods > 1 else np.full(mean[:, :, 0].shape, np.nan)
+        noise = (
+            np.sum(np.abs(x - mean) ** 2, axis=2) / (periods - 1)
+            if periods > 1
+            else np.full(mean[:, :, 0].shape, np.nan)
+        )
         levels += [np.sqrt(np.mean(np.abs(mean) ** 2, axis=(0, 1, 2))), np.sqrt(noise.mean(axis=(0, 1)))]
     return Spectra(all_hz[kept], excited, levels[0], levels[2], levels[1], levels[3])

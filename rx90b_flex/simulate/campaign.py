@@ -26,7 +26,7 @@ from rx90b_flex.excitation.multisine import Crest
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
-from rx90b_flex.signals.recording import Role
+from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, save_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
@@ -43,6 +43,7 @@ Progress = Callable[[str, float], None]
 
 PLAN_FILE = "plan.json"
 RUNS = "runs"
+TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
 @dataclass(frozen=True)
@@ -309,12 +310,36 @@ def simulate_batch(plan: Plan, keys: Sequence[RunKey], folder: Path) -> list[tup
 
 
 def _simulate(plan: Plan, keys: Sequence[RunKey]) -> list[Simulation]:
-    trajectories = [plan.trajectory(key) for key in keys]
+    trajectories = [_with_tail(plan.trajectory(key)) for key in keys]
     noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
     noise = plan.noise if noisy else None
     rng = _Spawned([plan.generator(key) for key in keys])
     advance = perturb_lanes if plan.method == "perturbation" else simulate_lanes
-    return advance(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
+    runs = advance(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
+    return [dataclasses.replace(run, recording=_without_tail(plan, run.recording)) for run in runs]
+
+
+def _with_tail(trajectory: Trajectory) -> Trajectory:
+    """The trajectory and the start of another period, which the log's filter reaches into at the end of the last one."""
+    if trajectory.period_s is None:
+        return trajectory
+    count = len(trajectory.position)
+    rows = np.arange(count + round(TAIL_S * trajectory.rate_hz)) % count
+    return dataclasses.replace(
+        trajectory,
+        position=trajectory.position[rows],
+        velocity=trajectory.velocity[rows],
+        feedforward=None if trajectory.feedforward is None else trajectory.feedforward[rows],
+    )
+
+
+def _without_tail(plan: Plan, recording: Recording) -> Recording:
+    if plan.reference.period_s is None:
+        return recording
+    count = round(plan.periods * plan.reference.period_s * recording.sample_rate_hz)
+    values = {f.name: getattr(recording, f.name) for f in dataclasses.fields(recording)}
+    cut = {name: value[:count] for name, value in values.items() if isinstance(value, np.ndarray)}
+    return dataclasses.replace(recording, **cut)
 
 
 class _Spawned(np.random.Generator):

@@ -1,7 +1,7 @@
 """Figures of a frequency response: entries with their bands, differences, excitation, signal-to-noise ratios.
 
-Each function takes results and returns a `matplotlib.figure.Figure`; none knows of a window or of pyplot. What was measured is always blue
-with its band shaded, what it is compared with orange and dashed.
+Each function takes results and returns a `matplotlib.figure.Figure`; none knows of a window or of pyplot. What was measured is
+always blue with its band shaded, what it is compared with orange and dashed.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def signal_to_noise(response: MeasuredResponse) -> Figure:
 
 
 def channel_signal_to_noise(response: MeasuredResponse) -> Figure:
-    """Torque and acceleration of each joint over the noise of one period, and the acceleration over one realisation's distortion, dB."""
+    """Torque and acceleration of each joint over the noise of one period, and over one realisation's distortion, dB."""
     figure, axes = _row(len(response.joints))
     for j, (ax, joint) in enumerate(zip(axes, response.joints, strict=True)):
         ax.plot(response.hz, _db(response.torque_snr[:, j]), color=MEASURED, lw=0.9, label="torque, noise")
@@ -140,8 +140,22 @@ def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
     )
     for axes, (signal, noise, label) in zip(grid, rows, strict=True):
         for j, (ax, joint) in enumerate(zip(axes, joints, strict=True)):
-            ax.plot(spectra.hz[spectra.excited], signal[spectra.excited, j], ".", color=MEASURED, ms=3, label="excited lines")
-            ax.plot(spectra.hz[~spectra.excited], signal[~spectra.excited, j], ".", color=DISTORTION, ms=1.5, label="other lines")
+            ax.plot(
+                spectra.hz[spectra.excited],
+                signal[spectra.excited, j],
+                ".",
+                color=MEASURED,
+                ms=3,
+                label="excited lines",
+            )
+            ax.plot(
+                spectra.hz[~spectra.excited],
+                signal[~spectra.excited, j],
+                ".",
+                color=DISTORTION,
+                ms=1.5,
+                label="other lines",
+            )
             if np.isfinite(noise).all():
                 ax.plot(spectra.hz, noise[:, j], color=NOISE, lw=0.7, label="noise of a period")
             ax.set_yscale("log")
