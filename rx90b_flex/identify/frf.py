@@ -58,7 +58,7 @@ class Spectra:
     """
 
     hz: Array
-    excited: Array
+    excited: NDArray[np.bool_]
     torque: Array
     acceleration: Array
     torque_noise: Array
@@ -349,7 +349,7 @@ def _estimate(
         equation_covariance=_kron(total, spread) / realisations,
         torque_snr=_ratio(mean_u, u),
         acceleration_snr=_ratio(mean_y, y),
-        acceleration_distortion=_level(mean_y) / np.sqrt(np.einsum("fjj->fj", total).real),
+        acceleration_distortion=_over(_level(mean_y), np.einsum("fjj->fj", total).real),
         spectra=spectra,
         places=places,
         periods=periods,
@@ -406,7 +406,11 @@ def _ratio(mean: ComplexArray, single: ComplexArray) -> Array:
     if periods < 2:
         return np.full(mean.shape[1:3], np.nan)
     deviation = np.sum(np.abs(single - mean[:, None]) ** 2, axis=1) / (periods - 1)
-    return np.asarray(_level(mean) / np.sqrt(np.mean(deviation, axis=(0, 3))))
+    return _over(_level(mean), np.mean(deviation, axis=(0, 3)))
+
+
+def _over(level: Array, variance: Array) -> Array:
+    return np.divide(level, np.sqrt(variance), out=np.full_like(level, np.inf), where=variance > 0)
 
 
 # ---- from recordings to spectra -------------------------------------------------------------------------------
@@ -579,7 +583,7 @@ def _regular(
         # a combination of torques that only noise keeps from zero does not count
         noise = np.sum(np.abs(u - mean[:, None]) ** 2, axis=(1, 3, 4)) / (periods - 1) / periods / experiments
         independent &= np.linalg.svd(mean, compute_uv=False)[..., -1] > CLEAR * np.sqrt(noise)
-    kept = independent.all(axis=0)
+    kept = np.asarray(independent.all(axis=0))
     if not kept.any():
         raise ValueError("the experiments' torques are linearly dependent at every line; check the input matrix")
     if not kept.all():
