@@ -10,8 +10,8 @@ import numpy as np
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 
-POWERS = (0.5, 1.0, 1.5, 2.0)  # w of (6.41); the source scans 0.2 to 2
-ITERATIONS = 8
+POWERS = (0.5, 1.0, 2.0)  # w of (6.41); the source scans 0.2 to 2
+ITERATIONS = 6
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from rx90b_flex.effects.motion import Array
@@ -108,9 +109,10 @@ class TransferFunctions:
 
     def antiresonances_hz(self, drive: int) -> Array:
         """Undamped antiresonances of a drive point (5.41), ascending, Hz: the distance of its complex zeros from the origin."""
-        return np.abs(self._complex_zeros(drive)) / TURN
+        return np.abs(self.complex_zeros(drive)) / TURN
 
-    def _complex_zeros(self, drive: int) -> ComplexArray:
+    def complex_zeros(self, drive: int) -> ComplexArray:
+        """Zeros of a drive point above the real axis, rad/s, by distance from the origin."""
         z = self.zeros(drive)
         return z[z.imag > 1e-6 * np.abs(z)]
 
@@ -220,7 +222,7 @@ class Bounds:
 
     Attributes
     ----------
-    frequency_hz : (low, high) of every mode; by default from a third of the lowest line to twice the highest.
+    frequency_hz : (low, high) of every mode; by default from the lowest line to twice the highest.
     damping_ratio : (low, high).
     decay_hz : (low, high) of the friction's real pole; by default up to half the lowest line.
     delay_s : (low, high).
@@ -246,6 +248,8 @@ class Candidate:
         What decides; the lowest is chosen.
     started : str
         Where its poles came from.
+    bound : bool
+        Whether a mode ended on a bound: then it is no mode of the band, and the candidate stands back behind those without.
     """
 
     modes: int
@@ -253,6 +257,7 @@ class Candidate:
     parameters: int
     criterion: float
     started: str
+    bound: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,26 +299,55 @@ class TransferFit:
 
     def resonances_std_hz(self) -> Array:
         """Standard deviations of `resonances_hz`, shape (m,)."""
-        return np.sqrt(np.diag(self.covariance)[self._of_modes(0)])
+        return self._spread(self.resonance_derivatives()[1])
 
     def damping_std(self) -> Array:
         """Standard deviations of the damping ratios, shape (m,)."""
-        return np.sqrt(np.diag(self.covariance)[self._of_modes(1)])
+        return self._spread(self._of_modes(1))
 
-    def _of_modes(self, place: int) -> slice:
+    def _spread(self, derivatives: Array) -> Array:
+        return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, self.covariance, derivatives))
+
+    def _of_modes(self, place: int) -> Array:
         width = 2 + 2 * self._layout.size
-        return slice(place, self._layout.modes * width, width)
+        return np.eye(self._layout.count)[place : self._layout.modes * width : width]
+
+    def resonance_derivatives(self) -> tuple[Array, Array]:
+        """Resonances, Hz, and their derivatives by the parameters, shapes (m,) and (m, p)."""
+        return self.model.frequency_hz, self._of_modes(0)
+
+    def decay_derivatives(self) -> tuple[Array, Array]:
+        """Decay rates ``-Re(p)``, rad/s, and their derivatives by the parameters, shapes (m,) and (m, p)."""
+        f, z = TURN * self.model.frequency_hz, self.model.damping_ratio
+        return f * z, TURN * z[:, None] * self._of_modes(0) + f[:, None] * self._of_modes(1)
+
+    def rigid_inverse_derivatives(self) -> Array:
+        """Derivatives of `TransferFunctions.rigid_inverse` by the parameters, shape (n, n, p)."""
+        layout = self._layout
+        upper = layout.jacobian(self.model, np.zeros(1, complex))[0].real
+        at = layout.modes * (2 + 2 * layout.size) + 2 * layout.entries
+        upper[:, at : at + 1 + layout.entries] = 0.0  # without friction
+        out = np.zeros((layout.size, layout.size, layout.count))
+        out[..., : upper.shape[1]] = np.tensordot(symmetric_basis(layout.size), upper, ((0,), (0,)))
+        return out
+
+    def in_band(self, hz: Array) -> NDArray[np.bool_]:
+        """Which frequencies lie between the lines: those outside only stand for what is beyond."""
+        return (np.asarray(hz) >= self.response.hz[0]) & (np.asarray(hz) <= self.response.hz[-1])
 
     def antiresonances(self, drive: int) -> tuple[Array, Array]:
-        """Antiresonances of a drive point and their standard deviations, ascending, Hz.
+        """Undamped antiresonances of a drive point (5.41) and their standard deviations, ascending, Hz."""
+        hz, by = self.antiresonance_derivatives(drive)
+        return hz, self._spread(by)
+
+    def antiresonance_derivatives(self, drive: int) -> tuple[Array, Array]:
+        """Antiresonances of a drive point, Hz, and their derivatives by the parameters, shapes (z,) and (z, p).
 
         A zero moves with the parameters by ``dz = -(dP/dtheta) / (dP/ds)``.
         """
-        z = self.model._complex_zeros(drive)
-        by_zero = self._zero_derivatives(drive, z)
-        along = (z.conj() / np.abs(z))[:, None] * by_zero
-        std = np.sqrt(np.einsum("zp,pq,zq->z", along.real, self.covariance, along.real)) / TURN
-        return np.abs(z) / TURN, std
+        z = self.model.complex_zeros(drive)
+        along = (z.conj() / np.abs(z))[:, None] * self._zero_derivatives(drive, z)
+        return np.abs(z) / TURN, along.real / TURN
 
     def _zero_derivatives(self, drive: int, z: ComplexArray) -> ComplexArray:
         model, free = self.model, self._layout.count - self._layout.delays
@@ -325,15 +359,6 @@ class TransferFit:
         by_s = model.slope[drive, drive] + model.drag[drive, drive] / (z + TURN * model.decay_hz) ** 2
         by_s = by_s - (q / (z[:, None] - p) ** 2 + q.conj() / (z[:, None] - p.conj()) ** 2).sum(axis=1)
         return -out / by_s[:, None]
-
-    def rigid_inverse_covariance(self) -> Array:
-        """Covariance of the upper entries of `TransferFunctions.rigid_inverse`, shape (k, k)."""
-        layout, model = self._layout, self.model
-        by = layout.jacobian(model, np.zeros(1, complex))[0].real
-        at = layout.modes * (2 + 2 * layout.size) + 2 * layout.entries
-        by[:, at : at + 1 + layout.entries] = 0.0  # without friction
-        used = self.covariance[: by.shape[1], : by.shape[1]]
-        return by @ used @ by.T
 
     def frf_std(self, hz: Array) -> Array:
         """Standard deviation of the fitted FRF (6.48), ``sqrt(E |d|^2)``, shape (F, n, n), rad/s^2 per N m."""
@@ -358,7 +383,7 @@ def fit_transfer_functions(
     """Symmetric transfer functions by maximum likelihood, with their order, without a hand in it.
 
     For each number of modes, poles come from linear fits of several orders and weights (`starting_poles`) and from
-    the fit with one mode less and the new pole where it helps most; the likelihood is climbed from each by
+    the fit with one mode less and a new pole where it helps most; the likelihood is climbed from each by
     Levenberg-Marquardt with the analytic Jacobian, and the lowest cost stays. The number of modes is that of the lowest
     criterion, where two more did not lower it.
 
@@ -406,8 +431,8 @@ def fit_transfer_functions(
     if start is None:
         sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
     price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
-    spread = _efficiency(response)[0]
-    best: tuple[float, Array, float, _Layout] | None = None
+    spread = efficiency(response)[0]
+    best: tuple[tuple[bool, float], Array, float, _Layout] | None = None
     candidates: list[Candidate] = []
     before: TransferFunctions | None = None
     for m in tried:
@@ -417,8 +442,8 @@ def fit_transfer_functions(
             fits.append((*_climb(problem, layout, layout.pack(model), bounds), told))
         x, cost, told = min(fits, key=lambda fit: fit[1])
         before = layout.unpack(x)
-        score = cost / spread + price * layout.count
-        candidates.append(Candidate(m, cost, layout.count, float(score), told))
+        score = (_on_bound(layout, x, bounds), float(cost / spread + price * layout.count))
+        candidates.append(Candidate(m, cost, layout.count, score[1], told, score[0]))
         if best is None or score < best[0]:
             best = (score, x, cost, layout)
         elif m - best[3].modes >= 2:
@@ -448,12 +473,12 @@ def _filled(bounds: Bounds, response: FrequencyResponse) -> Bounds:
     low, high = float(response.hz[0]), float(response.hz[-1])
     return replace(
         bounds,
-        frequency_hz=bounds.frequency_hz or (low / 3, 2 * high),
+        frequency_hz=bounds.frequency_hz or (low, 2 * high),
         decay_hz=bounds.decay_hz or (1e-3 * low, low / 2),
     )
 
 
-def _efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
+def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
     """What estimated weights do to the cost a line and entry: its mean, its variance, and the parameters' covariance.
 
     Each line's cost is then Hotelling's T^2 of n*n complex numbers; for a single output the first two are the factors of
@@ -534,6 +559,12 @@ def _limits(layout: _Layout, bounds: Bounds) -> tuple[Array, Array]:
     for place, (least, most) in places:
         low[place], high[place] = least, most
     return low, high
+
+
+def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
+    low, high = _limits(layout, bounds)
+    own = np.arange(layout.modes * (2 + 2 * layout.size))  # the friction's pole and delays may well end there
+    return bool(np.any((x <= low)[own] | (x >= high)[own]))
 
 
 def _climb(
@@ -638,7 +669,7 @@ def _result(
     hessian, _ = problem.normal_equations(layout, x)
     scale = np.sqrt(np.diag(hessian)) + 1e-300
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    mean, _, loss = _efficiency(problem.response)
+    mean, _, loss = efficiency(problem.response)
     expected = mean * (len(problem.response.hz) * problem.n**2 - layout.count / 2)
     inflation = max(1.0, cost / expected) if np.isfinite(expected) else 1.0
     return TransferFit(
