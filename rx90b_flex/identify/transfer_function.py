@@ -208,9 +208,7 @@ def _start(data: SymmetricData, poles: ComplexArray, layout: _Layout, decay_hz: 
     size = np.einsum("ma,mab,mb->m", left.conj(), residues, left.conj())
     shape = left * np.sqrt(size)[:, None]
     p = poles
-    return TransferFunctions(
-        np.abs(p) / TURN, -p.real / np.abs(p), shape, direct, slope, decay_hz, -drag, np.zeros(n)
-    )
+    return TransferFunctions(np.abs(p) / TURN, -p.real / np.abs(p), shape, direct, slope, decay_hz, -drag, np.zeros(n))
 
 
 # ---- fit ------------------------------------------------------------------------------------------------------
@@ -415,17 +413,18 @@ def fit_transfer_functions(
     if criterion not in ("mdl", "aic"):
         raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
     response = _without(response, leave_out_hz)
-    n, bounds = len(response.joints), _filled(bounds or Bounds(), response)
+    n, high = len(response.joints), float(response.hz[-1]) if len(response.hz) else 1.0
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
     count = {"none": 0, "common": 1, "each": n}[delays]
-    layouts = {m: _Layout(m, n, float(response.hz[-1]), count) for m in tried}
+    layouts = {m: _Layout(m, n, high, count) for m in tried}
     rows = 2 * len(response.hz) * n * n
-    needed = layouts[max(tried)].count
+    needed = max((layout.count for layout in layouts.values()), default=0)
     if not tried or min(tried) < 1 or rows < 2 * needed:
         raise ValueError(
-            f"{len(response.hz)} lines give {rows} numbers for {needed} parameters of {max(tried, default=0)} modes; expected modes "
+            f"{len(response.hz)} lines give {rows} numbers for the {needed} parameters of {max(tried, default=0)} modes; expected modes "
             "from 1 on and twice as many numbers as parameters"
         )
+    bounds = _filled(bounds or Bounds(), response)
     problem = _Problem(response)
     sets: tuple[PoleSet, ...] = ()
     if start is None:
@@ -567,9 +566,7 @@ def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
     return bool(np.any((x <= low)[own] | (x >= high)[own]))
 
 
-def _climb(
-    problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150
-) -> tuple[Array, float]:
+def _climb(problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150) -> tuple[Array, float]:
     """Levenberg-Marquardt within bounds, until a step would lower the cost by less than a hundredth.
 
     The cost is in units of the noise: a tenth of a parameter's standard deviation is worth a hundredth of it.
@@ -634,9 +631,7 @@ def _starts(
         plausible = (f * z > spacing / 4) & (f > bounds.frequency_hz[0]) & (f < bounds.frequency_hz[1])
         poles = one.poles[plausible & (z < bounds.damping_ratio[1])]
         while len(poles) > layout.modes:
-            poles = min(
-                (np.delete(poles, i) for i in range(len(poles))), key=lambda p: residue_fit(problem.data, p)[1]
-            )
+            poles = min((np.delete(poles, i) for i in range(len(poles))), key=lambda p: residue_fit(problem.data, p)[1])
         if len(poles) == layout.modes:
             add(f"linear fit of order {one.order}, w = {one.power:g}", poles)
     if before is not None and len(before.poles) == layout.modes - 1:
