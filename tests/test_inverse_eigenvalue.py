@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -150,7 +152,7 @@ def test_the_exact_truncation_keeps_the_low_frequency_gain_so_that_the_inertia_r
     found = [truncated_drive_parameters(w, mu, inertia, n) for n in range(10)]
     gains = [np.prod((mu[:n] / w[:n]) ** 2) / found[n].inertia for n in range(10)]
     np.testing.assert_allclose(gains, gains[-1], rtol=1e-12)
-    assert all(a.inertia >= b.inertia for a, b in zip(found, found[1:], strict=False))
+    assert all(a.inertia >= b.inertia for a, b in pairwise(found))
     # without any mode the drive is the rigid robot: table 6.6's 17.0, 1 / (M^-1)_22 and _33 of it
     rigid = 1.0 / gains[-1]
     again = drive_parameters(w[:4], mu[:4], rigid_inertia=rigid)

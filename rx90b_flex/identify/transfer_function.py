@@ -247,7 +247,7 @@ class Candidate:
     started : str
         Where its poles came from.
     bound : bool
-        Whether a mode ended on a bound: then it is no mode of the band, and the candidate stands back behind those without.
+        Whether a mode not above the lines ended on a bound: then it is no mode of the band, and the candidate stands back behind those without.
     """
 
     modes: int
@@ -561,9 +561,11 @@ def _limits(layout: _Layout, bounds: Bounds) -> tuple[Array, Array]:
 
 
 def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
+    """Whether a mode not above the lines sits on a bound. Above them a broad one may stand for all that lies there."""
     low, high = _limits(layout, bounds)
-    own = np.arange(layout.modes * (2 + 2 * layout.size))  # the friction's pole and delays may well end there
-    return bool(np.any((x <= low)[own] | (x >= high)[own]))
+    width = 2 + 2 * layout.size
+    at = ((x <= low) | (x >= high))[: layout.modes * width].reshape(layout.modes, width).any(axis=1)
+    return bool(np.any(at & (x[: layout.modes * width : width] <= layout.high_hz)))
 
 
 def _climb(problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150) -> tuple[Array, float]:
@@ -637,15 +639,21 @@ def _starts(
     if before is not None and len(before.poles) == layout.modes - 1:
         low, high = problem.response.hz[0], problem.response.hz[-1]
         typical = float(np.median(before.damping_ratio))
-        for f in np.geomspace(low, 1.4 * high, 40):
-            add("one mode more", np.append(before.poles, TURN * f * (-typical + 1j * np.sqrt(1 - typical**2))))
+        inside, above = np.geomspace(low, high, 30), np.geomspace(1.05 * high, bounds.frequency_hz[1], 6)[:-1]
+        for told, places, damping in (
+            ("one mode more", inside, (typical,)),
+            ("a mode above the band", above, (typical, 0.2, 0.4)),
+        ):
+            for f in places:
+                for z in damping:
+                    add(told, np.append(before.poles, TURN * f * (-z + 1j * np.sqrt(1 - z**2))))
     if not found:
         f = np.geomspace(problem.response.hz[0], problem.response.hz[-1], layout.modes + 2)[1:-1]
         add("spread over the band", TURN * f * (-0.05 + 1j))
     found.sort(key=lambda item: item[0])
     chosen: list[tuple[float, str, ComplexArray]] = []
     for item in found:  # the best of each kind
-        if item[1].split(" ")[0] not in {c[1].split(" ")[0] for c in chosen}:
+        if item[1].split(" of ")[0] not in {c[1].split(" of ")[0] for c in chosen}:
             chosen.append(item)
     return [(told, _start(problem.data, poles, layout, decay)) for _, told, poles in chosen]
 
