@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from two_drives import HZ, MASS, STIFFNESS, noisy, truth
 
 import rx90b_flex as rf
 from rx90b_flex import drive_parameters
@@ -17,7 +18,6 @@ from rx90b_flex.identify.inverse_eigenvalue import (
     truncated_drive_parameters,
 )
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
-from two_drives import HZ, MASS, STIFFNESS, noisy, truth
 
 # Table 5.1, Hz: the linearised 3-DOF model without its rigid-body modes.
 RESONANCES = [31.3, 41.0, 52.2, 71.3, 82.6, 99.1, 144.7, 249.8, 381.5]

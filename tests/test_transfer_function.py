@@ -176,13 +176,15 @@ def test_standard_deviations_cover_the_truth() -> None:
 
 
 @pytest.mark.slow
-def test_the_arm_s_modes_in_the_band_within_0_8_hz() -> None:
-    """Three seeds at 0.1 % noise: independent noise at 3 % alone leaves 2.5 Hz (one sigma) at the 60 Hz mode, 19 % damped."""
+def test_the_arm_s_modes_in_the_band_within_0_8_hz_or_their_standard_deviations() -> None:
+    """Independent noise of 1 %: it leaves 0.9 Hz (one sigma) at the 60 Hz mode, 19 % damped and weak at the drives."""
     p, resonances, antiresonances = arm()
     for seed in range(3):
-        measured = noisy(p, ARM_HZ, 0.001, np.random.default_rng(seed), ("joint_1", "joint_2", "joint_3"))
-        fit = fit_transfer_functions(measured, range(5, 8))
-        np.testing.assert_allclose(fit.resonances_hz[fit.in_band(fit.resonances_hz)], seen(resonances), atol=0.8)
-        for j, expected in enumerate(antiresonances):
-            found, _ = fit.antiresonances(j)
-            assert all(np.abs(found - f).min() < 0.8 for f in seen(expected))
+        measured = noisy(p, ARM_HZ, 0.01, np.random.default_rng(seed), ("joint_1", "joint_2", "joint_3"))
+        fit = fit_transfer_functions(measured)
+        rows = [(fit.resonances_hz, fit.resonances_std_hz(), resonances)]
+        rows += [(*fit.antiresonances(j), expected) for j, expected in enumerate(antiresonances)]
+        for found, std, expected in rows:
+            for f in seen(expected):
+                nearest = int(np.argmin(np.abs(found - f)))
+                assert abs(found[nearest] - f) < max(0.8, 4 * std[nearest])

@@ -165,7 +165,8 @@ def eigenvector_entries(resonances_hz: ArrayLike, antiresonances_hz: ArrayLike, 
         squares.append(-(mu[r] - at) / at * np.prod((np.delete(mu, r) - at) / (others - at)))
     if min(squares) < 0:
         raise ValueError(
-            f"resonances and antiresonances do not alternate: mode {int(np.argmin(squares))} would have a negative share of the inertia"
+            f"resonances and antiresonances do not alternate: mode {int(np.argmin(squares))} would have a "
+            "negative share of the inertia"
         )
     return np.sqrt(np.array(squares) / drive_inertia)
 
@@ -255,7 +256,7 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
 
 
 def _spread(derivatives: Array, covariance: Array) -> Array:
-    return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives))
+    return np.asarray(np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives)), dtype=float)
 
 
 def _frequencies(name: str, values: ArrayLike) -> Array:

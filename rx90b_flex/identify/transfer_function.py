@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,6 +155,7 @@ class _Layout:
         n, k = self.size, self.entries
         own, rest = np.split(x, [self.modes * (2 + 2 * n)])
         own = own.reshape(self.modes, -1)
+        delay: Array
         direct, slope, decay, drag, delay = np.split(rest, np.cumsum([k, k, 1, k]))
         full = symmetric_basis(n)
         return TransferFunctions(
@@ -247,7 +249,8 @@ class Candidate:
     started : str
         Where its poles came from.
     bound : bool
-        Whether a mode not above the lines ended on a bound: then it is no mode of the band, and the candidate stands back behind those without.
+        Whether a mode not above the lines ended on a bound: then it is no mode of the band, and candidates without such
+        modes go before.
     """
 
     modes: int
@@ -421,8 +424,8 @@ def fit_transfer_functions(
     needed = max((layout.count for layout in layouts.values()), default=0)
     if not tried or min(tried) < 1 or rows < 2 * needed:
         raise ValueError(
-            f"{len(response.hz)} lines give {rows} numbers for the {needed} parameters of {max(tried, default=0)} modes; expected modes "
-            "from 1 on and twice as many numbers as parameters"
+            f"{len(response.hz)} lines give {rows} numbers for the {needed} parameters of {max(tried, default=0)} modes; "
+            "expected modes from 1 on and twice as many numbers as parameters"
         )
     bounds = _filled(bounds or Bounds(), response)
     problem = _Problem(response)
@@ -644,9 +647,8 @@ def _starts(
             ("one mode more", inside, (typical,)),
             ("a mode above the band", above, (typical, 0.2, 0.4)),
         ):
-            for f in places:
-                for z in damping:
-                    add(told, np.append(before.poles, TURN * f * (-z + 1j * np.sqrt(1 - z**2))))
+            for f, z in product(places.tolist(), damping):
+                add(told, np.append(before.poles, complex(TURN * f * (-z + 1j * np.sqrt(1 - z**2)))))
     if not found:
         f = np.geomspace(problem.response.hz[0], problem.response.hz[-1], layout.modes + 2)[1:-1]
         add("spread over the band", TURN * f * (-0.05 + 1j))
