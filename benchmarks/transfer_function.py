@@ -1,8 +1,9 @@
 """Time and errors of the parametric identification, from a frequency response on: python benchmarks/transfer_function.py [FRF.npz]
 
 FRF.npz holds `hz`, `value`, `covariance`, `dof` of the campaign of section 6.6.2 on rx90b_3dof (16 realisations, both signs).
-Without it the linearised arm with independent noise of 1 % is used. Tables: resonances and antiresonances between 8 and 80 Hz beside the truth,
-linearised at the mean pose and moving at 0.11 rad/s; drive parameters beside what the true modes would give when cut at the same
+Without it the linearised arm with independent noise of 1 % is used. Tables: resonances and antiresonances between 8 and 80 Hz
+beside the truth, linearised at the mean pose and moving at 0.11 rad/s; drive parameters beside
+what the true modes would give when cut at the same
 number; the tests of the fit.
 """
 

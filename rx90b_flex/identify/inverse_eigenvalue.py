@@ -221,7 +221,7 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
     """
     n, at = len(fit.response.joints), fit.response.hz[0]
     by_inverse = fit.rigid_inverse_derivatives()
-    inverse, mass = fit.model.rigid_inverse(), np.linalg.inv(fit.model.rigid_inverse())
+    inverse, mass = fit.model.rigid_inverse(), np.linalg.inv(fit.model.rigid_inverse()).astype(float)
     resonances, by_resonance = fit.resonance_derivatives()
     kept = resonances > at * 1.001  # not on the bound
     drives, counts = [], []

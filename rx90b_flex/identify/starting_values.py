@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
@@ -73,7 +75,7 @@ def symmetric_basis(n: int) -> Array:
     return basis
 
 
-def real_rows(complex_rows: ComplexArray) -> Array:
+def real_rows(complex_rows: NDArray[Any]) -> Array:
     """Real parts over imaginary parts, all leading axes but the last made one."""
     flat = complex_rows.reshape(-1, complex_rows.shape[-1])
     return np.concatenate([flat.real, flat.imag])
@@ -112,7 +114,7 @@ def symmetric_data(response: FrequencyResponse) -> SymmetricData:
     q, r = np.linalg.qr(basis)
     target = np.einsum("fak,fa->fk", q.conj(), measured)
     rest = float((np.abs(measured) ** 2).sum() - (np.abs(target) ** 2).sum())
-    return SymmetricData(2j * np.pi * response.hz, r, target, rest, n)
+    return SymmetricData((2j * np.pi * response.hz).astype(complex), r, target, rest, n)
 
 
 def starting_poles(data: SymmetricData, orders: Iterable[int], powers: Sequence[float] = POWERS) -> tuple[PoleSet, ...]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,7 +147,7 @@ class _Layout:
         upper = np.triu_indices(self.size)
         own = [model.frequency_hz[:, None], model.damping_ratio[:, None], model.shape.real, model.shape.imag]
         slope = model.slope[upper] * TURN * self.high_hz
-        delay = model.delay[: self.delays] if self.delays else []
+        delay = model.delay[: self.delays]
         return np.concatenate(
             [np.hstack(own).ravel(), model.direct[upper], slope, [model.decay_hz], model.drag[upper], delay]
         )
@@ -155,7 +156,6 @@ class _Layout:
         n, k = self.size, self.entries
         own, rest = np.split(x, [self.modes * (2 + 2 * n)])
         own = own.reshape(self.modes, -1)
-        delay: Array
         direct, slope, decay, drag, delay = np.split(rest, np.cumsum([k, k, 1, k]))
         full = symmetric_basis(n)
         return TransferFunctions(
@@ -625,7 +625,7 @@ def _starts(
     decay = float(np.sqrt(np.prod(bounds.decay_hz)))
     found: list[tuple[float, str, ComplexArray]] = []
 
-    def add(told: str, poles: ComplexArray) -> None:
+    def add(told: str, poles: NDArray[Any]) -> None:
         cost = residue_fit(problem.data, np.append(poles, -TURN * decay))[1]
         found.append((cost, told, poles))
 
@@ -647,8 +647,9 @@ def _starts(
             ("one mode more", inside, (typical,)),
             ("a mode above the band", above, (typical, 0.2, 0.4)),
         ):
-            for f, z in product(places.tolist(), damping):
-                add(told, np.append(before.poles, complex(TURN * f * (-z + 1j * np.sqrt(1 - z**2)))))
+            for centre, ratio in product(places.tolist(), damping):
+                pole = np.array([TURN * centre * (-ratio + 1j * np.sqrt(1 - ratio**2))], complex)
+                add(told, np.concatenate([before.poles, pole]))
     if not found:
         f = np.geomspace(problem.response.hz[0], problem.response.hz[-1], layout.modes + 2)[1:-1]
         add("spread over the band", TURN * f * (-0.05 + 1j))
