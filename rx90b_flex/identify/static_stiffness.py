@@ -6,11 +6,11 @@ out: how far it can be trusted, and whether the way up differs from the way down
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals.static_test import StaticTest
@@ -28,13 +28,14 @@ class StaticLine:
         N m/rad.
     interval : (float, float)
         Confidence interval of the stiffness; its upper end is infinite where the slope's reaches zero.
-    deformation : float
-        Where the line stands at the mean moment of the whole test, rad.
+    mean_moment, deformation : float
+        A point of the line: the mean moment of both directions, and where the line stands there; N m and rad.
     readings : int
     """
 
     stiffness: float
     interval: tuple[float, float]
+    mean_moment: float
     deformation: float
     readings: int
 
@@ -85,15 +86,17 @@ class StaticStiffness:
 
 
 def fit_static_stiffness(
-    test: StaticTest, *, response: Response | None = None, confidence: float = 0.95
+    test: StaticTest, *, response: Response | None = None, skip: int = 0, confidence: float = 0.95
 ) -> StaticStiffness:
     """Stiffness from a dead-weight test: one slope for both directions, a height for each.
 
     With the deformation as response, ``deformation = height(direction) + moment / stiffness``. Friction that resists
-    moves the two directions apart but turns neither, so with a height each it is not taken for noise, and the slope
-    keeps its accuracy. The interval is Student's of the slope, inverted (1/x is monotonic): it covers as often as
-    it says for independent normal noise of unknown size in the response and none in the other variable. Noise in the
-    other variable would flatten the line by ``(std / spread of that variable)^2``; it is not corrected.
+    moves the two directions apart but, once it slides, turns neither: with a height each it is not taken for noise.
+    Before it slides, at the start and after the top, it flattens the lines; `skip` leaves such readings out.
+
+    The interval is Student's of the slope, inverted (1/x is monotonic): it covers as often as it says for independent
+    normal noise of unknown size in the response and none in the other variable. Noise in the other variable would
+    flatten the line by ``(std / spread of that variable)^2``; that is not corrected.
 
     Parameters
     ----------
@@ -102,6 +105,9 @@ def fit_static_stiffness(
     response : ``deformation`` or ``moment``, optional
         The noisier variable, each measured by its spread. Where not given: by the test's standard deviations; where it
         has none of the deformation, the deformation, as in the source.
+    skip : int
+        Readings left out at the beginning of each direction, as many as it takes friction to slide: its torque (after
+        the top, twice that) over the step of the moment. The loop's area is that of all readings.
     confidence : float
 
     Raises
@@ -114,9 +120,10 @@ def fit_static_stiffness(
     response = response or _noisier(test)
     if response not in ("deformation", "moment"):
         raise ValueError(f"response is {response!r}; expected 'deformation' or 'moment'")
+    area, weight = hysteresis_area(test)
+    test = _without_beginnings(test, skip)
     given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
-    branches = {"up": test.rising, "down": ~test.rising}
-    for name, rows in branches.items():
+    for name, rows in (("up", test.rising), ("down", ~test.rising)):
         if rows.sum() < 3 or np.ptp(given[rows]) == 0.0:
             raise ValueError(
                 f"static test {test.coordinate!r}: direction {name!r} has {rows.sum()} readings"
@@ -138,16 +145,17 @@ def fit_static_stiffness(
     std = float(parallel.std[0])
 
     def interval(slope: float, std: float, dof: int) -> tuple[float, float]:
-        reach = float(stats.t.ppf(0.5 + 0.5 * confidence, dof)) * std
+        reach = float(special.stdtrit(dof, 0.5 + 0.5 * confidence)) * std  # Student's t
         return _stiffness_interval(slope - reach, slope + reach, response)
 
     def branch(place: int, rows: Array) -> StaticLine:
         gradient, height = float(both.values[place]), float(both.values[2 + place])
-        at_mean = height if response == "deformation" else float(given.mean() + (test.moment.mean() - height) / gradient)
+        middle = float(test.moment.mean())
+        at_middle = height if response == "deformation" else float(given.mean() + (middle - height) / gradient)
         stiffness = 1.0 / gradient if response == "deformation" else gradient
-        return StaticLine(stiffness, interval(gradient, float(both.std[place]), both.dof), at_mean, int(rows.sum()))
+        reach = interval(gradient, float(both.std[place]), both.dof)
+        return StaticLine(stiffness, reach, middle, at_middle, int(rows.sum()))
 
-    area, weight = hysteresis_area(test)
     # the noise of a deformation, for the loop's own uncertainty
     deformation_std = parallel.noise if response == "deformation" else parallel.noise / slope
     return StaticStiffness(
@@ -183,6 +191,15 @@ def hysteresis_area(test: StaticTest) -> tuple[float, Array]:
     return float(weight @ test.deformation), weight
 
 
+def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
+    if skip == 0:
+        return test
+    kept = np.ones(len(test), dtype=bool)
+    for rows in (test.rising, ~test.rising):
+        kept[np.flatnonzero(rows)[:skip]] = False
+    return replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
+
+
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """Linear least squares: values, their standard deviations, and the noise about them."""
@@ -214,7 +231,7 @@ def _f_test(small: _Fit, large: _Fit) -> float:
         return 1.0 if small.squares == 0.0 else 0.0
     more = small.dof - large.dof
     ratio = (small.squares - large.squares) / more / (large.squares / large.dof)
-    return float(stats.f.sf(ratio, more, large.dof))
+    return float(special.fdtrc(more, large.dof, ratio))
 
 
 def _stiffness_interval(low: float, high: float, response: Response) -> tuple[float, float]:

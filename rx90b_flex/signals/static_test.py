@@ -110,7 +110,7 @@ def _read_keys(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: cannot be read: {one_line(error)}") from error
     for key in keys:
         if key not in KEYS:
-            raise ValueError(f"{path}: unknown key {key!r}{suggestion(key, KEYS) or f'; expected {", ".join(KEYS)}'}")
+            raise ValueError(f"{path}: unknown key {key!r}{suggestion(key, KEYS)}; expected {', '.join(KEYS)}")
     for key in ("file", "coordinate"):
         if not isinstance(keys.get(key, "" if key == "coordinate" else None), str):
             raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")

@@ -16,7 +16,7 @@ import pinocchio as pin
 from scipy import constants
 
 from rx90b_flex.effects import close_match
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.static_test import StaticTest
 
@@ -80,7 +80,7 @@ class StaticRig:
 
     @property
     def line(self) -> Array:
-        """The two directions in which the lines are seen, across and along the pull, shape (2, 3)."""
+        """The two directions in which the lines are seen, across the pull and along it, shape (2, 3)."""
         return np.stack([np.cross(self.pull, self.axis), self.pull])
 
 
@@ -122,10 +122,8 @@ def static_rig(
     tip = data.oMf[model.getFrameId(robot.tip_frame)].translation
     reach = (tip - origin) - axis * (axis @ (tip - origin))
     lever = float(np.linalg.norm(reach))
-    if lever > 1e-6:
-        across = reach / lever
-    else:  # the tip lies on the axis: any direction across it
-        across = np.linalg.svd(axis[None])[2][1]
+    # where the tip lies on the axis, any direction across it
+    across = reach / lever if lever > 1e-6 else np.linalg.svd(axis[None])[2][1]
     lever = max(lever, shortest_lever)
     point, pull = origin + lever * across, np.cross(axis, across)
     markers = np.array([[0.0], [MARKER_DISTANCE]]) * across + origin
@@ -145,10 +143,7 @@ def static_rig(
 
 def motion_axis(robot: Robot, place: int) -> Array:
     """Axis of a coordinate in its own frame, shape (3,)."""
-    model = robot.model
-    joint = model.joints[place + 1].createData()
-    model.joints[place + 1].calc(joint, pin.neutral(model), np.zeros(model.nv))
-    return np.asarray(joint.S, dtype=float)[3:, 0]
+    return np.array(np.ravel(robot.model.joints[place + 1].createData().S)[3:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +164,7 @@ class RigStates:
 
     tension: Array
     load: Array
-    rising: Array
+    rising: Mask
     q: Array
     before: Array
     behind: Array
@@ -258,8 +253,7 @@ def read_markers(
     shape = (repeats, len(states.load), 2, 2)
     turn = [line_angle(x @ rig.line.T + std * rng.standard_normal(shape)) for x in (states.before, states.behind)]
     deformation = turn[1] - turn[0]
-    # the line behind the joint leans with the axis' sign: across x pull = -axis
-    deformation = -(deformation - deformation[:, :1])
+    deformation = deformation - deformation[:, :1]
     moment = rig.lever_arm * states.load
     each = float(2.0 * std[1] / MARKER_DISTANCE)
     return [
@@ -280,6 +274,7 @@ class _Statics:
         self.robot, self.rig = robot, rig
         self.model, self.data = robot.model, robot.model.createData()
         self.start = robot.input_matrix @ rig.pose
+        self.stiffness = robot.linearize(self.start).K
         self.free = np.flatnonzero(robot.input_matrix.sum(axis=1) == 0.0)
         joint = rig.coordinate.rsplit(":", 1)[0]
         own = [i for i, name in enumerate(robot.coordinates) if name.rsplit(":", 1)[0] == joint]
@@ -318,13 +313,12 @@ class _Statics:
             out[k] = [self.data.oMi[self.parents[side]].act(point) for point in local]
         return out
 
-    def _solve(self, q: Array, free: Array, friction: Array, tension: float) -> Array:
-        """Newton's method for the free coordinates, others as in q."""
+    def _solve(self, q: Array, free: Indices, friction: Array, tension: float) -> Array:
+        """Chord method for the free coordinates, others as in q: stiffness hardly changes over such deformations."""
         q = q.copy()
-        for _ in range(20):
-            missing = self._missing(q, friction, tension)[free]
-            # the cable's own stiffness, tension / length, is left out of the slope: it is 1e-4 of the hinges'
-            step = np.linalg.solve(self.robot.linearize(q).K[np.ix_(free, free)], missing)
+        slope = self.stiffness[np.ix_(free, free)]
+        for _ in range(50):
+            step = np.linalg.solve(slope, self._missing(q, friction, tension)[free])
             q[free] -= step
             if np.abs(step).max(initial=0.0) < 1e-13:
                 return q
@@ -333,7 +327,7 @@ class _Statics:
     def _missing(self, q: Array, friction: Array, tension: float) -> Array:
         """Generalised force that is not in balance, shape (n,): what holds the robot there, less cable and friction."""
         rest = np.zeros_like(q)
-        jacobian = pin.computeJointJacobians(self.model, self.data, q)
+        pin.computeJointJacobians(self.model, self.data, q)
         carried = self.data.oMi[self.tip]
         end = carried.act(self.point)
         along = self.rig.pulley - end
@@ -341,5 +335,4 @@ class _Statics:
         wrench = np.concatenate([force, np.cross(end, force)])
         # the world Jacobian takes forces about the world's origin
         reaches = pin.getJointJacobian(self.model, self.data, self.tip, pin.WORLD)
-        del jacobian
         return np.asarray(self.robot.inverse_dynamics(q, rest, rest) + friction - reaches.T @ wrench)
