@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.signals.static_test import StaticTest
 
 Response = Literal["deformation", "moment"]
@@ -148,7 +148,7 @@ def fit_static_stiffness(
         reach = float(special.stdtrit(dof, 0.5 + 0.5 * confidence)) * std  # Student's t
         return _stiffness_interval(slope - reach, slope + reach, response)
 
-    def branch(place: int, rows: Array) -> StaticLine:
+    def branch(place: int, rows: Mask) -> StaticLine:
         gradient, height = float(both.values[place]), float(both.values[2 + place])
         middle = float(test.moment.mean())
         at_middle = height if response == "deformation" else float(given.mean() + (middle - height) / gradient)
@@ -166,8 +166,8 @@ def fit_static_stiffness(
         response=response,
         noise_std=parallel.noise,
         degrees_of_freedom=parallel.dof,
-        loading=branch(0, up),
-        unloading=branch(1, down),
+        loading=branch(0, test.rising),
+        unloading=branch(1, ~test.rising),
         p_value=_f_test(line, both),
         slope_p_value=_f_test(parallel, both),
         hysteresis_area=area,
