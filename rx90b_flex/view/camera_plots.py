@@ -1,0 +1,82 @@
+"""Figures of the camera's study. Each function takes results and returns a `matplotlib.figure.Figure`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.camera import fit_joint, hinge_angles
+from rx90b_flex.simulate.camera_study import REQUIRED, Study
+
+TRUE, SEEN, FITTED = "#000000", "#d55e00", "#0072b2"
+
+
+def leak_figure(study: Study, factor: float, mismatch: float, rate_hz: float, trial: int = 0) -> Figure:
+    """One joint along the motion: its angle; below, its bendings as they are, as the camera shows them in frames that
+    are wrong by `mismatch` (rad), and after the fit of frame and stiffness. Compare figure 4.9.
+    """
+    scene = study.scene
+    turn = study.turn(trial, factor, mismatch)
+    seen = hinge_angles(turn.rotation)
+    fitted = fit_joint(turn, scene.drive_angle, scene.moment).deformation
+    time = np.arange(len(seen)) / rate_hz
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    axes = figure.subplots(3, 1, sharex=True)
+    axes[0].plot(time, scene.drive_angle, color=TRUE, linewidth=1.0)
+    axes[0].set_ylabel("drive angle, rad", fontsize=8)
+    axes[0].set_title(
+        f"{scene.joint}: frame wrong by {1e3 * mismatch:.2g} mrad, {factor:g} times the noise of table C.2", fontsize=9
+    )
+    for i in (1, 2):
+        for values, colour, width, label in (
+            (seen, SEEN, 0.5, "as seen"),
+            (fitted, FITTED, 0.5, "frame fitted"),
+            (scene.deformation, TRUE, 1.2, "true"),
+        ):
+            axes[i].plot(time, 1e3 * values[:, i], color=colour, linewidth=width, label=label)
+        axes[i].set_ylabel(f"bending {i}, 10⁻³ rad", fontsize=8)
+    axes[2].set_xlabel("time, s", fontsize=8)
+    axes[1].legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    for ax in axes:
+        ax.tick_params(labelsize=8)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(color="#e6e6e6", linewidth=0.5)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def error_map_figure(
+    factors: Sequence[float], mismatches: Sequence[float], errors: Array, titles: Sequence[str], joint: str
+) -> Figure:
+    """Error of the bending stiffness over camera noise and frame mismatch, one map an estimator, with the 5 % line.
+
+    Parameters
+    ----------
+    factors : of table C.2's noise, ascending, above 0
+    mismatches : rad, ascending, above 0
+    errors : array, shape (estimators, mismatches, factors)
+        Relative, as `Study.error` gives them.
+    titles : one an estimator
+    """
+    figure = Figure(figsize=(1.2 + 2.9 * len(titles), 3.4), layout="constrained")
+    axes = figure.subplots(1, len(titles), squeeze=False, sharey=True)[0]
+    logs = np.log10(np.maximum(errors, 1e-6))
+    for ax, title, level in zip(axes, titles, logs, strict=True):
+        drawn = ax.pcolormesh(factors, 1e3 * np.asarray(mismatches), level, vmin=-3, vmax=1, cmap="cividis_r")
+        if level.min() < np.log10(REQUIRED) < level.max():
+            line = ax.contour(factors, 1e3 * np.asarray(mismatches), level, [np.log10(REQUIRED)], colors=SEEN)
+            ax.clabel(line, fmt="5 %%", fontsize=8)
+        ax.axvline(1.0, color="white", linewidth=0.8, linestyle=":")
+        ax.axvline(2.5, color="white", linewidth=0.8, linestyle="--")
+        ax.set(xscale="log", yscale="log")
+        ax.set_title(title, fontsize=9)
+        ax.set_xlabel("noise over table C.2", fontsize=8)
+        ax.tick_params(labelsize=8)
+    axes[0].set_ylabel(f"frame mismatch of {joint}, 10⁻³ rad", fontsize=8)
+    bar = figure.colorbar(drawn, ax=axes, ticks=[-3, -2, -1, 0, 1])
+    bar.ax.set_yticklabels(["0.1", "1", "10", "100", "1000"], fontsize=8)
+    bar.set_label("error of bending stiffness, % (95 % of trials)", fontsize=8)
+    return figure
