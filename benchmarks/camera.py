@@ -21,7 +21,7 @@ from rx90b_flex.identify.camera import calibrate_base, joint_frames
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import static_start
 from rx90b_flex.simulate.camera import VALIDATED_FACTOR, CameraNoise, marker_positions
-from rx90b_flex.simulate.camera_study import ESTIMATORS, TRIANGLE, Scene, make_scene, make_study
+from rx90b_flex.simulate.camera_study import ESTIMATORS, TRIANGLE, Scene, Study, make_scene, make_study
 from rx90b_flex.view.camera_plots import error_map_figure, leak_figure
 
 RATE_HZ = 250.0
@@ -68,70 +68,68 @@ def main() -> None:
     robot = rf.load_robot("rx90b_4dof")
     rng = np.random.default_rng(0)
     for joint in ("joint_2",) if arguments.quick else robot.joints:
-        scene = make_scene(robot, joint)
-        study = make_study(scene, trials, rng)
-        std = MM * CameraNoise().std(scene.markers).reshape(-1, 3).mean(axis=0)
-        deformation = scene.deformation[:, 1:]
-        turn = np.sqrt(np.mean([np.trace(b.covariance[:, :3, :3], axis1=1, axis2=2).mean() / 3 for b in study.true]))
-        rms = 1e6 * np.sqrt(np.square(deformation).mean(axis=0))
-        print(
-            f"\n{joint}: bendings {rms[0]:.0f} and {rms[1]:.0f} urad RMS; at table C.2 (here {std[0]:.3f} mm in x, y, {std[2]:.3f} in z)"
-        )
-        print(
-            f"  a link's turn is read to {1e6 * turn:.0f} urad a sample and axis; markers without z noise would give",
-            end=" ",
-        )
-        flat = CameraNoise(z_std=CameraNoise().xy_std, resolution=0.0)
-        better = make_study(scene, 2, rng, flat)
-        flat_turn = np.sqrt(
-            np.mean([np.trace(b.covariance[:, :3, :3], axis1=1, axis2=2).mean() / 3 for b in better.true])
-        )
-        print(f"{1e6 * flat_turn:.0f} (z as good as x, y)")
-        print(
-            "  error of the stiffness      table C.2    times 2.5   exact camera, frame wrong by 0.1     1      10 mrad"
-        )
-        for estimator in ESTIMATORS:
-            cells = [study.error(1.0, 0.0, estimator), study.error(VALIDATED_FACTOR, 0.0, estimator)]
-            cells += [study.error(0.0, m, estimator) for m in (1e-4, 1e-3, 1e-2)]
-            print(f"  {estimator:<31} {'  '.join(percent(x) for x in cells)}", flush=True)
-        print(
-            "  enough for 5 %:             noise, times table C.2 (x, y; z in mm)    frame, urad (exact camera; at a tenth of the noise)"
-        )
-        for estimator in ESTIMATORS:
-            noise = study.enough(estimator, mismatch=0.0)
-            if estimator == ESTIMATORS[2]:
-                worst = max(study.error(0.0, m, estimator) for m in (1e-2, 5e-2))
-                frame = f"any: error {percent(worst).strip()} at 50 mrad"
-                periods = (VALIDATED_FACTOR / noise) ** 2
-                frame += f"; {periods:.0f} periods of 4.1 s at 2.5 times table C.2"
-            else:
-                exact, tenth = (study.enough(estimator, factor=0.0), study.enough(estimator, factor=0.1 * noise))
-                frame = f"{1e6 * exact:.1f}; {1e6 * tenth:.1f}"
-            print(
-                f"  {estimator:<31} {noise:7.3f} ({noise * std[0]:.4f}; {noise * std[2]:.4f})      {frame}", flush=True
-            )
-        print("  the same noise as a fixed error of the position (calibration), right frames to begin with:")
-        for length in (0.3, 1.0):
-            fixed = make_study(scene, trials, rng, CameraNoise(correlation_length=length))
-            for estimator in ESTIMATORS[1:]:
-                enough = fixed.enough(estimator, mismatch=0.0)
-                print(
-                    f"    smooth over {length:g} m, {estimator:<31} {percent(fixed.error(1.0, 0.0, estimator))} at table C.2;"
-                    f" enough: {enough:.4f} times",
-                    flush=True,
-                )
-        noise_only, error, frame = base_calibration(robot, scene, rng)
-        print(
-            f"  base calibration, 30 poses, 2.5 times table C.2: {1e6 * noise_only:.0f} urad by noise, {1e6 * error:.0f} urad with a rigid"
-            f" model of the sagging robot; joint frame then wrong by {1e6 * frame:.0f} urad"
-        )
-        if arguments.figures is not None and joint == "joint_2":
-            arguments.figures.mkdir(parents=True, exist_ok=True)
-            leak_figure(study, VALIDATED_FACTOR, 1e-3, RATE_HZ).savefig(arguments.figures / "leak.png", dpi=100)
-            factors, mismatches = np.geomspace(1e-3, 10.0, 9), np.geomspace(1e-6, 1e-2, 9)
-            errors = np.array([[[study.error(f, m, e) for f in factors] for m in mismatches] for e in ESTIMATORS])
-            figure = error_map_figure(factors.tolist(), mismatches.tolist(), errors, ESTIMATORS, joint)
-            figure.savefig(arguments.figures / "error_map.png", dpi=100)
+        report(robot, joint, trials, rng, arguments.figures if joint == "joint_2" else None)
+
+
+def turn_urad(study: Study) -> float:
+    """How well one sample tells a link's turn about one axis, RMS of axes, links and samples."""
+    variances = [np.einsum("nii->ni", body.covariance)[:, :3].mean() for body in study.true]
+    return 1e6 * float(np.sqrt(np.mean(variances)))
+
+
+def report(robot: Robot, joint: str, trials: int, rng: np.random.Generator, figures: Path | None) -> None:
+    scene = make_scene(robot, joint)
+    study = make_study(scene, trials, rng)
+    xy, _, z = MM * CameraNoise().std(scene.markers).reshape(-1, 3).mean(axis=0)
+    flat = make_study(scene, 1, rng, CameraNoise(z_std=CameraNoise().xy_std))
+    bending = 1e6 * np.sqrt(np.square(scene.deformation[:, 1:]).mean(axis=0))
+    print(
+        f"\n{joint}: bendings {bending[0]:.0f} and {bending[1]:.0f} urad RMS; table C.2 here {xy:.3f} mm in x, y, {z:.3f} mm in z:"
+    )
+    print(
+        f"  {turn_urad(study):.0f} urad a sample for a link's turn; {turn_urad(flat):.0f} urad if z were as good as x, y"
+    )
+
+    print(f"\n  {'error of the stiffness':<30}   no frame error: noise    |  no noise: frame wrong by")
+    print(f"  {'':<30}   table C.2    times 2.5    |   0.01 mrad    0.1 mrad      1 mrad     10 mrad")
+    for estimator in ESTIMATORS:
+        noise = (percent(study.error(f, 0.0, estimator)) for f in (1.0, VALIDATED_FACTOR))
+        frame = (percent(study.error(0.0, m, estimator)) for m in (1e-5, 1e-4, 1e-3, 1e-2))
+        print(f"  {estimator:<30} {'  '.join(noise)}   | {'  '.join(frame)}", flush=True)
+
+    print(f"\n  {'enough for 5 %':<30}   noise over table C.2 (mm in x, y; in z)  |  frame")
+    for estimator in ESTIMATORS:
+        noise = study.enough(estimator, mismatch=0.0)
+        if estimator in ESTIMATORS[2:]:
+            worst = study.error(noise, 1e-2, estimator)
+            frame = f"{percent(worst).strip()} at that noise and 10 mrad; 2.5 times table C.2"
+            frame += f" will do with {(VALIDATED_FACTOR / noise) ** 2:.0f} periods of 4.1 s"
+        else:
+            exact, half = (study.enough(estimator, factor=f) for f in (0.0, 0.5 * noise))
+            frame = f"{1e6 * exact:.1f} urad; {1e6 * half:.1f} urad at half that noise"
+        print(f"  {estimator:<30}   {noise:7.3f} ({noise * xy:.4f}; {noise * z:.4f})            |  {frame}", flush=True)
+
+    print(
+        "\n  noise of that size as a fixed error of the position, frames right to begin with: error at table C.2; enough"
+    )
+    for length in (0.3, 1.0):
+        fixed = make_study(scene, trials, rng, CameraNoise(correlation_length=length))
+        for estimator in ESTIMATORS[1:]:
+            error, enough = fixed.error(1.0, 0.0, estimator), fixed.enough(estimator, mismatch=0.0)
+            print(f"    smooth over {length:g} m, {estimator:<30} {percent(error)}; {enough:.4f} times", flush=True)
+
+    noise, error, frame = base_calibration(robot, scene, rng)
+    print(
+        f"\n  base calibration, 30 poses, 2.5 times table C.2: {1e6 * noise:.0f} urad by noise, {1e6 * error:.0f} urad with a"
+        f" rigid model\n  of the robot, which sags; the joint's frame is then wrong by {1e6 * frame:.0f} urad"
+    )
+    if figures is not None:
+        figures.mkdir(parents=True, exist_ok=True)
+        leak_figure(study, VALIDATED_FACTOR, 1e-3, RATE_HZ).savefig(figures / "leak.png", dpi=100)
+        factors, mismatches = np.geomspace(1e-3, 10.0, 9), np.geomspace(1e-6, 1e-2, 9)
+        errors = np.array([[[study.error(f, m, e) for f in factors] for m in mismatches] for e in ESTIMATORS])
+        figure = error_map_figure(factors.tolist(), mismatches.tolist(), errors, ESTIMATORS, joint)
+        figure.savefig(figures / "error_map.png", dpi=100)
 
 
 if __name__ == "__main__":

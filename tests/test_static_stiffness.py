@@ -175,6 +175,15 @@ def test_friction_of_the_pulley_tilts_the_two_directions_apart(robot: Robot) -> 
     assert found.loading.stiffness / found.unloading.stiffness == pytest.approx(1.05 / 0.95, rel=1e-3)
 
 
+def test_a_drift_of_the_camera_opens_a_loop_that_runs_the_wrong_way_round(loaded: Loaded) -> None:
+    rng = np.random.default_rng(9)
+    (test,) = read_markers(*loaded["joint_1:torsion"], rng, drift=-2e-4)
+    found = fit_static_stiffness(test)
+    assert found.p_value < 1e-3
+    assert found.hysteresis_area < -3 * found.hysteresis_std
+    assert found.loading.deformation > found.unloading.deformation
+
+
 def test_a_hinge_that_the_robot_lacks_is_named(robot: Robot) -> None:
     with pytest.raises(ValueError, match=r"joint_2:bend_3.*joint_2:bend"):
         static_rig(robot, "joint_2:bend_3")

@@ -272,12 +272,18 @@ def regress_bending(turn: JointTurn, moment: Array, *, response: str = "moment")
     return np.asarray(common / (bending**2).sum(axis=0) if response == "moment" else (moment**2).sum(axis=0) / common)
 
 
-FRAME_PRIOR = 1e-2  # rad; half a degree, what a base calibration surely reaches
+FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
 _FRAME = 6  # numbers of the frame in the fit: three before the joint, three behind
 
 
 def fit_joint(
-    turn: JointTurn, drive_angle: Array, moment: Array, *, frame_prior: float = FRAME_PRIOR, iterations: int = 20
+    turn: JointTurn,
+    drive_angle: Array,
+    moment: Array,
+    *,
+    same_bending: bool = False,
+    frame_prior: float = FRAME_PRIOR,
+    iterations: int = 20,
 ) -> JointFit:
     """Stiffnesses of a joint's three hinges together with the errors of its frame.
 
@@ -295,6 +301,8 @@ def fit_joint(
         From the resolver.
     moment : array, shape (N, 3), N m
         About the joint's axis and the two bending axes; independent of the noise of the turn.
+    same_bending : bool
+        One stiffness for both bendings, as table 4.1 has it for bearings that are symmetric about their axis.
     frame_prior : float, rad
         Standard deviation of each component of the frame's errors before the measurement. The data overrule it but for
         the errors about the joint's own axis.
@@ -309,13 +317,16 @@ def fit_joint(
     if (largest == 0.0).any():
         raise ValueError("one of the three moments is zero throughout: its hinge's stiffness cannot show")
     weight = np.linalg.inv(np.linalg.cholesky(turn.covariance))
-    size = np.concatenate([np.full(_FRAME, 1e-3), 1e-3 / largest])  # unknowns of about 1, in 1e-3 rad
-    x = np.zeros(_FRAME + 3)
-    prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, 3))])
+    # unknowns of about 1, in 1e-3 rad; then how the model's nine numbers follow from them
+    size = np.diag(np.concatenate([np.full(_FRAME, 1e-3), 1e-3 / largest]))
+    if same_bending:
+        size = np.column_stack([size[:, :-2], np.r_[np.zeros(_FRAME + 1), 1.0, 1.0] * 1e-3 / largest[1:].max()])
+    x = np.zeros(size.shape[1])
+    prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
     for _ in range(iterations):
-        residual, slope = _misfit(x * size, turn.rotation, angle, moment)
+        residual, slope = _misfit(size @ x, turn.rotation, angle, moment)
         r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
-        columns = np.concatenate([(weight @ (slope * size)).reshape(-1, len(x)), prior])
+        columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
         u, s, vt = np.linalg.svd(columns, full_matrices=False)
         step = vt.T @ ((u.T @ r) / s)
         x = x + step
@@ -323,9 +334,9 @@ def fit_joint(
             break
     else:
         raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")
-    std = size * np.sqrt(((vt.T / s) ** 2).sum(axis=1))
-    before, behind, compliance = np.split(x * size, [3, _FRAME])
-    residual, _ = _misfit(x * size, turn.rotation, angle, moment)
+    std = np.sqrt(((size @ vt.T / s) ** 2).sum(axis=1))
+    before, behind, compliance = np.split(size @ x, [3, _FRAME])
+    residual, _ = _misfit(size @ x, turn.rotation, angle, moment)
     deformation = hinge_angles(mismatched(turn.rotation, -before, -behind))
     deformation[:, 0] = np.angle(np.exp(1j * (deformation[:, 0] - angle)))
     return JointFit(

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.camera import (
+    FRAME_PRIOR,
     JointTurn,
     RigidBodyFit,
     fit_joint,
@@ -37,7 +38,8 @@ LOOKING_AT = (0.3, 0.3, 0.7)
 TRIANGLE = 0.4 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, np.sqrt(0.75), 0.0]])
 TRIANGLE_TURN = (0.4, 0.7, 0.2)  # rotation vector: no side along an axis of the robot
 
-ESTIMATORS = ("moment on deformation", "deformation on moment", "joint fit of frame and stiffness")
+# The thesis' regression, the same the other way round, and fits of the joint's frame along with the stiffnesses.
+ESTIMATORS = ("moment on deformation", "deformation on moment", "frame fitted", "frame fitted, bendings alike")
 REQUIRED = 0.05
 
 
@@ -146,14 +148,16 @@ def mismatched_turn(scene: Scene, bodies: Sequence[RigidBodyFit], mismatch: Arra
     return joint_turn(bodies[0], bodies[1], wrong[0], wrong[1])
 
 
-def estimate(scene: Scene, turn: JointTurn, estimator: str) -> Array:
+def estimate(scene: Scene, turn: JointTurn, estimator: str, frame_prior: float = FRAME_PRIOR) -> Array:
     """Relative errors of the two bending stiffnesses, shape (2,)."""
     if estimator not in ESTIMATORS:
-        raise ValueError(f"estimator is {estimator!r}; expected {', '.join(ESTIMATORS)}")
-    if estimator == ESTIMATORS[2]:
-        found = fit_joint(turn, scene.drive_angle, scene.moment).stiffness[1:]
-    else:
+        raise ValueError(f"estimator is {estimator!r}; expected one of {', '.join(map(repr, ESTIMATORS))}")
+    if estimator in ESTIMATORS[:2]:
         found = regress_bending(turn, scene.moment[:, 1:], response=estimator.split()[0])
+    else:
+        alike = estimator == ESTIMATORS[3]
+        fit = fit_joint(turn, scene.drive_angle, scene.moment, same_bending=alike, frame_prior=frame_prior)
+        found = fit.stiffness[1:]
     return np.asarray(found / scene.stiffness[1:] - 1.0)
 
 
@@ -198,9 +202,13 @@ class Study:
         return mismatched_turn(self.scene, noisy, mismatch * self.directions[trial])
 
     def errors(self, factor: float, mismatch: float, estimator: str) -> Array:
-        """Relative errors of both bending stiffnesses in each trial, shape (trials, 2)."""
+        """Relative errors of both bending stiffnesses in each trial, shape (trials, 2).
+
+        Who fits the frame knows how wrong it may be: `mismatch`, or `FRAME_PRIOR` where that is larger.
+        """
+        prior = max(mismatch, FRAME_PRIOR)
         turns = (self.turn(trial, factor, mismatch) for trial in range(len(self.noise)))
-        return np.array([estimate(self.scene, turn, estimator) for turn in turns])
+        return np.array([estimate(self.scene, turn, estimator, prior) for turn in turns])
 
     def error(self, factor: float, mismatch: float, estimator: str) -> float:
         """What 95 % of the trials stay under: the larger relative error of the two bendings."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.camera import fit_joint, hinge_angles
@@ -61,20 +62,26 @@ def error_map_figure(
         Relative, as `Study.error` gives them.
     titles : one an estimator
     """
-    figure = Figure(figsize=(1.2 + 2.9 * len(titles), 3.4), layout="constrained")
+    figure = Figure(figsize=(1.2 + 2.5 * len(titles), 3.4), layout="constrained")
     axes = figure.subplots(1, len(titles), squeeze=False, sharey=True)[0]
     logs = np.log10(np.maximum(errors, 1e-6))
     for ax, title, level in zip(axes, titles, logs, strict=True):
         drawn = ax.pcolormesh(factors, 1e3 * np.asarray(mismatches), level, vmin=-3, vmax=1, cmap="cividis_r")
         if level.min() < np.log10(REQUIRED) < level.max():
-            line = ax.contour(factors, 1e3 * np.asarray(mismatches), level, [np.log10(REQUIRED)], colors=SEEN)
-            ax.clabel(line, fmt="5 %%", fontsize=8)
+            at = np.log10(REQUIRED)
+            ax.contour(factors, 1e3 * np.asarray(mismatches), level, [at], colors=SEEN, linestyles="solid")
         ax.axvline(1.0, color="white", linewidth=0.8, linestyle=":")
         ax.axvline(2.5, color="white", linewidth=0.8, linestyle="--")
         ax.set(xscale="log", yscale="log")
         ax.set_title(title, fontsize=9)
         ax.set_xlabel("noise over table C.2", fontsize=8)
         ax.tick_params(labelsize=8)
+    handles = [
+        Line2D([], [], color=SEEN, label="5 %"),
+        Line2D([], [], color="#8a8a8a", linestyle=":", label="table C.2"),
+        Line2D([], [], color="#8a8a8a", linestyle="--", label="2.5 times table C.2"),
+    ]
+    figure.legend(handles=handles, fontsize=8, frameon=False, ncols=3, loc="outside lower center")
     axes[0].set_ylabel(f"frame mismatch of {joint}, 10⁻³ rad", fontsize=8)
     bar = figure.colorbar(drawn, ax=axes, ticks=[-3, -2, -1, 0, 1])
     bar.ax.set_yticklabels(["0.1", "1", "10", "100", "1000"], fontsize=8)
