@@ -273,6 +273,7 @@ def regress_bending(turn: JointTurn, moment: Array, *, response: str = "moment")
 
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
+_COARSE = 3  # steps of the fit that leave its faint directions alone
 _FRAME = 6  # numbers of the frame in the fit: three before the joint, three behind
 
 
@@ -323,14 +324,16 @@ def fit_joint(
         size = np.column_stack([size[:, :-2], np.r_[np.zeros(_FRAME + 1), 1.0, 1.0] * 1e-3 / largest[1:].max()])
     x = np.zeros(size.shape[1])
     prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
-    for _ in range(iterations):
+    for iteration in range(iterations):
         residual, slope = _misfit(size @ x, turn.rotation, angle, moment)
         r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
         columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
         u, s, vt = np.linalg.svd(columns, full_matrices=False)
-        step = vt.T @ ((u.T @ r) / s)
+        # at first only what shows clearly: along the faint direction a far start would throw the fit off
+        clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]
+        step = vt.T[:, clear] @ ((u.T @ r)[clear] / s[clear])
         x = x + step
-        if np.abs(step).max() < 1e-6 * (1.0 + np.abs(x).max()):
+        if iteration >= _COARSE and np.abs(step).max() < 1e-6 * (1.0 + np.abs(x).max()):
             break
     else:
         raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")
@@ -355,7 +358,7 @@ def fit_joint(
 def _misfit(x: Array, rotation: Array, angle: Array, moment: Array) -> tuple[Array, Array]:
     """What the model lacks of the measured turn, (N, 3), rad, and how the model's turn follows x, (N, 3, 9).
 
-    Both in the axes behind the joint; the slope to first order in the frame's errors.
+    Both in the axes behind the joint.
     """
     before, behind, compliance = np.split(x, [3, _FRAME])
     hinges = moment * compliance
@@ -368,11 +371,18 @@ def _misfit(x: Array, rotation: Array, angle: Array, moment: Array) -> tuple[Arr
     model = Rotation.from_rotvec(-before).as_matrix() @ whole
     short = Rotation.from_matrix(np.swapaxes(model, 1, 2) @ rotation).as_rotvec()
     slope = np.empty((len(angle), 3, len(x)))
-    slope[:, :, :3], slope[:, :, 3:_FRAME] = -np.swapaxes(whole, 1, 2), np.eye(3)
+    slope[:, :, :3] = -np.swapaxes(whole, 1, 2) @ _turn_by(-before)
+    slope[:, :, 3:_FRAME] = _turn_by(behind)
     # an axis e of a hinge, seen from behind all that follows it: row e of what follows
     seen = np.stack([behind_one[:, 0], behind_two[:, 1], np.broadcast_to(after[2], (len(angle), 3))], axis=2)
     slope[:, :, _FRAME:] = seen * moment[:, None]
     return np.asarray(short), slope
+
+
+def _turn_by(x: Array) -> Array:
+    """J with ``exp(x + d) = exp(x) exp(J d)`` for small d, to second order in x."""
+    cross = _cross_matrix(x)
+    return np.eye(3) - cross / 2.0 + cross @ cross / 6.0
 
 
 # ---- base -----------------------------------------------------------------------------------------------------

@@ -215,14 +215,14 @@ class _Fit:
 
 
 def _fit(columns: Array, values: Array) -> _Fit:
-    # columns of one length: moments in N m and ones differ by orders of magnitude
-    size = np.linalg.norm(columns, axis=0)
-    inverse = np.linalg.pinv(columns / size)
-    found = inverse @ values
-    squares = float(((values - columns / size @ found) ** 2).sum())
+    # columns of one length, nearly square to each other: the normal equations lose nothing
+    size = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns / size
+    inverse = np.linalg.inv(scaled.T @ scaled)
+    found = inverse @ (scaled.T @ values)
+    squares = float(((values - scaled @ found) ** 2).sum())
     dof = len(values) - columns.shape[1]
-    std = np.sqrt(squares / dof * (inverse**2).sum(axis=1))
-    return _Fit(found / size, std / size, squares, dof)
+    return _Fit(found / size, np.sqrt(squares / dof * np.diag(inverse)) / size, squares, dof)
 
 
 def _f_test(small: _Fit, large: _Fit) -> float:

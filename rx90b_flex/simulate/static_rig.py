@@ -108,8 +108,10 @@ def static_rig(
     ValueError
         No such hinge.
     """
-    if coordinate not in hinges(robot):
-        raise ValueError(f"{robot.name} has no hinge {coordinate!r}; {close_match(coordinate, hinges(robot))}")
+    known = hinges(robot)
+    if coordinate not in known:
+        hint = close_match(coordinate, known) if known else "none of its joints is flexible"
+        raise ValueError(f"{robot.name} has no hinge {coordinate!r}; {hint}")
     given = POSES.get(coordinate, _STRETCHED) if pose is None else pose
     angles = np.zeros(len(robot.joints))
     angles[: len(given)] = given[: len(angles)]
@@ -205,13 +207,15 @@ def load_robot_on_rig(
     dry = np.zeros(robot.model.nv) if friction is None else np.asarray(friction, dtype=float)
     if dry.shape != (robot.model.nv,) or not (dry >= 0.0).all():
         raise ValueError(f"friction has shape {dry.shape}; expected ({robot.model.nv},), N m, 0 or more")
-    q = statics.unloaded()
-    held = np.zeros(robot.model.nv)
-    path = []
-    for newton in tension:
-        q, held = statics.settle(q, held, dry, float(newton))
-        path.append(q)
-    states = np.array(path)
+    if dry.any():
+        q, held = statics.frictionless(tension[:1])[0], np.zeros(robot.model.nv)
+        path = []
+        for newton in tension:
+            q, held = statics.settle(q, held, dry, float(newton))
+            path.append(q)
+        states = np.array(path)
+    else:
+        states = statics.frictionless(tension)
     before, behind = (statics.seen(states, markers, after) for markers, after in ((rig.before, 0), (rig.behind, 1)))
     return RigStates(tension, load, rising, states, before, behind)
 
@@ -288,9 +292,10 @@ class _Statics:
         self.point = self.data.oMi[self.tip].actInv(rig.point)
         self.nominal = [self.data.oMi[parent].copy() for parent in self.parents]
 
-    def unloaded(self) -> Array:
-        """Where the robot stands under its own weight, without friction."""
-        return self._solve(self.start, self.free, np.zeros(self.model.nv), 0.0)
+    def frictionless(self, tension: Array) -> Array:
+        """Where the robot stands under its own weight and the cable, (N,) to (N, n)."""
+        start = np.tile(self.start, (len(tension), 1))
+        return self._solve(start, self.free, np.zeros(self.model.nv), tension)
 
     def settle(self, q: Array, held: Array, dry: Array, tension: float) -> tuple[Array, Array]:
         """The next equilibrium, and the friction in it: hinges stay where they are until friction is used up."""
@@ -298,9 +303,9 @@ class _Statics:
         force = held.copy()
         for _ in range(len(dry) + 1):
             free = np.intersect1d(self.free, np.flatnonzero(sliding))
-            trial = self._solve(q, free, force, tension)
+            (trial,) = self._solve(q[None], free, force, np.array([tension]))
             stuck = np.setdiff1d(self.free, free)
-            asked = -self._missing(trial, np.zeros_like(force), tension)
+            asked = -self._missing(trial[None], np.zeros_like(force), np.array([tension]))[0]
             beyond = stuck[np.abs(asked[stuck]) > dry[stuck]]
             force[stuck] = np.clip(asked[stuck], -dry[stuck], dry[stuck])
             if len(beyond) == 0:
@@ -317,26 +322,27 @@ class _Statics:
             out[k] = [self.data.oMi[self.parents[side]].act(point) for point in local]
         return out
 
-    def _solve(self, q: Array, free: Indices, friction: Array, tension: float) -> Array:
+    def _solve(self, q: Array, free: Indices, friction: Array, tension: Array) -> Array:
         """Chord method for the free coordinates, others as in q: stiffness hardly changes over such deformations."""
         q = q.copy()
         slope = self.stiffness[np.ix_(free, free)]
         for _ in range(50):
-            step = np.linalg.solve(slope, self._missing(q, friction, tension)[free])
-            q[free] -= step
+            step = np.linalg.solve(slope, self._missing(q, friction, tension)[:, free].T).T
+            q[:, free] -= step
             if np.abs(step).max(initial=0.0) < 1e-13:
                 return q
         raise ValueError(f"{self.robot.name}: no equilibrium on the rig of {self.rig.coordinate}")
 
-    def _missing(self, q: Array, friction: Array, tension: float) -> Array:
-        """Generalised force that is not in balance, shape (n,): what holds the robot there, less cable and friction."""
+    def _missing(self, q: Array, friction: Array, tension: Array) -> Array:
+        """Generalised forces that are not in balance, (N, n): what holds the robot there, less cable, and friction."""
         rest = np.zeros_like(q)
-        pin.computeJointJacobians(self.model, self.data, q)
-        carried = self.data.oMi[self.tip]
-        end = carried.act(self.point)
-        along = self.rig.pulley - end
-        force = tension * along / np.linalg.norm(along)
-        wrench = np.concatenate([force, np.cross(end, force)])
-        # the world Jacobian takes forces about the world's origin
-        reaches = pin.getJointJacobian(self.model, self.data, self.tip, pin.WORLD)
-        return np.asarray(self.robot.inverse_dynamics(q, rest, rest) + friction - reaches.T @ wrench)
+        force = self.robot.inverse_dynamics(q, rest, rest) + friction
+        for k, (state, newton) in enumerate(zip(q, tension, strict=True)):
+            pin.computeJointJacobians(self.model, self.data, state)
+            end = self.data.oMi[self.tip].act(self.point)
+            along = self.rig.pulley - end
+            pull = newton * along / np.linalg.norm(along)
+            # the Jacobian in the world takes forces and their moments about the world's origin
+            jacobian = pin.getJointJacobian(self.model, self.data, self.tip, pin.WORLD)
+            force[k] -= jacobian.T @ np.concatenate([pull, np.cross(end, pull)])
+        return force

@@ -9,32 +9,27 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.camera import fit_joint, hinge_angles
-from rx90b_flex.simulate.camera_study import REQUIRED, Study
+from rx90b_flex.identify.camera import JointFit, JointTurn, hinge_angles
+from rx90b_flex.simulate.camera_study import REQUIRED, Scene
 
 TRUE, SEEN, FITTED = "#000000", "#d55e00", "#0072b2"
 
 
-def leak_figure(study: Study, factor: float, mismatch: float, rate_hz: float, trial: int = 0) -> Figure:
-    """One joint along the motion: its angle; below, its bendings as they are, as the camera shows them in frames that
-    are wrong by `mismatch` (rad), and after the fit of frame and stiffness. Compare figure 4.9.
+def leak_figure(scene: Scene, turn: JointTurn, fitted: JointFit, rate_hz: float, title: str = "") -> Figure:
+    """One joint along the motion: its angle; below, its bendings as they are, as the camera shows them in the assumed
+    frames, and after the fit of frame and stiffness. Compare figure 4.9.
     """
-    scene = study.scene
-    turn = study.turn(trial, factor, mismatch)
     seen = hinge_angles(turn.rotation)
-    fitted = fit_joint(turn, scene.drive_angle, scene.moment).deformation
     time = np.arange(len(seen)) / rate_hz
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
     axes[0].plot(time, scene.drive_angle, color=TRUE, linewidth=1.0)
     axes[0].set_ylabel("drive angle, rad", fontsize=8)
-    axes[0].set_title(
-        f"{scene.joint}: frame wrong by {1e3 * mismatch:.2g} mrad, {factor:g} times the noise of table C.2", fontsize=9
-    )
+    axes[0].set_title(title, fontsize=9)
     for i in (1, 2):
         for values, colour, width, label in (
             (seen, SEEN, 0.5, "as seen"),
-            (fitted, FITTED, 0.5, "frame fitted"),
+            (fitted.deformation, FITTED, 0.5, "frame fitted"),
             (scene.deformation, TRUE, 1.2, "true"),
         ):
             axes[i].plot(time, 1e3 * values[:, i], color=colour, linewidth=width, label=label)
