@@ -273,7 +273,7 @@ def regress_bending(turn: JointTurn, moment: Array, *, response: str = "moment")
 
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
-_COARSE = 3  # steps of the fit that leave its faint directions alone
+_COARSE = 2  # steps of the fit that leave its faint directions alone
 _FRAME = 6  # numbers of the frame in the fit: three before the joint, three behind
 
 
@@ -333,7 +333,7 @@ def fit_joint(
         clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]
         step = vt.T[:, clear] @ ((u.T @ r)[clear] / s[clear])
         x = x + step
-        if iteration >= _COARSE and np.abs(step).max() < 1e-6 * (1.0 + np.abs(x).max()):
+        if iteration >= _COARSE and np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max()):
             break
     else:
         raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")

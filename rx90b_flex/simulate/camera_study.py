@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from rx90b_flex.effects.motion import Array
@@ -253,14 +254,15 @@ def make_study(scene: Scene, trials: int, rng: np.random.Generator, noise: Camer
     return Study(scene, (true[0], true[1]), errors / noise.factor, directions)
 
 
-def _crossing(error: Callable[[float], float], low: float, high: float, steps: int = 10) -> float:
-    """Where the error reaches `REQUIRED`, by bisection of the logarithm; 0 or infinite outside the bracket."""
-    if error(low) > REQUIRED:
+def _crossing(error: Callable[[float], float], low: float, high: float) -> float:
+    """Where the error reaches `REQUIRED`, to 1 %, by Brent's method in logarithms; 0 or infinite outside the bracket."""
+
+    def excess(log_x: float) -> float:
+        return float(np.log(error(float(np.exp(log_x))) / REQUIRED))
+
+    ends = np.log([low, high])
+    if excess(ends[0]) > 0.0:
         return 0.0
-    if error(high) <= REQUIRED:
+    if excess(ends[1]) <= 0.0:
         return np.inf
-    a, b = np.log(low), np.log(high)
-    for _ in range(steps):
-        middle = 0.5 * (a + b)
-        a, b = (middle, b) if error(float(np.exp(middle))) <= REQUIRED else (a, middle)
-    return float(np.exp(0.5 * (a + b)))
+    return float(np.exp(brentq(excess, *ends, xtol=0.01)))
