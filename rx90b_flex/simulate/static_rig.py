@@ -286,7 +286,8 @@ class _Statics:
         self.free = np.flatnonzero(robot.input_matrix.sum(axis=1) == 0.0)
         joint = rig.coordinate.rsplit(":", 1)[0]
         own = [i for i, name in enumerate(robot.coordinates) if name.rsplit(":", 1)[0] == joint]
-        self.parents = (own[0], own[-1] + 1)  # joints that carry the links before and behind
+        # joints that carry the links before and behind
+        self.parents = (robot.model.parents[own[0] + 1], own[-1] + 1)
         pin.forwardKinematics(self.model, self.data, self.start)
         self.tip = self.model.frames[self.model.getFrameId(robot.tip_frame)].parentJoint
         self.point = self.data.oMi[self.tip].actInv(rig.point)
