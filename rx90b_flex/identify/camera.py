@@ -1,0 +1,507 @@
+"""Deformations of a joint from markers on the links beside it (section 4.2.3, equations 4.9 and A.8-A.13).
+
+Three or more markers show how a link has turned since a reference pose. The turn of the link behind a joint against the
+link before it, in the joint's own frame, is the large joint angle and two small bendings. An error of that frame leaks
+the one into the others: ``bending + after - R(-angle) before`` is what is seen, with the frame's small constant errors
+before and behind the joint. That pattern is known but for a few numbers, which `fit_joint` estimates
+together with the stiffnesses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from rx90b_flex.effects import close_match
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.flexify import bending_axes
+from rx90b_flex.robot import Robot
+
+# ---- a rigid body from its markers ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodyFit:
+    """How a set of markers moved: ``measured = rotation @ reference + translation`` (equation 4.9).
+
+    Attributes
+    ----------
+    rotation : array, shape (N, 3, 3)
+    translation : array, shape (N, 3), m
+    covariance : array, shape (N, 6, 6)
+        Of a small turn about the camera's axes (rad) and of the centre of the markers (m).
+    chi2 : array, shape (N,)
+        Weighted squares left; with right standard deviations chi-squared with 3 m - 6 degrees of freedom.
+    """
+
+    rotation: Array
+    translation: Array
+    covariance: Array
+    chi2: Array
+
+
+def fit_rigid_body(reference: Array, measured: Array, std: Array | float) -> RigidBodyFit:
+    """Rotation and translation of three or more markers, weighted by each coordinate's noise.
+
+    The thesis solves for four constrained Euler parameters with equal weights. Here the singular value
+    decomposition (Kabsch) starts, and Gauss-Newton steps in small turns weight x, y and the five times noisier z.
+
+    Parameters
+    ----------
+    reference : array, shape (m, 3), m
+        Markers in the reference pose; taken as exact.
+    measured : array, shape (N, m, 3), m
+    std : float or array that broadcasts to (N, m, 3), m
+
+    Raises
+    ------
+    ValueError
+        Fewer than three markers, or markers on one line.
+    """
+    reference, measured = np.asarray(reference, dtype=float), np.asarray(measured, dtype=float)
+    markers = len(reference)
+    if reference.shape != (markers, 3) or markers < 3 or measured.shape[1:] != (markers, 3):
+        raise ValueError(
+            f"markers have shapes {reference.shape} and {measured.shape}; expected (m, 3) and (N, m, 3), m at least 3"
+        )
+    weight = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), measured.shape)
+    if not np.isfinite(weight).all():
+        raise ValueError("std must be above 0")
+    middle = reference.mean(axis=0)
+    spread = reference - middle
+    size = np.linalg.svd(spread, compute_uv=False)
+    if size[1] < 1e-6 * size[0]:
+        raise ValueError("the markers lie on one line; their turn about it cannot be seen")
+
+    centre = measured.mean(axis=1)
+    u, _, vt = np.linalg.svd(np.einsum("nmi,mj->nij", measured - centre[:, None], spread))
+    u[..., -1] *= np.linalg.det(u @ vt)[:, None]  # no reflections
+    rotation = u @ vt
+    for _ in range(3):  # quadratic convergence from errors of a few noise standard deviations
+        arms = np.einsum("nij,mj->nmi", rotation, spread)
+        slope = np.concatenate([-_cross_matrix(arms), np.broadcast_to(np.eye(3), (*arms.shape, 3))], axis=-1)
+        slope = (weight[..., None] * slope).reshape(len(measured), 3 * markers, 6)
+        missing = (weight * (measured - arms - centre[:, None])).reshape(len(measured), 3 * markers)
+        information = np.swapaxes(slope, 1, 2) @ slope
+        step = np.linalg.solve(information, np.einsum("nki,nk->ni", slope, missing)[..., None])[..., 0]
+        rotation = Rotation.from_rotvec(step[:, :3]).as_matrix() @ rotation
+        centre = centre + step[:, 3:]
+    arms = np.einsum("nij,mj->nmi", rotation, spread)
+    chi2 = ((weight * (measured - arms - centre[:, None])) ** 2).sum(axis=(1, 2))
+    return RigidBodyFit(rotation, centre - rotation @ middle, np.linalg.inv(information), chi2)
+
+
+def _cross_matrix(x: Array) -> Array:
+    """S(x) with ``S(x) y = x cross y``, (..., 3) to (..., 3, 3)."""
+    out = np.zeros((*x.shape, 3))
+    out[..., [2, 0, 1], [1, 2, 0]] = x
+    return out - np.swapaxes(out, -1, -2)
+
+
+# ---- the hinges of a joint ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class JointTurn:
+    """Turn of the link behind a joint against the link before it, along a motion.
+
+    Attributes
+    ----------
+    rotation : array, shape (N, 3, 3)
+        In the joint's frame; its axes are the joint's own and the two bending axes across, in this order.
+    covariance : array, shape (N, 3, 3), rad^2
+        Of a small turn about the axes behind the joint.
+    """
+
+    rotation: Array
+    covariance: Array
+
+
+def joint_turn(before: RigidBodyFit, behind: RigidBodyFit, before_frame: Array, behind_frame: Array) -> JointTurn:
+    """Relative rotation of two links in the joint's frame (A.8-A.12), `hinge_angles` of which are the deformations.
+
+    Parameters
+    ----------
+    before, behind : RigidBodyFit
+        Of the two links, since one reference pose.
+    before_frame, behind_frame : array, shape (3, 3)
+        Axes of the joint (its own, then the two bending axes) as columns in the camera's frame at the reference
+        pose: as the link before it carries them, and as the link behind it does. They come from `calibrate_base` and
+        the kinematic model, and their errors are the frame mismatch.
+    """
+    ends = np.asarray(behind.rotation) @ behind_frame
+    starts = np.asarray(before.rotation) @ before_frame
+    noise = before.covariance[:, :3, :3] + behind.covariance[:, :3, :3]
+    turned = np.swapaxes(ends, 1, 2)
+    return JointTurn(np.swapaxes(starts, 1, 2) @ ends, turned @ noise @ ends)
+
+
+def links_beside(robot: Robot, joint: str) -> tuple[str, str]:
+    """Names of the links before and behind a joint."""
+    if joint not in robot.joints:
+        raise ValueError(f"unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}")
+    tree = robot.tree
+    bodies: dict[int, str] = {}
+    for frame in tree.frames:
+        if frame.type == pin.FrameType.BODY:
+            bodies.setdefault(frame.parentJoint, frame.name)
+    behind = tree.getJointId(joint)
+    return bodies[tree.parents[behind]], bodies[behind]
+
+
+def joint_axes(robot: Robot, joint: str) -> Array:
+    """Axes of a joint as columns in its own frame: its own, then the two about which it bends; shape (3, 3)."""
+    tree = robot.tree
+    axis = np.array(np.ravel(tree.joints[tree.getJointId(joint)].createData().S)[3:])
+    return np.stack([axis, *bending_axes(axis)], axis=1)
+
+
+def joint_frames(robot: Robot, joint: str, base_rotation: Array, angles: Array) -> Array:
+    """Where the joint's axes are in the camera's frame at the reference pose, by the rigid robot's kinematics.
+
+    For `joint_turn`. They miss what the reference pose's own deformation turns, about 1e-3 rad under weight.
+
+    Parameters
+    ----------
+    base_rotation : array, shape (3, 3)
+        From `calibrate_base`.
+    angles : array, shape (joints,), rad
+        Drive angles at the reference pose.
+
+    Returns
+    -------
+    array, shape (2, 3, 3)
+        As the link before the joint carries them, and as the link behind it does.
+    """
+    tree, data = robot.tree, robot.tree.createData()
+    pin.forwardKinematics(tree, data, np.asarray(angles, dtype=float))
+    at = tree.getJointId(joint)
+    before = data.oMi[tree.parents[at]].rotation @ tree.jointPlacements[at].rotation
+    turns = np.stack([before, data.oMi[at].rotation])
+    return np.asarray(np.asarray(base_rotation) @ turns @ joint_axes(robot, joint))
+
+
+def hinge_angles(rotation: Array) -> Array:
+    """Joint angle and the two bendings behind it, shape (..., 3), rad.
+
+    Exact for the virtual joints in series: ``rotation = R_1(angle) R_2(bending_1) R_3(bending_2)``. Equation A.13 has the
+    same angle, and the bendings about axes that do not turn with the joint; both agree to second order
+    of the bendings once A.13's are turned by the joint angle.
+
+    Parameters
+    ----------
+    rotation : array, shape (..., 3, 3)
+        In axes (joint, bend_1, bend_2).
+    """
+    r = np.asarray(rotation)
+    angle = np.arctan2(-r[..., 1, 2], r[..., 2, 2])
+    first = np.arctan2(r[..., 0, 2], np.hypot(r[..., 0, 0], r[..., 0, 1]))
+    return np.stack([angle, first, np.arctan2(-r[..., 0, 1], r[..., 0, 0])], axis=-1)
+
+
+def hinge_rotation(angles: Array) -> Array:
+    """Inverse of `hinge_angles`, (..., 3) to (..., 3, 3)."""
+    angles = np.asarray(angles, dtype=float)
+    flat = Rotation.from_euler("XYZ", angles.reshape(-1, 3)).as_matrix()
+    return np.asarray(flat.reshape(*angles.shape[:-1], 3, 3))
+
+
+def mismatched(rotation: Array, before: Array, behind: Array) -> Array:
+    """What frames with small errors make of a joint's rotation: ``exp(-before) rotation exp(behind)``.
+
+    Parameters
+    ----------
+    rotation : array, shape (..., 3, 3)
+    before, behind : array, shape (3,), rad
+        Turn from the true to the assumed joint frame, as the link before and the link behind carries it.
+    """
+    left, right = (Rotation.from_rotvec(x).as_matrix() for x in (-np.asarray(before), np.asarray(behind)))
+    return np.asarray(left @ rotation @ right)
+
+
+# ---- stiffness ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Stiffness of a joint's hinges from its turn along a motion.
+
+    Attributes
+    ----------
+    stiffness, stiffness_std : array, shape (3,)
+        Torsion and the two bendings, N m/rad.
+    before, behind : array, shape (3,), rad
+        The estimated errors of the joint's frame, as in `mismatched`.
+    before_std, behind_std : array, shape (3,), rad
+    deformation : array, shape (N, 3), rad
+        Torsion and bendings in the corrected frame.
+    chi2 : float
+    degrees_of_freedom : int
+    """
+
+    stiffness: Array
+    stiffness_std: Array
+    before: Array
+    behind: Array
+    before_std: Array
+    behind_std: Array
+    deformation: Array
+    chi2: float
+    degrees_of_freedom: int
+
+
+def regress_bending(turn: JointTurn, moment: Array, *, response: str = "moment") -> Array:
+    """Stiffness of the two bendings by least squares, the joint's frame taken as right, shape (2,), N m/rad.
+
+    Parameters
+    ----------
+    turn : JointTurn
+    moment : array, shape (N, 2), N m
+        About the two bending axes.
+    response : ``moment`` or ``deformation``
+        ``moment`` is the thesis' regression (4.2.1): the deformation is a column of the regressor, and its noise
+        lowers the stiffness by ``1 + noise variance / its variance``. ``deformation`` is free of that.
+    """
+    if response not in ("moment", "deformation"):
+        raise ValueError(f"response is {response!r}; expected 'moment' or 'deformation'")
+    bending, moment = hinge_angles(turn.rotation)[:, 1:], np.asarray(moment, dtype=float)
+    common = (bending * moment).sum(axis=0)
+    return np.asarray(common / (bending**2).sum(axis=0) if response == "moment" else (moment**2).sum(axis=0) / common)
+
+
+FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
+_COARSE = 2  # steps of the fit that leave its faint directions alone
+_FRAME = 6  # numbers of the frame in the fit: three before the joint, three behind
+
+
+def fit_joint(
+    turn: JointTurn,
+    drive_angle: Array,
+    moment: Array,
+    *,
+    same_bending: bool = False,
+    frame_prior: float = FRAME_PRIOR,
+    iterations: int = 20,
+) -> JointFit:
+    """Stiffnesses of a joint's three hinges together with the errors of its frame.
+
+    ``turn = exp(-before) R_1(drive_angle + m_1 / k_1) R_2(m_2 / k_2) R_3(m_3 / k_3) exp(behind)``, by Gauss-Newton with
+    the covariance of each turn. Linear in the compliances 1 / k and nearly so in the frame. The frame's leak into the
+    bendings (a constant, and sine and cosine of the joint angle) differs from the moments unless the joint hardly turns.
+    About the joint's own axis the difference of the two errors shows as a zero error of the angle; each by itself
+    only in how it turns the bendings into each other, so faintly that it would cost the smaller bending's stiffness its
+    accuracy. So the frame's six errors are held near zero by what is known of them beforehand, `frame_prior`.
+
+    Parameters
+    ----------
+    turn : JointTurn
+    drive_angle : array, shape (N,), rad
+        From the resolver.
+    moment : array, shape (N, 3), N m
+        About the joint's axis and the two bending axes; independent of the noise of the turn.
+    same_bending : bool
+        One stiffness for both bendings, as table 4.1 has it for bearings that are symmetric about their axis.
+    frame_prior : float, rad
+        Standard deviation of each component of the frame's errors before the measurement. The data overrule it but for
+        the errors about the joint's own axis.
+
+    Raises
+    ------
+    ValueError
+        A moment that is zero throughout, or no convergence.
+    """
+    angle, moment = np.asarray(drive_angle, dtype=float), np.asarray(moment, dtype=float)
+    largest = np.abs(moment).max(axis=0)
+    if (largest == 0.0).any():
+        raise ValueError("one of the three moments is zero throughout: its hinge's stiffness cannot show")
+    weight = np.linalg.inv(np.linalg.cholesky(turn.covariance))
+    # unknowns of about 1, in 1e-3 rad; then how the model's nine numbers follow from them
+    size = np.diag(np.concatenate([np.full(_FRAME, 1e-3), 1e-3 / largest]))
+    if same_bending:
+        size = np.column_stack([size[:, :-2], np.r_[np.zeros(_FRAME + 1), 1.0, 1.0] * 1e-3 / largest[1:].max()])
+    x = np.zeros(size.shape[1])
+    prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
+    for iteration in range(iterations):
+        residual, slope = _misfit(size @ x, turn.rotation, angle, moment)
+        r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
+        columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
+        u, s, vt = np.linalg.svd(columns, full_matrices=False)
+        # at first only what shows clearly: along the faint direction a far start would throw the fit off
+        clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]
+        step = vt.T[:, clear] @ ((u.T @ r)[clear] / s[clear])
+        x = x + step
+        if iteration >= _COARSE and np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max()):
+            break
+    else:
+        raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")
+    std = np.sqrt(((size @ vt.T / s) ** 2).sum(axis=1))
+    before, behind, compliance = np.split(size @ x, [3, _FRAME])
+    residual, _ = _misfit(size @ x, turn.rotation, angle, moment)
+    deformation = hinge_angles(mismatched(turn.rotation, -before, -behind))
+    deformation[:, 0] = np.angle(np.exp(1j * (deformation[:, 0] - angle)))
+    return JointFit(
+        stiffness=1.0 / compliance,
+        stiffness_std=std[_FRAME:] / compliance**2,
+        before=before,
+        behind=behind,
+        before_std=std[:3],
+        behind_std=std[3:_FRAME],
+        deformation=deformation,
+        chi2=float(((weight @ residual[..., None]) ** 2).sum()),
+        degrees_of_freedom=residual.size - len(x),
+    )
+
+
+def _misfit(x: Array, rotation: Array, angle: Array, moment: Array) -> tuple[Array, Array]:
+    """What the model lacks of the measured turn, (N, 3), rad, and how the model's turn follows x, (N, 3, 9).
+
+    Both in the axes behind the joint.
+    """
+    before, behind, compliance = np.split(x, [3, _FRAME])
+    hinges = moment * compliance
+    hinges[:, 0] += angle
+    after = Rotation.from_rotvec(behind).as_matrix()
+    one, two, three = (Rotation.from_rotvec(np.eye(3)[i] * hinges[:, i : i + 1]).as_matrix() for i in range(3))
+    behind_two = three @ after
+    behind_one = two @ behind_two
+    whole = one @ behind_one
+    model = Rotation.from_rotvec(-before).as_matrix() @ whole
+    short = Rotation.from_matrix(np.swapaxes(model, 1, 2) @ rotation).as_rotvec()
+    slope = np.empty((len(angle), 3, len(x)))
+    slope[:, :, :3] = -np.swapaxes(whole, 1, 2) @ _turn_by(-before)
+    slope[:, :, 3:_FRAME] = _turn_by(behind)
+    # an axis e of a hinge, seen from behind all that follows it: row e of what follows
+    seen = np.stack([behind_one[:, 0], behind_two[:, 1], np.broadcast_to(after[2], (len(angle), 3))], axis=2)
+    slope[:, :, _FRAME:] = seen * moment[:, None]
+    return np.asarray(short), slope
+
+
+def _turn_by(x: Array) -> Array:
+    """J with ``exp(x + d) = exp(x) exp(J d)`` for small d, to second order in x."""
+    cross = _cross_matrix(x)
+    return np.eye(3) - cross / 2.0 + cross @ cross / 6.0
+
+
+# ---- base -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class BaseCalibration:
+    """Where the robot's base stands in the camera's frame: ``camera point = rotation @ base point + translation``.
+
+    Attributes
+    ----------
+    rotation : array, shape (3, 3)
+    translation : array, shape (3,), m
+    markers : array, shape (m, 3), m
+        In the frame of the link that carries them.
+    rotation_std, translation_std : array, shape (3,)
+        About and along the camera's axes, rad and m, for the noise alone: errors of the kinematic model come on top.
+    chi2, degrees_of_freedom : float, int
+    """
+
+    rotation: Array
+    translation: Array
+    markers: Array
+    rotation_std: Array
+    translation_std: Array
+    chi2: float
+    degrees_of_freedom: int
+
+
+def calibrate_base(
+    link_rotation: Array,
+    link_position: Array,
+    measured: Array,
+    std: Array | float,
+    markers: Array | None = None,
+    *,
+    iterations: int = 20,
+) -> BaseCalibration:
+    """The base in the camera's frame, from markers on one link in several poses of a known kinematic model.
+
+    ``measured = rotation (link_rotation @ marker + link_position) + translation``. The turns of the link in the
+    camera's frame are those of the model in the base's frame, carried over: that starts the rotation; the rest is
+    linear, then Gauss-Newton with all weights.
+
+    Parameters
+    ----------
+    link_rotation, link_position : array, shapes (N, 3, 3) and (N, 3), m
+        Of the link in the base's frame, by the kinematic model.
+    measured : array, shape (N, m, 3), m
+    std : float or array that broadcasts to (N, m, 3), m
+    markers : array, shape (m, 3), m, optional
+        Where they are known in the link's frame. Otherwise they are estimated, and the link has to turn about more
+        than one axis: moving joint 1 alone leaves the turn about it open.
+
+    Raises
+    ------
+    ValueError
+        Poses that do not determine the base.
+    """
+    turns, places = np.asarray(link_rotation, dtype=float), np.asarray(link_position, dtype=float)
+    measured = np.asarray(measured, dtype=float)
+    weight = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), measured.shape)
+    known = None if markers is None else np.asarray(markers, dtype=float)
+    count = measured.shape[1]
+    if known is None:
+        seen = fit_rigid_body(measured[0], measured, std).rotation
+        in_base = Rotation.from_matrix(turns @ turns[0].T).as_rotvec()
+        in_camera = Rotation.from_matrix(seen).as_rotvec()
+        if np.linalg.matrix_rank(in_base, tol=1e-3) < 2:
+            raise ValueError(
+                "the link turns about one axis only, which leaves the base's turn about it open;"
+                " move a second joint or give the markers"
+            )
+        rotation = Rotation.align_vectors(in_camera, in_base)[0].as_matrix()
+        # measured = rotation link_rotation marker + (rotation link_position + translation): linear in the rest
+        inner = rotation @ turns
+        columns = np.zeros((len(turns), count, 3, 3 * count + 3))
+        for m in range(count):
+            columns[:, m, :, 3 * m : 3 * m + 3] = inner
+        columns[..., -3:] = np.eye(3)
+        moved = measured - (places @ rotation.T)[:, None]
+        first = np.linalg.lstsq(columns.reshape(-1, columns.shape[-1]), moved.ravel(), rcond=None)[0]
+        at, translation = first[:-3].reshape(count, 3), first[-3:]
+    else:
+        at = known
+        points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
+        start = fit_rigid_body(points.reshape(-1, 3), measured.reshape(1, -1, 3), 1.0)
+        rotation, translation = start.rotation[0], start.translation[0]
+
+    for _ in range(iterations):
+        points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
+        arms = points @ rotation.T
+        missing = measured - arms - translation
+        slope = np.zeros((*measured.shape, 6 + (0 if known is not None else 3 * count)))
+        slope[..., :3], slope[..., 3:6] = -_cross_matrix(arms), np.eye(3)
+        for m in range(count if known is None else 0):
+            slope[:, m, :, 6 + 3 * m : 9 + 3 * m] = rotation @ turns
+        weighted = (weight[..., None] * slope).reshape(measured.size, -1)
+        u, s, vt = np.linalg.svd(weighted, full_matrices=False)
+        if s[-1] < 1e-9 * s[0]:
+            raise ValueError("the poses do not determine the base: markers or poses lie on one line")
+        step = vt.T @ ((u.T @ (weight * missing).ravel()) / s)
+        rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
+        translation = translation + step[3:6]
+        if known is None:
+            at = at + step[6:].reshape(count, 3)
+        if np.abs(step).max() < 1e-12:
+            break
+    else:
+        raise ValueError(f"the calibration of the base did not settle in {iterations} steps")
+    points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
+    left = weight * (measured - points @ rotation.T - translation)
+    std_of = np.sqrt(((vt.T / s) ** 2).sum(axis=1))
+    return BaseCalibration(
+        rotation,
+        translation,
+        at,
+        std_of[:3],
+        std_of[3:6],
+        float((left**2).sum()),
+        measured.size - weighted.shape[1],
+    )

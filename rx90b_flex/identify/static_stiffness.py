@@ -1,0 +1,248 @@
+"""Stiffness of a hinge from dead weights: a line with its interval, and what loading and unloading tell apart.
+
+Section 4.1 takes the inverse slope of deformation over moment. The same line is fitted here with what the source leaves
+out: how far it can be trusted, and whether the way up differs from the way down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy import special
+
+from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.signals.static_test import StaticTest
+
+Response = Literal["deformation", "moment"]
+
+
+@dataclass(frozen=True)
+class StaticLine:
+    """A straight line through some readings.
+
+    Attributes
+    ----------
+    stiffness : float
+        N m/rad.
+    interval : (float, float)
+        Confidence interval of the stiffness; its upper end is infinite where the slope's reaches zero.
+    mean_moment, deformation : float
+        A point of the line: the mean moment of both directions, and where the line stands there; N m and rad.
+    readings : int
+    """
+
+    stiffness: float
+    interval: tuple[float, float]
+    mean_moment: float
+    deformation: float
+    readings: int
+
+
+@dataclass(frozen=True)
+class StaticStiffness:
+    """What a dead-weight test tells of a hinge.
+
+    Attributes
+    ----------
+    coordinate : str
+    stiffness : float
+        N m/rad.
+    interval : (float, float)
+        Confidence interval of `stiffness`, N m/rad.
+    confidence : float
+        Of every interval here.
+    response : str
+        The noisier variable, whose distance from the line was made small.
+    noise_std : float
+        Of one reading of the response about the line, rad or N m.
+    degrees_of_freedom : int
+    loading, unloading : StaticLine
+        Each direction by itself, the noise taken from both.
+    p_value : float
+        That the two differ by chance alone, in slope or in height; F test of two lines against one.
+    slope_p_value : float
+        The same of their slopes alone.
+    hysteresis_area : float
+        Work lost in the loop, J (N m rad); positive where unloading lags.
+    hysteresis_std : float
+        What noise alone gives that area.
+    """
+
+    coordinate: str
+    stiffness: float
+    interval: tuple[float, float]
+    confidence: float
+    response: Response
+    noise_std: float
+    degrees_of_freedom: int
+    loading: StaticLine
+    unloading: StaticLine
+    p_value: float
+    slope_p_value: float
+    hysteresis_area: float
+    hysteresis_std: float
+
+
+def fit_static_stiffness(
+    test: StaticTest, *, response: Response | None = None, skip: int = 0, confidence: float = 0.95
+) -> StaticStiffness:
+    """Stiffness from a dead-weight test: one slope for both directions, a height for each.
+
+    With the deformation as response, ``deformation = height(direction) + moment / stiffness``. Friction that resists
+    moves the two directions apart but, once it slides, turns neither: with a height each it is not taken for noise.
+    Before it slides, at the start and after the top, it flattens the lines; `skip` leaves such readings out.
+
+    The interval is Student's of the slope, inverted (1/x is monotonic): it covers as often as it says for independent
+    normal noise of unknown size in the response and none in the other variable. Noise in the other variable would
+    flatten the line by ``(std / spread of that variable)^2``; that is not corrected.
+
+    Parameters
+    ----------
+    test : StaticTest
+        At least three readings a direction and two loads in each.
+    response : ``deformation`` or ``moment``, optional
+        The noisier variable, each measured by its spread. Where not given: by the test's standard deviations; where it
+        has none of the deformation, the deformation, as in the source.
+    skip : int
+        Readings left out at the beginning of each direction, as many as it takes friction to slide: its torque (after
+        the top, twice that) over the step of the moment. The loop's area is that of all readings.
+    confidence : float
+
+    Raises
+    ------
+    ValueError
+        Too few readings, one load only, or a deformation that does not grow with the moment.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence is {confidence!r}; expected a number between 0 and 1")
+    response = response or _noisier(test)
+    if response not in ("deformation", "moment"):
+        raise ValueError(f"response is {response!r}; expected 'deformation' or 'moment'")
+    area, weight = hysteresis_area(test)
+    test = _without_beginnings(test, skip)
+    given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
+    for name, rows in (("up", test.rising), ("down", ~test.rising)):
+        if rows.sum() < 3 or np.ptp(given[rows]) == 0.0:
+            raise ValueError(
+                f"static test {test.coordinate!r}: direction {name!r} has {rows.sum()} readings"
+                f" of {len(np.unique(given[rows]))} loads; expected at least three, not all the same"
+            )
+
+    centre = given - given.mean()
+    one = np.ones(len(test))
+    up, down = test.rising.astype(float), 1.0 - test.rising
+    line = _fit(np.stack([centre, one], axis=1), noisy)
+    parallel = _fit(np.stack([centre, up, down], axis=1), noisy)
+    both = _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy)
+
+    slope = float(parallel.values[0])
+    if slope <= 0.0:
+        raise ValueError(
+            f"static test {test.coordinate!r}: the deformation does not grow with the moment (slope {slope:.3g})"
+        )
+    std = float(parallel.std[0])
+
+    def interval(slope: float, std: float, dof: int) -> tuple[float, float]:
+        reach = float(special.stdtrit(dof, 0.5 + 0.5 * confidence)) * std  # Student's t
+        return _stiffness_interval(slope - reach, slope + reach, response)
+
+    def branch(place: int, rows: Mask) -> StaticLine:
+        gradient, height = float(both.values[place]), float(both.values[2 + place])
+        middle = float(test.moment.mean())
+        at_middle = height if response == "deformation" else float(given.mean() + (middle - height) / gradient)
+        stiffness = 1.0 / gradient if response == "deformation" else gradient
+        reach = interval(gradient, float(both.std[place]), both.dof)
+        return StaticLine(stiffness, reach, middle, at_middle, int(rows.sum()))
+
+    # the noise of a deformation, for the loop's own uncertainty
+    deformation_std = parallel.noise if response == "deformation" else parallel.noise / slope
+    return StaticStiffness(
+        coordinate=test.coordinate,
+        stiffness=1.0 / slope if response == "deformation" else slope,
+        interval=interval(slope, std, parallel.dof),
+        confidence=confidence,
+        response=response,
+        noise_std=parallel.noise,
+        degrees_of_freedom=parallel.dof,
+        loading=branch(0, test.rising),
+        unloading=branch(1, ~test.rising),
+        p_value=_f_test(line, both),
+        slope_p_value=_f_test(parallel, both),
+        hysteresis_area=area,
+        hysteresis_std=float(deformation_std * np.linalg.norm(weight)),
+    )
+
+
+def hysteresis_area(test: StaticTest) -> tuple[float, Array]:
+    """Work lost in the loop that the readings close, and how it follows from each deformation.
+
+    The polygon through the readings in their order, the last joined to the first: ``area = weight @ deformation``.
+
+    Returns
+    -------
+    area : float
+        J; positive where the deformation lags behind the moment.
+    weight : array, shape (N,), N m
+    """
+    # the moment times each step of the deformation (trapezoids), summed by parts
+    weight = 0.5 * (np.roll(test.moment, 1) - np.roll(test.moment, -1))
+    return float(weight @ test.deformation), weight
+
+
+def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
+    if skip == 0:
+        return test
+    kept = np.ones(len(test), dtype=bool)
+    for rows in (test.rising, ~test.rising):
+        kept[np.flatnonzero(rows)[:skip]] = False
+    return replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Linear least squares: values, their standard deviations, and the noise about them."""
+
+    values: Array
+    std: Array
+    squares: float
+    dof: int
+
+    @property
+    def noise(self) -> float:
+        return float(np.sqrt(self.squares / self.dof))
+
+
+def _fit(columns: Array, values: Array) -> _Fit:
+    # columns of one length, nearly square to each other: the normal equations lose nothing
+    size = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns / size
+    inverse = np.linalg.inv(scaled.T @ scaled)
+    found = inverse @ (scaled.T @ values)
+    squares = float(((values - scaled @ found) ** 2).sum())
+    dof = len(values) - columns.shape[1]
+    return _Fit(found / size, np.sqrt(squares / dof * np.diag(inverse)) / size, squares, dof)
+
+
+def _f_test(small: _Fit, large: _Fit) -> float:
+    """Chance that the larger model fits that much better where the smaller one is true."""
+    if large.squares == 0.0:
+        return 1.0 if small.squares == 0.0 else 0.0
+    more = small.dof - large.dof
+    ratio = (small.squares - large.squares) / more / (large.squares / large.dof)
+    return float(special.fdtrc(more, large.dof, ratio))
+
+
+def _stiffness_interval(low: float, high: float, response: Response) -> tuple[float, float]:
+    if response == "moment":
+        return max(low, 0.0), high
+    # a slope that may be zero or below leaves the stiffness without an upper bound
+    return (1.0 / high if high > 0.0 else np.inf), (1.0 / low if low > 0.0 else np.inf)
+
+
+def _noisier(test: StaticTest) -> Response:
+    if test.deformation_std is None or not test.moment_std:
+        return "deformation"
+    by_spread = test.deformation_std / np.ptp(test.deformation), test.moment_std / np.ptp(test.moment)
+    return "deformation" if by_spread[0] >= by_spread[1] else "moment"

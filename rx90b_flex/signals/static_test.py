@@ -1,0 +1,158 @@
+"""Dead-weight tests: how far a hinge yields to a moment, step by step up and down (section 4.1)."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from rx90b_flex.signals.tables import one_line, read_table, stem_of, suggestion, write_whole
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DIRECTIONS = ("up", "down")
+KEYS = ("coordinate", "file", "lever_arm_m", "moment_std_nm", "deformation_std_rad")
+
+
+@dataclass(frozen=True, eq=False)
+class StaticTest:
+    """Readings of one hinge under dead weights, in the order in which they were taken.
+
+    Attributes
+    ----------
+    coordinate : str
+        What was loaded, for example ``joint_2:bend_1``.
+    moment : array, shape (N,)
+        Of the load about the hinge's axis, N m.
+    deformation : array, shape (N,)
+        Turn of the link behind the joint against the link before it, rad; its zero is free.
+    rising : bool array, shape (N,)
+        Whether the load had come from below; the largest load counts as rising.
+    moment_std, deformation_std : float, optional
+        Standard deviations of one reading, where they are known; N m and rad.
+    """
+
+    coordinate: str
+    moment: Array
+    deformation: Array
+    rising: Mask
+    moment_std: float | None = None
+    deformation_std: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, kind in (("moment", float), ("deformation", float), ("rising", bool)):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=kind))
+        shapes = {self.moment.shape, self.deformation.shape, self.rising.shape}
+        if len(shapes) != 1 or self.moment.ndim != 1:
+            raise ValueError(f"static test {self.coordinate!r}: moment, deformation and rising have different shapes")
+        if not (np.isfinite(self.moment).all() and np.isfinite(self.deformation).all()):
+            raise ValueError(f"static test {self.coordinate!r}: moment and deformation must be finite")
+        for name in ("moment_std", "deformation_std"):
+            std = getattr(self, name)
+            if std is not None and not (np.isfinite(std) and std >= 0.0):
+                raise ValueError(f"static test {self.coordinate!r}: {name} is {std!r}; expected 0 or more")
+
+    def __len__(self) -> int:
+        return len(self.moment)
+
+
+def read_static_test(path: str | os.PathLike[str]) -> StaticTest:
+    """Read a dead-weight test.
+
+    A table (.csv, .csv.gz, .parquet) has one row a reading and the columns ``moment_nm`` or ``load_n``,
+    ``deformation_rad`` and ``direction`` (``up`` or ``down``). A TOML file describes one::
+
+        coordinate = "joint_2:bend_1"
+        file = "joint_2_bend_1.csv"       # relative to this file
+        lever_arm_m = 0.985               # needed where the table has load_n: moment = load * lever arm
+        moment_std_nm = 0.2               # optional, of one reading
+        deformation_std_rad = 2.9e-5      # optional, of one reading
+
+    A table read by itself gets its file name as coordinate.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and the key, column or row.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".toml":
+        return _read_table(path, stem_of(path), None, None, None)
+    keys = _read_keys(path)
+    file = keys["file"]
+    lever, moment_std, deformation_std = (_number(path, keys, key) for key in KEYS[2:])
+    if lever == 0.0:
+        raise ValueError(f"{path}: lever_arm_m is 0; expected a positive length in m")
+    coordinate = keys.get("coordinate", Path(file).stem)
+    return _read_table(path.parent / file, coordinate, lever, moment_std, deformation_std)
+
+
+def write_static_test(test: StaticTest, path: str | os.PathLike[str]) -> None:
+    """Write a test as CSV with the columns that `read_static_test` reads; the file appears whole or not at all."""
+    direction = np.where(test.rising, *DIRECTIONS)
+    table = pd.DataFrame({"moment_nm": test.moment, "deformation_rad": test.deformation, "direction": direction})
+    write_whole(Path(path), lambda temporary: table.to_csv(temporary, index=False))
+
+
+def _read_keys(path: Path) -> dict[str, Any]:
+    try:
+        keys = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from error
+    for key in keys:
+        if key not in KEYS:
+            raise ValueError(f"{path}: unknown key {key!r}{suggestion(key, KEYS)}; expected {', '.join(KEYS)}")
+    for key in ("file", "coordinate"):
+        if not isinstance(keys.get(key, "" if key == "coordinate" else None), str):
+            raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
+    return keys
+
+
+def _number(path: Path, keys: dict[str, Any], key: str) -> float | None:
+    value = keys.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < np.inf:
+        raise ValueError(f"{path}: {key} is {value!r}; expected a number, 0 or more")
+    return float(value)
+
+
+def _read_table(
+    path: Path, coordinate: str, lever: float | None, moment_std: float | None, deformation_std: float | None
+) -> StaticTest:
+    table = read_table(path, ["deformation_rad"], optional=["moment_nm", "load_n"])
+    loads = [name for name in ("moment_nm", "load_n") if name in table.names]
+    if len(loads) != 1:
+        found = "both moment_nm and load_n" if loads else "neither moment_nm nor load_n"
+        raise ValueError(f"{path}: has {found}; expected one of these columns")
+    if loads == ["load_n"] and lever is None:
+        raise ValueError(f"{path}: column 'load_n' needs lever_arm_m; describe the test in a TOML file that gives it")
+    load, deformation = table.columns([*loads, "deformation_rad"]).T
+    for name, values in ((loads[0], load), ("deformation_rad", deformation)):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise ValueError(f"{path}: column {name!r}, row {bad[0] + 1}: no finite number")
+    moment = load * lever if loads == ["load_n"] and lever is not None else load
+    return StaticTest(coordinate, moment, deformation, _read_direction(path), moment_std, deformation_std)
+
+
+def _read_direction(path: Path) -> Mask:
+    frame = pd.read_parquet(path) if path.suffix.lower() == ".parquet" else pd.read_csv(path, dtype=str)
+    names = [str(name).strip() for name in frame.columns]
+    if "direction" not in names:
+        raise ValueError(f"{path}: no column 'direction'{suggestion('direction', names)}")
+    words = frame.iloc[:, names.index("direction")].fillna("").astype(str).str.strip().str.lower()
+    bad = np.flatnonzero(~words.isin(DIRECTIONS))
+    if len(bad):
+        found = words.iloc[int(bad[0])]
+        raise ValueError(f"{path}: column 'direction', row {bad[0] + 1}: {found!r}; expected 'up' or 'down'")
+    return np.asarray(words == "up")
