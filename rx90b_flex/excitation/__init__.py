@@ -1,0 +1,1 @@
+"""Excitations for identification: multisines, and trajectories designed for what they are to identify."""
