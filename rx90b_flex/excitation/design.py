@@ -41,11 +41,13 @@ HARMONICS = 5  # of the references; 1.2 Hz for 4.096 s, far below the lowest ant
 BELOW = 0.5  # part of the lowest mode's frequency that "below" keeps under
 MODE_WIDTH = 0.1  # lines "on_modes" reach so far to either side, of the mode's frequency: modes move with the pose
 LINES_A_MODE = 5
-SMOOTH_POWER = 6.0  # of the norms that stand for the largest and smallest eigenvalue, to have a gradient
 STEADY_SPEED = 0.15  # rad/s; friction's slope in the linear response is at this speed or more, not at reversal
 PENALTY = 100.0
 RANK_TOLERANCE = 1e-7  # directions below this part of the largest singular value count as not there (`essential_space`)
 STEP = 1e-5  # of finite differences
+CLIPPINGS = 60  # of a multisine, for low peaks
+STAGES = 2  # of a search; before each the multisine's phases are fitted to its amplitudes
+ENDS = 24  # smallest and largest singular values that a search for the condition number watches
 
 
 # ---- what is optimised ------------------------------------------------------------------------------------------
@@ -80,7 +82,7 @@ class Assessment:
     Attributes
     ----------
     singular_values : array, shape (r,)
-        Of the regressor, columns scaled, on the essential space; descending, N m (for all samples together).
+        Of the regressor, columns scaled, on the essential space, over the root of the number of samples; descending, N m.
     """
 
     singular_values: Array
@@ -92,14 +94,14 @@ class Assessment:
 
     @property
     def information(self) -> float:
-        """Half the log determinant of the information matrix, for a unit error of every row."""
+        """Half the log determinant of a sample's mean information, for a unit error of every row."""
         return float(np.log(self.singular_values).sum())
 
 
 def assess(regressor: Array, scale: Array, essential: Array) -> Assessment:
-    """Singular values of a regressor, shape (N, n, p) or (rows, p), on an essential space, shape (p, r)."""
-    columns = regressor.reshape(-1, regressor.shape[-1]) * scale
-    return Assessment(np.linalg.svd(columns @ essential, compute_uv=False))
+    """Singular values of a regressor, shape (N, n, p), on an essential space, shape (p, r)."""
+    columns = (regressor * scale).reshape(-1, len(scale)) @ essential
+    return Assessment(np.linalg.svd(columns, compute_uv=False) / np.sqrt(len(regressor)))
 
 
 def periodic_derivative(x: Array, period_s: float) -> Array:
@@ -277,19 +279,24 @@ class _Problem:
         return tuple(out)
 
     def _vibration(self, c: Candidate) -> tuple[Array, ...]:
-        """Linear response to the multisine in closed loop, its points blended in time."""
-        n = self.robot.model.nv
+        """Linear response to the multisine in closed loop, with its derivatives, at `times`."""
         if not len(self.hz):
-            return tuple(np.zeros((len(self.times), n)) for _ in range(3))
-        (compliance,) = self._remembered(b"fast", c, lambda: (self._compliance(c),))
-        response = np.einsum("plnj,lj->pln", compliance, c.torque)
-        place = self.times / self.period_s * self.points
-        before = place.astype(int) % self.points
-        share = (place - place.astype(int))[:, None, None]
-        here = (1.0 - share) * response[before] + share * response[(before + 1) % self.points]
+            return tuple(np.zeros((len(self.times), self.robot.model.nv)) for _ in range(3))
+        here = self._blended(np.einsum("plnj,lj->pln", self._response(c), c.torque), self.times)
         jw = 2j * np.pi * self.hz
         wave = np.exp(np.outer(self.times, jw))
         return tuple(np.real(np.einsum("tl,tln->tn", wave * jw**power, here)) for power in range(3))
+
+    def _response(self, c: Candidate) -> ComplexArray:
+        (compliance,) = self._remembered(b"fast", c, lambda: (self._compliance(c),))
+        return np.asarray(compliance)
+
+    def _blended(self, at_points: ComplexArray, time: Array) -> ComplexArray:
+        """What is known at the points along the motion, shape (points, ...), at any time, shape (N, ...)."""
+        place = time / self.period_s * self.points
+        before = place.astype(int) % self.points
+        share = (place - place.astype(int)).reshape(-1, *[1] * (at_points.ndim - 1))
+        return np.asarray((1.0 - share) * at_points[before] + share * at_points[(before + 1) % self.points])
 
     def _compliance(self, c: Candidate) -> Array:
         """Coordinates over feed-forward torque in closed loop, shape (points, L, n, joints)."""
@@ -314,56 +321,62 @@ class _Problem:
         return assess(self.robot.regressor(*self.motion(c)), self.scale, self.essential)
 
     def excess(self, c: Candidate) -> Array:
-        """How far the references and their torque are outside the limits, over a period; see `Limits.excess`."""
-        (of_references,) = self._remembered(b"limits", c, lambda: (self._excess_of_references(c),))
-        torque = c.feedforward(self._dense, self.hz) if len(self.hz) else np.zeros((len(self._dense), len(self.moving)))
-        peak = np.abs(torque).max(axis=0)
-        joints = len(self.moving)
-        out = of_references.copy()
-        out[:, 2 * joints : 3 * joints] += peak / self.limits.torque
-        return np.concatenate([out.ravel(), peak / self.limits.feedforward - 1.0])
+        """How far the predicted motion is outside each limit, over a period; see `Limits.excess`."""
+        r, v, torque, distance = self._remembered(b"limits", c, lambda: self._along(c))
+        if not len(self.hz):
+            return self.limits.excess(r, v, torque, distance).max(axis=0)
+        drive = self._response(c)[:, :, drive_places(self.robot)]
+        angle = np.einsum("pljk,lk->plj", drive, c.torque)
+        fed_back = self.controller.frequency_response(self.hz) * angle
+        jw = 2j * np.pi * self.hz
+        speed, loop, given = (
+            np.real(np.einsum("tl,tlj->tj", self._waves, self._blended(x, self._dense)))
+            for x in (jw[:, None] * angle, c.torque - fed_back, np.broadcast_to(c.torque, angle.shape))
+        )
+        repeated = np.repeat(np.arange(len(r)), len(self._dense) // len(r))
+        outside = self.limits.excess(r[repeated], v[repeated] + speed, torque[repeated] + loop, distance[repeated])
+        return np.concatenate([outside.max(axis=0), (np.abs(given) / self.limits.feedforward - 1.0).max(axis=0)])
 
     @cached_property
     def _dense(self) -> Array:
         count = round(self.period_s * RATE_HZ)
         return np.arange(count) / count * self.period_s
 
-    def _excess_of_references(self, c: Candidate) -> Array:
-        every = max(1, len(self._dense) // (12 * self.harmonics))
+    @cached_property
+    def _waves(self) -> ComplexArray:
+        return np.exp(2j * np.pi * np.outer(self._dense, self.hz))
+
+    def _along(self, c: Candidate) -> tuple[Array, ...]:
+        """References, the rigid robot's torque and the shapes' distances, on every so many of the period's instants."""
+        every = max(1, 2 ** int(np.log2(len(self._dense) / (12 * self.harmonics))))
         r, v, a = c.references(self._dense[::every], self.period_s)
-        rigid = self._rigid
-        torque = rigid.inverse_dynamics(r, v, a)
-        return self.limits.excess(r, v, torque, self.limits.distances(rigid.tree, r))
+        return r, v, self._rigid.inverse_dynamics(r, v, a), self.limits.distances(self._rigid.tree, r)
 
     @cached_property
     def _rigid(self) -> Robot:
         return self.robot.rigid()
 
-    def cost(self, x: Array) -> float:
-        """The objective, smooth, with what limits are passed by."""
+    def look(self, x: Array) -> tuple[Array, Array]:
+        """Logarithms of the regressor's singular values, ascending, and the largest excess of each limit; see `excess`."""
         c = self.candidate(x)
         columns = (self.robot.regressor(*self.motion(c)) * self.scale).reshape(-1, len(self.scale)) @ self.essential
-        values = np.maximum(np.linalg.eigvalsh(columns.T @ columns), 1e-300)
-        outside = np.maximum(self.excess(c), 0.0)
-        return self._smooth(values) + PENALTY * float(np.sum(outside**2))
+        values = np.linalg.eigvalsh(columns.T @ columns / len(self.times))
+        return 0.5 * np.log(np.maximum(values, 1e-300)), self.excess(c)
 
-    def _smooth(self, values: Array) -> float:
-        logs = 0.5 * np.log(values)
-        if self.objective == "information":
-            return -float(logs.mean())
-        p = 2.0 * SMOOTH_POWER
-        high, low = logs.max(), logs.min()
-        return float(high - low + (np.log(np.exp(p * (logs - high)).sum()) + np.log(np.exp(p * (low - logs)).sum())) / p)
+    def cost(self, logs: Array, excess: Array) -> float:
+        """What candidates are ranked by: the objective, and a penalty where they pass a limit."""
+        value = -logs.mean() if self.objective == "information" else logs[-1] - logs[0]
+        return float(value + PENALTY * np.sum(np.maximum(excess, 0.0) ** 2))
 
-    def gradient(self, x: Array) -> tuple[float, Array]:
-        """Cost and its forward differences; the multisine's first, while what the references give is remembered."""
-        here = self.cost(x)
-        slope = np.empty(len(x))
+    def slopes(self, x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Forward differences of `look`; the multisine's first, while what the references give is remembered."""
+        by_x = tuple(np.empty((len(value), len(x))) for value in here)
         for i in reversed(range(len(x))):
             moved = x.copy()
             moved[i] += STEP
-            slope[i] = (self.cost(moved) - here) / STEP
-        return here, slope
+            for slope, there, value in zip(by_x, self.look(moved), here, strict=True):
+                slope[:, i] = (there - value) / STEP
+        return by_x[0], by_x[1]
 
 
 def essential_space(problem: _Problem, rng: np.random.Generator, draws: int = 4) -> Array:
@@ -419,7 +432,7 @@ class Design:
     @cached_property
     def simulation(self) -> Simulation:
         """Two periods of the excitation in closed loop; the second is steady."""
-        return simulate(self.robot, self.controller, self.trajectory.repeated(2))
+        return simulate(self.robot, self.controller, self.trajectory.repeated(2), raw=True)
 
     def assess(self, run: Simulation | None = None) -> Assessment:
         """By simulated motion: this excitation's, or any run's of the same robot and period."""
@@ -432,9 +445,10 @@ class Design:
 
 
 def simulated_margins(limits: Limits, run: Simulation) -> Margins:
-    """What a run's drives leave to limits."""
+    """What a run's drives leave to limits; torques and speeds before the log's filter, where the run has them."""
     drives = drive_places(run.robot)
-    return limits.margins(run.robot.tree, run.q[:, drives], run.v[:, drives], run.recording.torque)
+    log = run.recording if run.raw is None else run.raw
+    return limits.margins(run.robot.tree, run.q[:, drives], log.velocity, log.torque)
 
 
 def design_excitation(
@@ -448,7 +462,7 @@ def design_excitation(
     period_s: float = PERIOD_S,
     harmonics: int = HARMONICS,
     moving: tuple[str, ...] | None = None,
-    samples: int = 128,
+    samples: int = 96,
     points: int = 8,
     draws: int = 24,
     starts: int = 2,
@@ -504,13 +518,16 @@ def design_excitation(
     for k in range(draws):
         tell("random excitations", 0.05 * k / draws)
         x = problem.draw(rng)
-        drawn.append((problem.cost(x), x))
+        drawn.append((problem.cost(*problem.look(x)), x))
     drawn.sort(key=lambda pair: pair[0])
     search = _Search(evaluations, tell)
     found = []
     for i, (_, x) in enumerate(drawn[:starts]):
         own, x = _on_own_modes(problem, x, spectrum, rng)
-        found.append((*search.improve(own, i, x, (i + 1) / starts), own))
+        for stage in range(STAGES):
+            own = _with_low_crest(own, x)
+            value, x = search.improve(own, i, x, (i + (stage + 1) / STAGES) / starts)
+        found.append((value, x, own))
     _, best, problem = min(found, key=lambda three: three[0])
     tell("limits", 0.95)
     candidate = _within(problem, problem.candidate(best))
@@ -529,41 +546,147 @@ def _on_own_modes(
     return moved, np.concatenate([x[:motion], moved.draw(rng)[motion:]])
 
 
+def _with_low_crest(problem: _Problem, x: Array) -> _Problem:
+    """The problem with phases that make the multisine's peaks low for the amplitudes of x.
+
+    As in section 6.6.2: the waveform is clipped, the clipped waveform's phases are taken, again and again.
+    """
+    if not len(problem.hz):
+        return problem
+    spectrum = problem.candidate(x).torque
+    size, lines = np.abs(spectrum), np.round(problem.hz * problem.period_s).astype(int)
+    time = problem._dense
+    best, lowest = problem.phase, np.inf
+    phase = np.angle(spectrum)
+    for share in np.linspace(0.7, 0.95, CLIPPINGS):
+        wave = np.real(np.exp(2j * np.pi * np.outer(time, problem.hz)) @ (size * np.exp(1j * phase)))
+        peak = np.abs(wave).max(axis=0)
+        crest = float(np.sum(peak / np.maximum(wave.std(axis=0), 1e-12)))
+        if crest < lowest:
+            best, lowest = phase, crest
+        clipped = np.clip(wave, -share * peak, share * peak)
+        phase = np.angle(np.fft.rfft(clipped, axis=0)[lines])
+    return dataclasses.replace(problem, phase=best, memory={})
+
+
 class _Search:
-    """Quasi-Newton searches that share a budget of evaluations."""
+    """Searches that share a budget of predicted regressors."""
 
     def __init__(self, evaluations: int, tell: Progress) -> None:
         self.evaluations, self.tell, self.used = evaluations, tell, 0
         self.history: list[tuple[float, float, float]] = []
 
     def improve(self, problem: _Problem, start: int, x: Array, share: float) -> tuple[float, Array]:
-        """Search from x until `share` of the budget is used."""
+        """Search from x until `share` of the budget is used: sequential quadratic programming.
+
+        The condition number has no gradient where singular values meet. As bounds ``low <= log s_i <= high`` with ``high - low`` to
+        be made small, each singular value has its own, and so does each limit.
+        """
+        look = _Remembering(problem)
         last = int(share * self.evaluations)
         best: tuple[float, Array] = (np.inf, x)
+        ends = min(ENDS, len(problem.scale) // 2)
+        count = len(x)
 
-        def evaluate(x: Array) -> tuple[float, Array]:
+        def at(y: Array) -> tuple[Array, Array]:
             nonlocal best
-            if self.used >= last:
-                raise StopIteration
-            value, slope = problem.gradient(x)
-            self.used += len(x) + 1
-            if value < best[0]:
-                best = value, x.copy()
-            self.history.append((start, self.used, best[0]))
-            self.tell(f"start {start + 1}: {_shown(problem, best[0])}", 0.05 + 0.9 * self.used / self.evaluations)
-            return value, slope
+            if not look.knows(y[:count]):
+                if self.used >= last:
+                    raise StopIteration
+                self.used += 1
+            found = look.value(y[:count])
+            cost = problem.cost(*found)
+            if cost < best[0]:
+                best = cost, y[:count].copy()
+            return found
+
+        def slopes(y: Array) -> tuple[Array, Array]:
+            here = at(y)
+            if not look.knows_slopes(y[:count]):
+                self.used += count
+                self.history.append((start, self.used, best[0]))
+                part = min(1.0, self.used / self.evaluations)
+                self.tell(f"start {start + 1}: {_shown(problem, best[0])}", 0.05 + 0.9 * part)
+            return look.slopes(y[:count], here)
+
+        if problem.objective == "information":
+            y = x
+
+            def aim(y: Array) -> float:
+                return -float(at(y)[0].mean())
+
+            def aim_slope(y: Array) -> Array:
+                return -slopes(y)[0].mean(axis=0)
+
+            def inside(y: Array) -> Array:
+                return -at(y)[1]
+
+            def inside_slope(y: Array) -> Array:
+                return -slopes(y)[1]
+        else:
+            logs = problem.look(x)[0]
+            y = np.concatenate([x, [logs[0], logs[-1]]])
+            by_bounds = np.concatenate([np.zeros(count), [-1.0, 1.0]])
+
+            def aim(y: Array) -> float:
+                return float(y[-1] - y[-2])
+
+            def aim_slope(y: Array) -> Array:
+                return by_bounds
+
+            def inside(y: Array) -> Array:
+                logs, excess = at(y)
+                return np.concatenate([logs[:ends] - y[-2], y[-1] - logs[-ends:], -excess])
+
+            def inside_slope(y: Array) -> Array:
+                by_x, of_excess = slopes(y)
+                bounds = np.zeros((2 * ends + len(of_excess), 2))
+                bounds[:ends, 0], bounds[ends : 2 * ends, 1] = -1.0, 1.0
+                return np.hstack([np.vstack([by_x[:ends], -by_x[-ends:], -of_excess]), bounds])
 
         try:
-            optimize.minimize(evaluate, x, jac=True, method="L-BFGS-B", options={"maxcor": 30, "maxiter": 10_000})
+            optimize.minimize(
+                aim,
+                y,
+                jac=aim_slope,
+                method="SLSQP",
+                constraints={"type": "ineq", "fun": inside, "jac": inside_slope},
+                options={"maxiter": 1000, "ftol": 1e-6},
+            )
         except StopIteration:
             pass
         return best
 
 
+class _Remembering:
+    """`_Problem.look` and its slopes at the last point: the solver asks for each of them twice."""
+
+    def __init__(self, problem: _Problem) -> None:
+        self.problem = problem
+        self.at: bytes = b""
+        self.at_slopes: bytes = b""
+
+    def knows(self, x: Array) -> bool:
+        return x.tobytes() == self.at
+
+    def knows_slopes(self, x: Array) -> bool:
+        return x.tobytes() == self.at_slopes
+
+    def value(self, x: Array) -> tuple[Array, Array]:
+        if not self.knows(x):
+            self.found, self.at = self.problem.look(x), x.tobytes()
+        return self.found
+
+    def slopes(self, x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
+        if not self.knows_slopes(x):
+            self.found_slopes, self.at_slopes = self.problem.slopes(x, here), x.tobytes()
+        return self.found_slopes
+
+
 def _shown(problem: _Problem, cost: float) -> str:
     if problem.objective == "information":
         return f"log determinant {-2.0 * cost * problem.essential.shape[1]:.1f}"
-    return f"condition number about {np.exp(cost):.0f}"
+    return f"condition number about {np.exp(min(cost, 50.0)):.0f}"
 
 
 def _problem(
