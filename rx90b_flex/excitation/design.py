@@ -46,7 +46,7 @@ PENALTY = 100.0
 RANK_TOLERANCE = 1e-7  # directions below this part of the largest singular value count as not there (`essential_space`)
 STEP = 1e-5  # of finite differences
 CLIPPINGS = 60  # of a multisine, for low peaks
-STAGES = 2  # of a search; before each the multisine's phases are fitted to its amplitudes
+STAGES = 1
 ENDS = 24  # smallest and largest singular values that a search for the condition number watches
 
 
