@@ -1,10 +1,12 @@
 """Base parameters of the TX40 recording beside figaroh 1.0's, on the same filtered samples, with the time of both.
 
-Both get the samples that `rx90b_flex.identify.regression.prepare` makes: angles differentiated behind one low-pass, torques behind
-another. Both build their regressor from them (links, drive inertia, viscous and dry friction, offset), low-pass and thin out its columns
-alike, and fit. figaroh: `build_regressor_basic`, `get_baseParams` (double QR), ordinary least squares with `relative_stdev`, then its
-weighted least squares. Ours: `identify`, weighted least squares over the essential space, with standard deviations that allow for
-coloured residuals. Errors are on the recording's last third, which nobody fitted. Needs the extra `bench` and the recording:
+Both get the samples that `rx90b_flex.identify.regression.prepare` makes: angles differentiated behind one low-pass,
+torques behind another. Both build their regressor from them (links, drive inertia, viscous and dry friction, offset),
+low-pass and thin out its columns alike, and fit. figaroh: `build_regressor_basic`, `QRDecomposer` (double QR), ordinary
+least squares with `relative_stdev`, then its weighted least squares. Ours: `identify`, weighted least squares over the
+essential space, with standard deviations that allow for coloured residuals. Errors are on the recording's last third, which nobody fitted. The robot stands still there for a while:
+figaroh's dry friction, sign(v), then takes either sign, ours is smoothed; a third line gives figaroh our dry friction, so that the
+solvers alone are compared. Needs the extra `bench` and the recording:
 
     pip install -e ".[bench]" && RX90B_FLEX_DATA=... python benchmarks/tx40_figaroh.py
 """
@@ -69,6 +71,16 @@ def figaroh_columns(robot: Robot, regression: Regression) -> Array:
     return columns.transpose(1, 0, 2).reshape(-1, columns.shape[2])
 
 
+def with_smooth_friction(columns: Array, regression: Regression) -> Array:
+    """figaroh's columns with our dry friction in the place of its sign(v)."""
+    out, n = columns.copy(), len(regression.joints)
+    for effect in regression.robot.effects:
+        if effect.type_name() == FIGAROHS["fs"]:
+            at = 10 * n + n + regression.robot.joints.index(effect.joints[0])
+            out[:, at] = regression.columns(effect)[:, :, 0].T.ravel()
+    return out
+
+
 def fit_figaroh(robot: Robot, columns: Array, torque: Array, weighted: bool) -> Figaroh:
     """Base parameters by double QR; ordinary and (if asked for) weighted least squares."""
     names = names_of(robot)
@@ -118,12 +130,18 @@ def main() -> None:
     data = Path(os.environ.get("RX90B_FLEX_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
     campaign = load_campaign(data / "tx40" / "campaign.toml")
     robot = rf.load_robot(campaign.robot_source)
-    fitted, held_out = (Regression.of(robot, r, campaign.cutoff_hz) for r in (campaign.identification, campaign.validation))
-    print(f"TX40: {len(fitted)} fitted samples and {len(held_out)} held out at {fitted.stretches[0].rate_hz:g} Hz, 6 joints")
+    fitted, held_out = (
+        Regression.of(robot, r, campaign.cutoff_hz) for r in (campaign.identification, campaign.validation)
+    )
+    print(
+        f"TX40: {len(fitted)} fitted samples and {len(held_out)} held out at {fitted.stretches[0].rate_hz:g} Hz, 6 joints"
+    )
 
     ours, theirs = [], []
     for _ in range(options.rounds):  # in turn, so that a change of the machine's speed meets both
-        regression = Regression(fitted.robot, fitted.joints, tuple(forgetting(s, fitted.robot) for s in fitted.stretches))
+        regression = Regression(
+            fitted.robot, fitted.joints, tuple(forgetting(s, fitted.robot) for s in fitted.stretches)
+        )
         start = time.perf_counter()
         fit = identify(regression, fitted.robot.effects, fit_links=True)
         middle = time.perf_counter()
@@ -142,17 +160,26 @@ def main() -> None:
     print(f"\n{'relative torque error':34s}{'fitted':>9s}{'held out':>10s}{'time':>9s}")
     print(f"{'rx90b_flex, weighted':34s}{fit.relative_error:9.4f}{own_error:10.4f}{statistics.median(ours):8.2f}s")
     methods = [("figaroh, ordinary", peer.ordinary, statistics.median(theirs))]
+    smooth = [with_smooth_friction(c, r) for c, r in ((columns, fitted), (held, held_out))]
+    peer_smooth = fit_figaroh(fitted.robot, smooth[0], fitted.torque, weighted=False)
     methods += [] if options.no_weighted else [("figaroh, weighted", peer.weighted, slow + statistics.median(theirs))]
     for name, phi, seconds in methods:
         errors = [error(c[:, peer.kept][:, peer.base], phi, r.torque) for c, r in ((columns, fitted), (held, held_out))]
         print(f"{name:34s}{errors[0]:9.4f}{errors[1]:10.4f}{seconds:8.2f}s")
+    errors = [
+        error(c[:, peer_smooth.kept][:, peer_smooth.base], peer_smooth.ordinary, r.torque)
+        for c, r in zip(smooth, (fitted, held_out), strict=True)
+    ]
+    print(f"{'figaroh, ordinary, our dry friction':34s}{errors[0]:8.4f}{errors[1]:10.4f}")
 
     theta, covariance = in_figarohs_order(fitted.robot, fit)
     own = peer.mapping @ theta[peer.kept]
     own_std = np.sqrt(np.diag(peer.mapping @ covariance[np.ix_(peer.kept, peer.kept)] @ peer.mapping.T))
     reference = peer.ordinary if options.no_weighted else peer.weighted
     apart = np.abs(own - reference) / own_std
-    print(f"\n{len(own)} base parameters (figaroh's), rank of ours {fit.solution.rank}; std: ours for coloured, theirs for white residuals")
+    print(
+        f"\n{len(own)} base parameters (figaroh's), rank of ours {fit.solution.rank}; std: ours for coloured, theirs for white residuals"
+    )
     print(f"{'parameter':62s}{'ours':>10s}{'std':>9s}{'ordinary':>10s}{'std':>9s}{'weighted':>10s}")
     for i in np.argsort(-np.abs(own) / own_std):
         name = peer.names[i] if len(peer.names[i]) < 60 else peer.names[i][:57] + "..."

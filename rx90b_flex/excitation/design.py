@@ -4,17 +4,20 @@ The references are finite Fourier series of one period; each joint's speed is
 
     r'_j(t) = sum_h a_hj cos(h w t) + b_hj sin(h w t),     w = 2 pi / period,
 
-and to a flexible robot a multisine is fed forward, whose lines stand on chosen frequencies. Offsets, a, b and the lines' amplitudes are
-chosen so that the regressor of equations 3.85-3.87 (columns scaled by a first guess, on the parameters that can be told at all) has the
-smallest condition number, or the largest determinant, while angles, speeds, torques and distances keep to their limits.
+and to a flexible robot a multisine is fed forward, whose lines stand on chosen frequencies. Offsets, a, b and the
+lines' amplitudes are chosen so that the regressor of equations 3.85-3.87 (columns scaled by a first guess, on the
+parameters that can be told at all) has the smallest condition number, or the largest determinant, while angles, speeds,
+torques and distances keep to their limits.
 
-During the search the flexible motion is predicted, not simulated: the drives follow their references, the hinges' deformation is the one
-which inverse dynamics asks for along them (their own inertia left out), and the vibration is the linear response to the multisine, in
-closed loop, about points along the motion. The motion that results is then simulated in full, and judged by that.
+During the search the flexible motion is predicted, not simulated: the drives follow their references, the hinges'
+deformation is the one which inverse dynamics asks for along them (their own inertia left out), and the vibration is the
+linear response to the multisine, in closed loop, about points along the motion. The motion that results is then
+simulated in full, and judged by that.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,7 +32,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation.limits import Limits, Margins
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.closed_loop import Simulation, simulate
-from rx90b_flex.simulate.cs8 import CS8, design_cs8, drive_compliance, drive_places
+from rx90b_flex.simulate.cs8 import CS8, design_cs8, drive_places
 from rx90b_flex.simulate.trajectories import PERIOD_S, RATE_HZ, Trajectory
 
 ComplexArray = NDArray[np.complex128]
@@ -43,10 +46,10 @@ MODE_WIDTH = 0.1  # lines "on_modes" reach so far to either side, of the mode's 
 LINES_A_MODE = 5
 STEADY_SPEED = 0.15  # rad/s; friction's slope in the linear response is at this speed or more, not at reversal
 PENALTY = 100.0
+TRIES = 1000  # random poses, until one keeps to the limits at rest
 RANK_TOLERANCE = 1e-7  # directions below this part of the largest singular value count as not there (`essential_space`)
 STEP = 1e-5  # of finite differences
 CLIPPINGS = 60  # of a multisine, for low peaks
-STAGES = 1
 ENDS = 24  # smallest and largest singular values that a search for the condition number watches
 
 
@@ -218,8 +221,15 @@ class _Problem:
         return 0.5 * (self.limits.lower + self.limits.upper)
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """Random unknowns: centres within the limits, smaller amplitudes at higher harmonics."""
-        motion, torque = self.sizes
+        """Random unknowns: a centre where the robot may rest, smaller amplitudes at higher harmonics."""
+        for _ in range(TRIES):
+            x = self._draw(rng)
+            if self.rests_within(x):
+                return x
+        raise ValueError(f"{self.robot.name}: no pose of {TRIES} random ones keeps to the limits at rest")
+
+    def _draw(self, rng: np.random.Generator) -> Array:
+        torque = self.sizes[1]
         moving = int(self.moving.sum())
         half = np.minimum(0.5 * (self.limits.upper - self.limits.lower), np.pi)[self.moving]
         centre = 0.6 * half * rng.uniform(-1.0, 1.0, moving)
@@ -368,6 +378,14 @@ class _Problem:
         value = -logs.mean() if self.objective == "information" else logs[-1] - logs[0]
         return float(value + PENALTY * np.sum(np.maximum(excess, 0.0) ** 2))
 
+    def rests_within(self, x: Array) -> bool:
+        """Whether the robot may rest in the centre of the motion: then a motion small enough keeps to the limits."""
+        pose = self.candidate(x).centre[None]
+        still = np.zeros_like(pose)
+        torque = self._rigid.inverse_dynamics(pose, still, still)
+        distance = self.limits.distances(self._rigid.tree, pose)
+        return bool((self.limits.excess(pose, still, torque, distance) <= 0.0).all())
+
     def slopes(self, x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
         """Forward differences of `look`; the multisine's first, while what the references give is remembered."""
         by_x = tuple(np.empty((len(value), len(x))) for value in here)
@@ -382,8 +400,8 @@ class _Problem:
 def essential_space(problem: _Problem, rng: np.random.Generator, draws: int = 4) -> Array:
     """Orthonormal directions, in scaled parameters, that some motion of this kind tells; shape (p, r).
 
-    Every direction that the sum of a few random excitations leaves below `RANK_TOLERANCE` is taken as not there: what no motion shows,
-    and what shows only in products of two deformations.
+    Every direction that a few random excitations together leave below `RANK_TOLERANCE` is taken as not there: what no
+    motion shows, and what shows only in products of two deformations.
     """
     parts = []
     for _ in range(draws):
@@ -465,14 +483,15 @@ def design_excitation(
     samples: int = 96,
     points: int = 8,
     draws: int = 24,
-    starts: int = 2,
-    evaluations: int = 3000,
+    starts: int = 1,
+    evaluations: int = 2500,
     progress: Progress | None = None,
 ) -> Design:
     """Design a periodic excitation for a robot, flexible or rigid.
 
-    Random excitations, the best of which are improved by a quasi-Newton method; limits enter as a penalty and are then met exactly, by
-    making the motion smaller about its centre where the prediction passes one, and the multisine where the simulation does.
+    The best of some random excitations is improved by sequential quadratic programming, with the limits as constraints.
+    They are then met exactly, by making the motion smaller about its centre where the prediction passes one, and the
+    multisine where the simulation does.
 
     Parameters
     ----------
@@ -486,7 +505,8 @@ def design_excitation(
     objective : str
         ``condition``: smallest condition number; ``information``: largest determinant of the information matrix.
     spectrum : str or array, Hz
-        ``on_modes``: the multisine's lines stand on the elastic modes below the log's cutoff; ``below``: no multisine, and the
+        ``on_modes``: the multisine's lines stand on and about the elastic modes below the log's cutoff, of the pose that a start's
+        motion is centred on; ``below``: no multisine, and the
         references stay under half the lowest mode; an array: lines there, on the grid of the period. Without one, ``on_modes`` for a
         flexible robot; a rigid one takes ``below`` alone.
     period_s, harmonics : of the references.
@@ -512,7 +532,9 @@ def design_excitation(
     controller = design_cs8(robot, np.zeros(len(robot.joints))) if controller is None else controller
     controller = controller.for_joints(robot.joints)
     limits = Limits.of(robot, controller) if limits is None else limits
-    problem = _problem(robot, controller, limits, objective, spectrum, period_s, harmonics, moving, samples, points, rng)
+    problem = _problem(
+        robot, controller, limits, objective, spectrum, period_s, harmonics, moving, samples, points, rng
+    )
     problem = dataclasses.replace(problem, essential=essential_space(problem, rng))
     drawn = []
     for k in range(draws):
@@ -524,10 +546,8 @@ def design_excitation(
     found = []
     for i, (_, x) in enumerate(drawn[:starts]):
         own, x = _on_own_modes(problem, x, spectrum, rng)
-        for stage in range(STAGES):
-            own = _with_low_crest(own, x)
-            value, x = search.improve(own, i, x, (i + (stage + 1) / STAGES) / starts)
-        found.append((value, x, own))
+        own = _with_low_crest(own, x)
+        found.append((*search.improve(own, i, x, (i + 1) / starts), own))
     _, best, problem = min(found, key=lambda three: three[0])
     tell("limits", 0.95)
     candidate = _within(problem, problem.candidate(best))
@@ -537,7 +557,7 @@ def design_excitation(
 def _on_own_modes(
     problem: _Problem, x: Array, spectrum: Spectrum | Array | None, rng: np.random.Generator
 ) -> tuple[_Problem, Array]:
-    """The problem with its lines on the modes at the centre of a motion, which the search will not leave by far."""
+    """The problem with its lines on the modes at the centre of a motion."""
     robot, motion = problem.robot, problem.sizes[0]
     pose = problem.candidate(x).centre
     hz, groups, harmonics = _spectrum(robot, problem.controller, pose, spectrum, problem.period_s, problem.harmonics)
@@ -584,7 +604,7 @@ class _Search:
         """
         look = _Remembering(problem)
         last = int(share * self.evaluations)
-        best: tuple[float, Array] = (np.inf, x)
+        best: tuple[float, Array] = (np.inf, x.copy())
         ends = min(ENDS, len(problem.scale) // 2)
         count = len(x)
 
@@ -596,7 +616,7 @@ class _Search:
                 self.used += 1
             found = look.value(y[:count])
             cost = problem.cost(*found)
-            if cost < best[0]:
+            if cost < best[0] and problem.rests_within(y[:count]):
                 best = cost, y[:count].copy()
             return found
 
@@ -644,7 +664,7 @@ class _Search:
                 bounds[:ends, 0], bounds[ends : 2 * ends, 1] = -1.0, 1.0
                 return np.hstack([np.vstack([by_x[:ends], -by_x[-ends:], -of_excess]), bounds])
 
-        try:
+        with contextlib.suppress(StopIteration):
             optimize.minimize(
                 aim,
                 y,
@@ -653,8 +673,6 @@ class _Search:
                 constraints={"type": "ineq", "fun": inside, "jac": inside_slope},
                 options={"maxiter": 1000, "ftol": 1e-6},
             )
-        except StopIteration:
-            pass
         return best
 
 
@@ -676,6 +694,14 @@ class _Remembering:
         if not self.knows(x):
             self.found, self.at = self.problem.look(x), x.tobytes()
         return self.found
+
+    def rests_within(self, x: Array) -> bool:
+        """Whether the robot may rest in the centre of the motion: then a motion small enough keeps to the limits."""
+        pose = self.candidate(x).centre[None]
+        still = np.zeros_like(pose)
+        torque = self._rigid.inverse_dynamics(pose, still, still)
+        distance = self.limits.distances(self._rigid.tree, pose)
+        return bool((self.limits.excess(pose, still, torque, distance) <= 0.0).all())
 
     def slopes(self, x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
         if not self.knows_slopes(x):
@@ -775,10 +801,6 @@ def _within(problem: _Problem, c: Candidate) -> Candidate:
 
     if not outside(1.0):
         return c
-    if outside(0.0):
-        raise ValueError(
-            f"{problem.robot.name}: at rest in the centre of the best motion a limit is passed; expected limits that leave it room"
-        )
     low, high = 0.0, 1.0
     for _ in range(20):
         middle = 0.5 * (low + high)

@@ -15,7 +15,9 @@ from rx90b_flex.simulate.cs8 import CS8
 
 RADIUS = 0.1  # m, of the capsules; choice: covers forearm and upper arm of the RX90B
 CLEARANCE = 0.02  # m, choice
-USED = 0.95  # choice: part of speed and torque limits that a design may use; noise, vibration and tracking need the rest
+USED = (
+    0.95  # choice: part of speed and torque limits that a design may use; noise, vibration and tracking need the rest
+)
 FLOOR_SIZE = 20.0  # m
 PROBES = 300  # random poses that tell which shapes always overlap
 
@@ -83,7 +85,7 @@ class Limits:
             used * np.array(tree.upperVelocityLimit, dtype=float),
             torque,
             torque if feedforward is None else np.minimum(torque, np.broadcast_to(feedforward, torque.shape)),
-            capsules(robot, radius, floor),
+            capsules(robot, radius, floor, clearance),
             clearance,
         )
 
@@ -151,13 +153,15 @@ class Margins:
         )
 
 
-def capsules(robot: Robot, radius: float = RADIUS, floor: float | None = 0.0) -> pin.GeometryModel:
+def capsules(
+    robot: Robot, radius: float = RADIUS, floor: float | None = 0.0, clearance: float = CLEARANCE
+) -> pin.GeometryModel:
     """Shapes of a robot for self-collision: one capsule from each joint to every joint behind it, and to the tip.
 
     Not the URDF's collision shapes: few URDFs have them without meshes, and the RX90B's has none. Two bodies on one
-    joint touch by design (floor and base count as one body), as do two whose capsules overlap in most of `PROBES`
-    random poses within the limits (the two arms at an elbow without length); what keeps them apart is the joints'
-    limits. All other pairs are watched.
+    joint touch by design (floor and base count as one body), as do two that are nearer than the clearance in most of
+    `PROBES` random poses within the limits (the two arms at an elbow without length); what keeps them apart is the
+    joints' limits. All other pairs are watched.
 
     Parameters
     ----------
@@ -185,7 +189,7 @@ def capsules(robot: Robot, radius: float = RADIUS, floor: float | None = 0.0) ->
             a, b = first.parentJoint, second.parentJoint
             if a != b and tree.parents[b] != a and tree.parents[a] != b:
                 geometry.addCollisionPair(pin.CollisionPair(i, j))
-    _leave_out_neighbours(robot, geometry)
+    _leave_out_neighbours(robot, geometry, clearance)
     return geometry
 
 
@@ -193,19 +197,21 @@ def _bones(tree: pin.Model, tip_frame: str) -> Iterator[tuple[int, str, Array, A
     """Joint, name, and both ends in the joint's frame of each straight piece of the robot."""
     tip = tree.frames[tree.getFrameId(tip_frame)]
     for joint in range(tree.njoints):
-        ends = [tree.jointPlacements[child].translation for child in range(1, tree.njoints) if tree.parents[child] == joint]
+        ends = [
+            tree.jointPlacements[child].translation for child in range(1, tree.njoints) if tree.parents[child] == joint
+        ]
         if tip.parentJoint == joint:
             ends.append(tip.placement.translation)
         for end in ends:
             yield joint, tree.names[joint], np.zeros(3), np.array(end)
 
 
-def _leave_out_neighbours(robot: Robot, geometry: pin.GeometryModel) -> None:
+def _leave_out_neighbours(robot: Robot, geometry: pin.GeometryModel, clearance: float) -> None:
     tree = robot.tree
     lower, upper = (np.clip(x, -np.pi, np.pi) for x in (tree.lowerPositionLimit, tree.upperPositionLimit))
     poses = np.random.default_rng(0).uniform(lower, upper, (PROBES, tree.nv))
     nothing = np.zeros(0)
     unbounded = Limits(robot.joints, nothing, nothing, nothing, nothing, nothing, geometry, 0.0)
-    touching = (unbounded.distances(tree, poses) <= 0.0).mean(axis=0) > 0.5
+    touching = (unbounded.distances(tree, poses) <= clearance).mean(axis=0) > 0.5
     for pair in [p for p, out in zip(geometry.collisionPairs, touching, strict=True) if out]:
         geometry.removeCollisionPair(pair)
