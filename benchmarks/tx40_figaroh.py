@@ -4,9 +4,10 @@ Both get the samples that `rx90b_flex.identify.regression.prepare` makes: angles
 torques behind another. Both build their regressor from them (links, drive inertia, viscous and dry friction, offset),
 low-pass and thin out its columns alike, and fit. figaroh: `build_regressor_basic`, `QRDecomposer` (double QR), ordinary
 least squares with `relative_stdev`, then its weighted least squares. Ours: `identify`, weighted least squares over the
-essential space, with standard deviations that allow for coloured residuals. Errors are on the recording's last third, which nobody fitted. The robot stands still there for a while:
-figaroh's dry friction, sign(v), then takes either sign, ours is smoothed; a third line gives figaroh our dry friction, so that the
-solvers alone are compared. Needs the extra `bench` and the recording:
+essential space, with standard deviations that allow for coloured residuals. Errors are on the recording's last third,
+which nobody fitted. The robot stands still there for a while: figaroh's dry friction, sign(v), then takes either sign,
+ours is smoothed; a further line gives figaroh our dry friction, so that the solvers alone are compared. Needs the extra
+`bench` and the recording:
 
     pip install -e ".[bench]" && RX90B_FLEX_DATA=... python benchmarks/tx40_figaroh.py
 """
@@ -178,7 +179,8 @@ def main() -> None:
     reference = peer.ordinary if options.no_weighted else peer.weighted
     apart = np.abs(own - reference) / own_std
     print(
-        f"\n{len(own)} base parameters (figaroh's), rank of ours {fit.solution.rank}; std: ours for coloured, theirs for white residuals"
+        f"\n{len(own)} base parameters (figaroh's), rank of ours {fit.solution.rank}; "
+        "std: ours for coloured, theirs for white residuals"
     )
     print(f"{'parameter':62s}{'ours':>10s}{'std':>9s}{'ordinary':>10s}{'std':>9s}{'weighted':>10s}")
     for i in np.argsort(-np.abs(own) / own_std):

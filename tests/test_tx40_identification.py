@@ -16,7 +16,9 @@ def fitted() -> tuple[Identification, Regression]:
     """The declared model on the identification part, and the held-out part."""
     campaign = load_campaign(tx40_folder() / "campaign.toml")
     robot = rf.load_robot(campaign.robot_source)
-    data, held_out = (Regression.of(robot, r, campaign.cutoff_hz) for r in (campaign.identification, campaign.validation))
+    data, held_out = (
+        Regression.of(robot, r, campaign.cutoff_hz) for r in (campaign.identification, campaign.validation)
+    )
     return identify(data, data.robot.effects, fit_links=True), held_out
 
 
