@@ -320,7 +320,7 @@ class _Problem:
         rate[:, drives] = np.where(v < 0.0, -1.0, 1.0) * np.maximum(np.abs(v), STEADY_SPEED)
         motion = robot.motion(q, rate, rest)
         parts = [motion.on_tree.derivatives(), *(effect.derivatives(motion) for effect in robot.effects)]
-        by_q, by_v, by_a = (sum(part[i] for part in parts)[:, None] for i in range(3))
+        by_q, by_v, by_a = (np.sum([part[i] for part in parts], axis=0)[:, None] for i in range(3))
         dynamic = by_a * s**2 + by_v * s + by_q + control
         return np.asarray(np.linalg.solve(dynamic, np.broadcast_to(b.astype(complex), (*dynamic.shape[:2], *b.shape))))
 
@@ -465,8 +465,9 @@ class Design:
 def simulated_margins(limits: Limits, run: Simulation) -> Margins:
     """What a run's drives leave to limits; torques and speeds before the log's filter, where the run has them."""
     drives = drive_places(run.robot)
-    log = run.recording if run.raw is None else run.raw
-    return limits.margins(run.robot.tree, run.q[:, drives], log.velocity, log.torque)
+    velocity = run.v[:, drives] if run.raw is None else run.raw.velocity
+    torque = run.recording.torque if run.raw is None else run.raw.torque
+    return limits.margins(run.robot.tree, run.q[:, drives], velocity, torque)
 
 
 def design_excitation(
@@ -694,14 +695,6 @@ class _Remembering:
         if not self.knows(x):
             self.found, self.at = self.problem.look(x), x.tobytes()
         return self.found
-
-    def rests_within(self, x: Array) -> bool:
-        """Whether the robot may rest in the centre of the motion: then a motion small enough keeps to the limits."""
-        pose = self.candidate(x).centre[None]
-        still = np.zeros_like(pose)
-        torque = self._rigid.inverse_dynamics(pose, still, still)
-        distance = self.limits.distances(self._rigid.tree, pose)
-        return bool((self.limits.excess(pose, still, torque, distance) <= 0.0).all())
 
     def slopes(self, x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
         if not self.knows_slopes(x):
