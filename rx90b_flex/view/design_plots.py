@@ -91,8 +91,9 @@ def search(design: Design) -> Figure:
         ax.plot(used[own], values, color=COLOURS[int(i) % len(COLOURS)], linewidth=1.2, label=f"start {int(i) + 1}")
     if conditions:
         ax.set_yscale("log")
+        ax.set_ylim(top=min(ax.get_ylim()[1], 1e4))  # the first candidates pay for passing limits
     ax.set_xlabel("predicted regressors", fontsize=9)
-    ax.set_ylabel("condition number" if conditions else "cost", fontsize=9)
+    ax.set_ylabel("condition number,\nwith penalty" if conditions else "cost", fontsize=9)
     ax.grid(color="#eeeeee", linewidth=0.6, which="both")
     ax.legend(fontsize=8, frameon=False)
     return figure
