@@ -98,8 +98,8 @@ def main() -> None:
     parser.add_argument(
         "--feedforward", type=float, default=None, help="largest feed-forward torque, N m (45 in 4.2.2)"
     )
-    parser.add_argument("--evaluations", type=int, default=2500)
-    parser.add_argument("--starts", type=int, default=1)
+    parser.add_argument("--evaluations", type=int, default=5000)
+    parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--draws", type=int, default=10, help="of the noise")
     options = parser.parse_args()
     robot, controller = rf.load_robot("rx90b_4dof"), load_cs8()

@@ -484,8 +484,8 @@ def design_excitation(
     samples: int = 96,
     points: int = 8,
     draws: int = 24,
-    starts: int = 1,
-    evaluations: int = 2500,
+    starts: int = 2,
+    evaluations: int = 5000,
     progress: Progress | None = None,
 ) -> Design:
     """Design a periodic excitation for a robot, flexible or rigid.
