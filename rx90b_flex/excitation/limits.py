@@ -213,5 +213,9 @@ def _leave_out_neighbours(robot: Robot, geometry: pin.GeometryModel, clearance: 
     nothing = np.zeros(0)
     unbounded = Limits(robot.joints, nothing, nothing, nothing, nothing, nothing, geometry, 0.0)
     touching = (unbounded.distances(tree, poses) <= clearance).mean(axis=0) > 0.5
-    for pair in [p for p, out in zip(geometry.collisionPairs, touching, strict=True) if out]:
+    names = [shape.name for shape in geometry.geometryObjects]
+    pairs = [
+        pin.CollisionPair(p.first, p.second) for p in geometry.collisionPairs
+    ]  # own copies: removal shifts the list
+    for pair in [p for p, out in zip(pairs, touching, strict=True) if out and names[p.second] != "floor"]:
         geometry.removeCollisionPair(pair)
