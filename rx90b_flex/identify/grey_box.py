@@ -114,7 +114,7 @@ class _Pose:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Poses that a motion passes, and the feedback that holds the robot to it.
+    """Poses that a motion passes in one experiment, and the feedback that holds the robot to it.
 
     The robot changes slowly beside its vibrations, so that at each pose P_q holds. Torque and acceleration of an experiment are means
     over the poses, and in a loop ``u = S_q r``, ``y = P_q S_q r`` with ``S_q = (I + H P_q)^-1`` both change: what ``Y U^-1`` estimates is
@@ -149,7 +149,36 @@ class _Motion:
         ]
 
 
-def _parameters(robot: Robot, joints: Sequence[str], link_mass_std: float) -> list[GreyParameter]:
+@dataclass(frozen=True, eq=False)
+class _Experiments:
+    """What ``Y U^-1`` estimates where each experiment k has its own friction: ``P = sum_k P_k u_k (U^-1)_k``."""
+
+    motions: tuple[_Motion, ...]
+    shares: tuple[ComplexArray | Array, ...]  # u_k (U^-1)_k of each, (F, joints, joints) or (joints, joints)
+
+    def response(self, hz: Array, p: Array) -> ComplexArray:
+        each = [motion.response(hz, p) @ share for motion, share in zip(self.motions, self.shares, strict=True)]
+        return np.asarray(sum(each))
+
+    def derivatives(self, hz: Array, p: Array) -> ComplexArray:
+        """Shape (p, F, joints, joints)."""
+        each = [motion.derivatives(hz, p) @ share for motion, share in zip(self.motions, self.shares, strict=True)]
+        return np.asarray(sum(each))
+
+    def coarser(self, keep: slice) -> _Experiments:
+        """Some of the lines, with each motion's middle pose alone."""
+        motions = tuple(_Motion((m.poses[len(m.poses) // 2],), None) for m in self.motions)
+        return _Experiments(motions, tuple(s[keep] if s.ndim == 3 else s for s in self.shares))
+
+
+def _shares(torques: ComplexArray | None, joints: int) -> tuple[ComplexArray | Array, ...]:
+    if torques is None:
+        return (np.eye(joints),)
+    inverse = np.linalg.pinv(torques)
+    return tuple(torques[:, :, k, None] * inverse[:, k, None, :] for k in range(torques.shape[2]))
+
+
+def _parameters(robot: Robot, joints: Sequence[str], experiments: int, link_mass_std: float) -> list[GreyParameter]:
     out = []
     for effect in robot.effects:
         if effect.part in ("drives", "flexibility"):
@@ -157,7 +186,9 @@ def _parameters(robot: Robot, joints: Sequence[str], link_mass_std: float) -> li
                 if not (np.isfinite(value) and value > 0):
                     raise ValueError(f"{effect.label}: {name} is {value:g}; expected a positive value to start from")
                 out.append(GreyParameter(name, unit, float(value), WEAK))
-    out += [GreyParameter(f"{j}.{SLOPE}", "N m s/rad", _slope(robot, j), WEAK) for j in joints]
+    for joint in joints:
+        slope = _slope(robot, joint)
+        out += [GreyParameter(_slope_name(joint, k, experiments), "N m s/rad", slope, WEAK) for k in range(experiments)]
     if link_mass_std > 0.0:
         out += [GreyParameter(f"{link}.{MASS}", "-", 1.0, link_mass_std) for link, _ in robot.bodies]
     return out
@@ -173,6 +204,10 @@ def _names(effect: Effect) -> list[str]:
     return out
 
 
+def _slope_name(joint: str, experiment: int, experiments: int) -> str:
+    return f"{joint}.{SLOPE}" + (f"_{experiment + 1}" if experiments > 1 else "")
+
+
 def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     """Slope of the declared friction at a usual speed of such experiments; only a place to start from."""
     q = np.zeros(robot.model.nv)
@@ -183,8 +218,16 @@ def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     return max(slope, 1.0)
 
 
-def _pose(robot: Robot, joints: Sequence[str], angles: Array, parameters: Sequence[GreyParameter]) -> _Pose:
-    """Matrices with the drives at some angles; drives that are not among `joints` stand still, held by their friction."""
+def _pose(
+    robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Sequence[GreyParameter]
+) -> _Pose:
+    """Matrices with the drives at some angles; drives without a slope stand still, held by their friction.
+
+    Parameters
+    ----------
+    slopes : name of the friction slope of each joint that moves
+    """
+    joints = list(slopes)
     n, rest = robot.model.nv, np.zeros(robot.model.nv)
     q = robot.input_matrix @ angles
     motion = robot.motion(q, rest, rest)
@@ -206,7 +249,7 @@ def _pose(robot: Robot, joints: Sequence[str], angles: Array, parameters: Sequen
             add(0, effect.derivatives(motion))
     for joint in joints:
         port = robot.layout.port(joint)  # friction acts on e + eps1
-        D[index[f"{joint}.{SLOPE}"]] += np.outer(port, port)
+        D[index[slopes[joint]]] += np.outer(port, port)
     for b, (link, _) in enumerate(robot.bodies):
         if f"{link}.{MASS}" in index:
             of_link = _of_link(motion, link, robot.link_parameters[10 * b : 10 * b + 10])
@@ -281,9 +324,10 @@ class _Problem:
 
     parameters: tuple[GreyParameter, ...]
     responses: tuple[FrequencyResponse, ...]
-    motions: tuple[_Motion, ...]
+    motions: tuple[_Experiments, ...]  # of each response
     whiteners: tuple[ComplexArray, ...]  # (F, n*n, n*n)
     free: Mask  # parameters that are fitted
+    bending_alike_std: float
     bias: tuple[_Bias, ...] = ()  # of each response; empty: the model is taken as exact
 
     @cached_property
@@ -291,8 +335,17 @@ class _Problem:
         return np.log([p.declared for p in self.parameters])
 
     @cached_property
-    def prior_std(self) -> Array:
-        return np.array([p.prior_std for p in self.parameters])
+    def prior(self) -> Array:
+        """Rows that bring what is known of ``x - declared`` to unit variance, (rows, free parameters)."""
+        own = np.diag([1.0 / p.prior_std for p in self.parameters])
+        names = [p.name for p in self.parameters]
+        pairs = []
+        for i, name in enumerate(names):
+            if self.bending_alike_std > 0.0 and ".joint_" in name and name.endswith("_1"):
+                row = np.zeros(len(names))
+                row[i], row[names.index(name[:-1] + "2")] = 1.0 / self.bending_alike_std, -1.0 / self.bending_alike_std
+                pairs.append(row)
+        return np.vstack([own[self.free], *pairs])[:, self.free]
 
     def predicted(self, x: Array) -> list[ComplexArray]:
         return [motion.response(r.hz, np.exp(x)) for r, motion in zip(self.responses, self.motions, strict=True)]
@@ -325,7 +378,7 @@ class _Problem:
     def with_bias(self, x: Array, model_error: float, friction_error: float) -> _Problem:
         """The same problem with the bias that a response near x may have."""
         rough = zip(self.whiteners, self.responses, self.predicted(x), self.derivatives(x), strict=True)
-        slope = np.array([p.name.endswith(SLOPE) for p in self.parameters])
+        slope = np.array([f".{SLOPE}" in p.name for p in self.parameters])
         bias = tuple(_bias(w, r.hz, model_error * model, friction_error * by_x[slope]) for w, r, model, by_x in rough)
         return dataclasses.replace(self, bias=bias)
 
@@ -335,12 +388,12 @@ class _Problem:
         x = self.full(free)
         errors = self.whitened(self.errors(x))
         data = [np.sqrt(2.0) * part for e in errors for part in (e.real, e.imag)]
-        return np.concatenate([*data, ((x - self.declared) / self.prior_std)[self.free]])
+        return np.concatenate([*data, self.prior @ (x - self.declared)[self.free]])
 
     def jacobian(self, free: Array) -> Array:
         slopes = self.whitened([d[:, self.free] for d in self.slopes(self.full(free))])
         data = [np.sqrt(2.0) * part for d in slopes for part in (d.real, d.imag)]
-        return np.concatenate([*data, np.diag(1.0 / self.prior_std[self.free])])
+        return np.concatenate([*data, self.prior])
 
     def full(self, free: Array) -> Array:
         x = self.declared.copy()
@@ -359,8 +412,7 @@ class _Problem:
             responses.append(dataclasses.replace(
                 r, hz=r.hz[keep], value=r.value[keep], covariance=full, noise_covariance=None, degrees_of_freedom=np.inf
             ))  # fmt: skip
-            # the pose in the middle alone
-            motions.append(_Motion((motion.poses[len(motion.poses) // 2],), None))
+            motions.append(motion.coarser(keep))
         whiteners = tuple(_whitener(r.covariance, r) for r in responses)
         return dataclasses.replace(self, responses=tuple(responses), motions=tuple(motions), whiteners=whiteners, bias=())
 
@@ -540,9 +592,11 @@ def grey_box(
     spread: float = 0.4,
     seed: int = 0,
     link_mass_std: float = 0.0,
+    bending_alike_std: float = 0.0,
     fixed: Sequence[str] = (),
     along: Sequence[Array] | None = None,
     feedback: Feedback | None = None,
+    torques: Sequence[ComplexArray] | None = None,
     model_error: float = MODEL_ERROR,
     friction_error: float = FRICTION_ERROR,
     progress: Progress | None = None,
@@ -566,6 +620,9 @@ def grey_box(
         Further starts, and the standard deviation of their logarithms about the declared values.
     link_mass_std : float
         Relative standard deviation to which the links' masses are known; then one factor a link is fitted too. 0: known exactly.
+    bending_alike_std : float
+        Relative standard deviation to which a joint is known to be equally stiff (and damped) about both its bending axes, up to their
+        declared ratio: bearings are round. One pose may not tell joints apart that bend about the same axis. 0: not known.
     fixed : names of parameters that keep their declared values.
     along : sequence of array, shape (S, joints of the robot), rad, optional
         Of each response, poses that the motion passes, evenly in time (`poses_along`): the model is averaged over them. Otherwise the
@@ -573,6 +630,12 @@ def grey_box(
     feedback : callable, optional
         Feedback torque against drive acceleration as a function of frequencies in Hz (`CS8`: `feedback_of`), shape (F, joints, joints).
         With it the average over the poses is that of a closed loop.
+    torques : sequence of complex array, shape (F, joints, experiments), optional
+        Of each response, the torques of its experiments at one phase realisation. Friction with reversals is steeper where a joint
+        vibrates less, and so differs between experiments; with their torques each has its own slopes (``joint_3.friction_slope_2``).
+    model_error, friction_error : float
+        Bias that is left, as random functions of frequency that stay alike over `REACH_HZ`: of each entry, over its magnitude, and of
+        each friction slope, over the slope. It weighs the lines and widens the intervals. 0: the model is exact.
     progress : callable, optional
 
     Raises
@@ -582,7 +645,7 @@ def grey_box(
     """
     given = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
     tell = progress or (lambda text, part: None)
-    problem = _problem(robot, given, band_hz, link_mass_std, fixed, along, feedback)
+    problem = _problem(robot, given, band_hz, link_mass_std, fixed, along, feedback, torques, bending_alike_std)
     first = problem.declared.copy()
     names = [p.name for p in problem.parameters]
     begin = [("declared values", first)]
@@ -611,6 +674,8 @@ def _problem(
     fixed: Sequence[str],
     along: Sequence[Array] | None,
     feedback: Feedback | None,
+    torques: Sequence[ComplexArray] | None,
+    bending_alike_std: float,
 ) -> _Problem:
     if not given:
         raise ValueError("no frequency response to fit to")
@@ -629,26 +694,46 @@ def _problem(
     for r, k in zip(given, kept, strict=True):
         if len(k.hz) < 2:
             raise ValueError(f"{len(k.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz (the response has {len(r.hz)}); expected 2 or more")
-    parameters = tuple(_parameters(robot, joints, link_mass_std))
+    used = _torques(given, torques, band_hz)
+    experiments = 1 if used[0] is None else used[0].shape[2]
+    parameters = tuple(_parameters(robot, joints, experiments, link_mass_std))
     names = [p.name for p in parameters]
     for name in fixed:
         if name not in names:
             raise ValueError(f"fixed: no parameter {name!r}; {close_match(name, names)}")
     passed = along if along is not None else [np.atleast_2d(r.pose) for r in kept]
-    motions = tuple(
-        _Motion(
-            tuple(_pose(robot, joints, np.asarray(q, dtype=float), parameters) for q in path),
-            None if feedback is None else feedback(r.hz),
-        )
-        for path, r in zip(passed, kept, strict=True)
-    )
+    motions = []
+    for r, path, torque in zip(kept, passed, used, strict=True):
+        back = None if feedback is None else feedback(r.hz)
+        each = []
+        for k in range(experiments):
+            slopes = {joint: _slope_name(joint, k, experiments) for joint in joints}
+            poses = tuple(_pose(robot, slopes, np.asarray(q, dtype=float), parameters) for q in path)
+            each.append(_Motion(poses, back))
+        motions.append(_Experiments(tuple(each), _shares(torque, len(joints))))
     whiteners = tuple(_whitener(smoothed_covariance(r)[0], r) for r in kept)
-    return _Problem(parameters, kept, motions, whiteners, np.array([name not in fixed for name in names]))
+    return _Problem(parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std)
+
+
+def _torques(
+    given: tuple[FrequencyResponse, ...], torques: Sequence[ComplexArray] | None, band_hz: tuple[float, float]
+) -> list[ComplexArray | None]:
+    if torques is None:
+        return [None] * len(given)
+    if len(torques) != len(given):
+        raise ValueError(f"torques has {len(torques)} arrays; expected {len(given)}, one a response")
+    out: list[ComplexArray | None] = []
+    for r, torque in zip(given, torques, strict=True):
+        shape = np.shape(torque)
+        if len(shape) != 3 or shape[:2] != r.value.shape[:2] or shape[2] != np.shape(torques[0])[2] or shape[2] < shape[1]:
+            raise ValueError(f"torques has shape {shape}; expected {r.value.shape[:2]} and at least as many experiments as joints")
+        out.append(np.asarray(torque)[(r.hz >= band_hz[0]) & (r.hz <= band_hz[1])])
+    return out
 
 
 def _drawn(problem: _Problem, spread: float, rng: np.random.Generator) -> Array:
     """A random step of the logarithms, no larger than priors allow."""
-    return np.asarray(rng.standard_normal(len(problem.declared)) * np.minimum(spread, problem.prior_std))
+    return np.asarray(rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters]))
 
 
 FOLLOWED = 4  # best starts that are followed to their end
@@ -684,7 +769,7 @@ def _result(robot: Robot, problem: _Problem, x: Array, starts: tuple[Start, ...]
     expected, spread = _expected_cost(problem, len(free))
     # covariances from few realisations are too small or too large by a common factor; a cost beyond it is unknown bias
     information /= max(cost / expected, 1.0)
-    covariance = np.linalg.inv(information + np.diag(1.0 / problem.prior_std[free] ** 2))
+    covariance = np.linalg.inv(information + problem.prior.T @ problem.prior)
     values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
