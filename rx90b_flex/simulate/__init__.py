@@ -1,5 +1,6 @@
 """The robot under its controller: trajectories, the CS8, closed-loop simulation."""
 
+from rx90b_flex.excitation import multisine
 from rx90b_flex.simulate.campaign import CampaignResult, Plan, run_campaign, section_662
 from rx90b_flex.simulate.closed_loop import Noise, RawLog, Simulation, simulate, simulate_lanes, static_start
 from rx90b_flex.simulate.cs8 import (
@@ -16,7 +17,6 @@ from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import (
     Trajectory,
     from_recording,
-    multisine,
     sine_excitation,
     square_wave,
     straight_line,

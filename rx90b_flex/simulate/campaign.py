@@ -8,6 +8,7 @@ through `joblib.Parallel`: its Dask or Ray backend carries them over several mac
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import os
@@ -19,10 +20,13 @@ from typing import Literal
 import joblib
 import numpy as np
 
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.excitation import minus_below_first, multisine
+from rx90b_flex.excitation.multisine import Crest
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
-from rx90b_flex.signals.recording import Role
+from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.closed_loop import Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, save_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
@@ -31,7 +35,6 @@ from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_PEAK,
     PERIOD_S,
     Trajectory,
-    multisine,
     square_wave,
 )
 
@@ -40,6 +43,7 @@ Progress = Callable[[str, float], None]
 
 PLAN_FILE = "plan.json"
 RUNS = "runs"
+TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,10 @@ class Plan:
         Of the multisine: whole cycles in the period.
     peak : float
         Of the multisine, N m.
+    crest : str
+        How its peak is lowered, see `rx90b_flex.excitation.multisine`; the source clips, ``lp`` lowers it further.
+    amplitudes : tuple of float, or one such tuple a moving joint, or None
+        Its spectrum, up to a factor, one number a line; None is flat. With one a joint, each joint has its own phases too.
     signs : tuple of int
         1, -1 or both.
     realisations, validation : int
@@ -95,6 +103,8 @@ class Plan:
     input_matrix: tuple[tuple[float, ...], ...]
     lines: tuple[int, ...] = FEEDFORWARD_LINES
     peak: float = FEEDFORWARD_PEAK
+    crest: Crest = "lp"
+    amplitudes: tuple[float, ...] | tuple[tuple[float, ...], ...] | None = None
     signs: tuple[int, ...] = (1, -1)
     realisations: int = 16
     validation: int = 0
@@ -147,12 +157,11 @@ class Plan:
 
     def trajectory(self, key: RunKey) -> Trajectory:
         """References and feed-forward torques of a run."""
-        # one child a realisation: the columns and signs of one realisation share its phases
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(0, key.realisation)))
         samples = len(self.reference.position)
-        wave = multisine(self.lines, samples, self.peak, rng)[:, 0]
+        waves = _waves(self.lines, samples, self.peak, self.crest, self.amplitudes, self.seed, key.realisation)
         feedforward = np.zeros((samples, len(self.robot.joints)))
-        for joint, row in zip(self.moving, self.input_matrix, strict=True):
+        for place, (joint, row) in enumerate(zip(self.moving, self.input_matrix, strict=True)):
+            wave = waves[:, place % waves.shape[1]]
             feedforward[:, self.robot.joints.index(joint)] = key.sign * row[key.experiment] * wave
         return self.reference.with_feedforward(feedforward, key.name).repeated(self.periods)
 
@@ -171,15 +180,26 @@ def section_662(robot: Robot, controller: CS8, **changes: object) -> Plan:
     """
     moving = robot.joints[:3]
     pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]  # stretched out horizontally
-    plan = Plan(robot, controller, square_wave(robot, pose, moving=moving), moving, minus_below_first(len(moving)))
+    matrix = tuple(tuple(float(x) for x in row) for row in minus_below_first(len(moving)))
+    plan = Plan(robot, controller, square_wave(robot, pose, moving=moving), moving, matrix)
     return dataclasses.replace(plan, **changes)  # type: ignore[arg-type]
 
 
-def minus_below_first(joints: int) -> tuple[tuple[float, ...], ...]:
-    """Input matrix of (6.50): ones, with -1 down the diagonal below the first row."""
-    matrix = np.ones((joints, joints))
-    matrix[np.arange(1, joints), np.arange(1, joints)] = -1.0
-    return tuple(tuple(float(x) for x in row) for row in matrix)
+@functools.lru_cache(maxsize=64)
+def _waves(
+    lines: tuple[int, ...],
+    samples: int,
+    peak: float,
+    crest: Crest,
+    amplitudes: tuple[float, ...] | tuple[tuple[float, ...], ...] | None,
+    seed: int,
+    realisation: int,
+) -> Array:
+    """One multisine for all joints, or one a joint, shape (samples, 1 or joints); the same for all runs of a realisation."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, realisation)))
+    spectra = [None] if amplitudes is None else np.atleast_2d(np.asarray(amplitudes))
+    waves = [multisine(lines, samples, peak, rng, amplitudes=spectrum, crest=crest) for spectrum in spectra]
+    return np.hstack(waves)
 
 
 # ---- running --------------------------------------------------------------------------------------------------
@@ -290,12 +310,36 @@ def simulate_batch(plan: Plan, keys: Sequence[RunKey], folder: Path) -> list[tup
 
 
 def _simulate(plan: Plan, keys: Sequence[RunKey]) -> list[Simulation]:
-    trajectories = [plan.trajectory(key) for key in keys]
+    trajectories = [_with_tail(plan.trajectory(key)) for key in keys]
     noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
     noise = plan.noise if noisy else None
     rng = _Spawned([plan.generator(key) for key in keys])
     advance = perturb_lanes if plan.method == "perturbation" else simulate_lanes
-    return advance(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
+    runs = advance(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
+    return [dataclasses.replace(run, recording=_without_tail(plan, run.recording)) for run in runs]
+
+
+def _with_tail(trajectory: Trajectory) -> Trajectory:
+    """The trajectory and the start of another period, which the log's filter reaches into at the end of the last one."""
+    if trajectory.period_s is None:
+        return trajectory
+    count = len(trajectory.position)
+    rows = np.arange(count + round(TAIL_S * trajectory.rate_hz)) % count
+    return dataclasses.replace(
+        trajectory,
+        position=trajectory.position[rows],
+        velocity=trajectory.velocity[rows],
+        feedforward=None if trajectory.feedforward is None else trajectory.feedforward[rows],
+    )
+
+
+def _without_tail(plan: Plan, recording: Recording) -> Recording:
+    if plan.reference.period_s is None:
+        return recording
+    count = round(plan.periods * plan.reference.period_s * recording.sample_rate_hz)
+    values = {f.name: getattr(recording, f.name) for f in dataclasses.fields(recording)}
+    cut = {name: value[:count] for name, value in values.items() if isinstance(value, np.ndarray)}
+    return dataclasses.replace(recording, **cut)
 
 
 class _Spawned(np.random.Generator):

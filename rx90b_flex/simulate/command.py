@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.excitation import multisine
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import write_campaign
@@ -22,7 +23,6 @@ from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_PEAK,
     PERIOD_S,
     Trajectory,
-    multisine,
     sine_excitation,
     square_wave,
     straight_line,

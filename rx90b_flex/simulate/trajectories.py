@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.excitation import multisine, smoothed_square
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 
@@ -204,23 +205,6 @@ MULTISINE_LINES = 72
 MULTISINE_BAND_HZ = (1.0, 110.0)
 
 
-def multisine(
-    lines: Sequence[int], samples: int, amplitude: float, rng: np.random.Generator, columns: int = 1
-) -> Array:
-    """Random-phase multisines of unit-amplitude lines, scaled to a peak, shape (samples, columns).
-
-    Parameters
-    ----------
-    lines : numbers of whole cycles in the period
-    amplitude : float
-        Largest absolute value.
-    """
-    t = np.arange(samples) / samples
-    phase = rng.uniform(0.0, 2.0 * np.pi, (len(lines), columns))
-    waves = np.cos(2.0 * np.pi * np.asarray(lines)[:, None, None] * t[None, :, None] + phase[:, None, :]).sum(axis=0)
-    return np.asarray(amplitude * waves / np.abs(waves).max(axis=0))
-
-
 def sine_excitation(
     robot: Robot, rng: np.random.Generator, *, torque: float = 45.0, periods: int = 1, rate_hz: float = RATE_HZ
 ) -> Trajectory:
@@ -268,8 +252,7 @@ def square_wave(
     """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s
     alone.
 
-    The sum of the first odd lines of a square wave, each with Lanczos's factor, so that it overshoots by 2 % only at
-    its flanks; the position swings evenly about `pose`.
+    The position swings evenly about `pose`; see `rx90b_flex.excitation.smoothed_square`.
 
     Parameters
     ----------
@@ -280,11 +263,8 @@ def square_wave(
         For example ``multisine(FEEDFORWARD_LINES, ...)``.
     """
     samples = round(PERIOD_S * rate_hz)
-    angle = 2.0 * np.pi * np.arange(samples) / samples
-    odd = 2 * np.arange(odd_lines) + 1
-    weight = speed * 4.0 / np.pi / odd * np.sinc(odd / (2 * odd_lines))
-    velocity = np.sin(np.outer(angle, odd)) @ weight
-    position = -np.cos(np.outer(angle, odd)) @ (weight / odd) * PERIOD_S / (2.0 * np.pi)
+    velocity, position = smoothed_square(samples, odd_lines)
+    velocity, position = speed * velocity, speed * PERIOD_S / (2.0 * np.pi) * position
     moves = np.array([moving is None or joint in moving for joint in robot.joints], dtype=float)
     once = Trajectory(
         "square_wave",

@@ -1,0 +1,611 @@
+"""Nonparametric frequency response from motor torques and angles measured in closed loop (chapter 6, equations 6.14-6.34).
+
+A campaign is made of realisations (the multisine's phases), each of experiments (columns of the input matrix), each run with
+both signs of the excitation, each over several periods. Both signals are noisy, and the loop carries the noise of one into the other;
+the robot's nonlinearity adds a distortion that repeats with the period but changes with the phases. Hence two covariances:
+periods differ by noise alone, realisations by noise and distortion together.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.signals import Campaign, Recording
+
+EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of the largest
+SAME = 0.99  # correlation over lines from which two feed-forward spectra are the same multisine's
+OPPOSITE = 1e-6  # relative: how near a feed-forward must come to the negative of another
+WORST_CONDITION = (
+    1e3  # of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular
+)
+CLEAR = 4.0  # standard deviations by which the weakest combination of torques must stand out of the noise
+POSE_SPREAD = 0.02  # rad: mean angles further apart belong to different poses
+NAME = re.compile(r"^(?P<realisation>.*\d)_(?P<experiment>\d+)_(?P<sign>plus|minus)(_\d+)?$")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a recording stands in the design: realisation and experiment counted from 0, sign 1 or -1."""
+
+    recording: str
+    realisation: int
+    experiment: int
+    sign: int
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Root mean square amplitudes at all lines of the period below Nyquist, over all runs and periods.
+
+    Attributes
+    ----------
+    hz : array, shape (L,)
+    excited : bool array, shape (L,)
+    torque, acceleration : array, shape (L, n), N m and rad/s^2
+        Of the half differences of sign pairs: gone are the references' part and what does not change sign with the excitation.
+    torque_noise, acceleration_noise : array, shape (L, n)
+        Deviation of one period from the mean of the periods; NaN with one period.
+    """
+
+    hz: Array
+    excited: Array
+    torque: Array
+    acceleration: Array
+    torque_noise: Array
+    acceleration_noise: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredResponse(FrequencyResponse):
+    """A nonparametric estimate and what it was made of. F lines, n joints, R realisations, E experiments.
+
+    Attributes
+    ----------
+    realisations : complex array, shape (R, F, n, n)
+        ``Y U^-1`` of each realisation, its spectra averaged over the periods.
+    h1, arithmetic_mean : complex array, shape (F, n, n)
+        For comparison: ``S_yu S_uu^-1`` and the mean of ``Y U^-1``, both over single periods.
+    torque, acceleration : complex array, shape (F, n, E)
+        U and Y brought to the first realisation's phases (6.22-6.25) and averaged (6.29).
+    equation_noise : complex array, shape (F, n, n), or None
+        Covariance of ``Y - P U`` from noise, of one experiment's mean over periods: ``B C_ZV B^H / periods`` in (6.33).
+    equation_total : complex array, shape (F, n, n)
+        The same with the nonlinear distortion.
+    equation_covariance : complex array, shape (F, n*n, n*n)
+        The source's total covariance, (6.33) on (6.31), for comparison. It takes errors of different experiments as independent; but
+        experiments that share a multisine share its distortion, so that it is several times too large off the diagonal.
+    torque_snr, acceleration_snr : array, shape (F, n)
+        Root mean square of a joint's line over that of its noise, one period each; NaN with one period.
+    acceleration_distortion : array, shape (F, n)
+        Root mean square of the line over that of noise and distortion of a realisation.
+    spectra : Spectra
+    places : tuple of Place
+        How the recordings were understood.
+    periods : int
+        Whole periods of each recording.
+    remarks : tuple of str
+        What was left out or could not be estimated, and why.
+    """
+
+    realisations: ComplexArray = dataclasses.field(kw_only=True)
+    h1: ComplexArray = dataclasses.field(kw_only=True)
+    arithmetic_mean: ComplexArray = dataclasses.field(kw_only=True)
+    torque: ComplexArray = dataclasses.field(kw_only=True)
+    acceleration: ComplexArray = dataclasses.field(kw_only=True)
+    equation_noise: ComplexArray | None = dataclasses.field(kw_only=True)
+    equation_total: ComplexArray = dataclasses.field(kw_only=True)
+    equation_covariance: ComplexArray = dataclasses.field(kw_only=True)
+    torque_snr: Array = dataclasses.field(kw_only=True)
+    acceleration_snr: Array = dataclasses.field(kw_only=True)
+    acceleration_distortion: Array = dataclasses.field(kw_only=True)
+    spectra: Spectra = dataclasses.field(kw_only=True)
+    places: tuple[Place, ...] = dataclasses.field(kw_only=True)
+    periods: int = dataclasses.field(kw_only=True)
+    remarks: tuple[str, ...] = dataclasses.field(kw_only=True)
+
+    @property
+    def distortion_covariance(self) -> ComplexArray | None:
+        """Part of the covariance that nonlinearity brings about (6.30), shape (F, n*n, n*n); None where noise is not known.
+
+        A difference of two estimates: where noise rules, eigenvalues below zero are set to zero.
+        """
+        if self.noise_covariance is None:
+            return None
+        values, vectors = np.linalg.eigh(self.covariance - self.noise_covariance)
+        return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.conj().swapaxes(1, 2))
+
+    def snr(self) -> Array:
+        """Magnitude of each entry over its standard deviation, noise and distortion together, shape (F, n, n)."""
+        return np.asarray(np.abs(self.value) / self.std())
+
+
+def confidence_radius(response: FrequencyResponse, level: float = 0.95) -> Array:
+    """Radius of the circle in the complex plane that holds each entry with the given probability, shape (F, n, n).
+
+    For a circular complex error d of variance s^2, estimated with nu degrees of freedom, ``|d|^2 / s^2`` has Fisher's
+    distribution with 2 and 2 nu of them.
+    """
+    nu = response.degrees_of_freedom
+    ratio = -np.log1p(-level) if np.isinf(nu) else stats.f.ppf(level, 2, 2.0 * nu)
+    return np.asarray(response.std() * np.sqrt(ratio))
+
+
+# ---- which recording is what ----------------------------------------------------------------------------------
+
+
+def group_recordings(recordings: Sequence[Recording]) -> tuple[Place, ...]:
+    """Tell realisation, experiment and sign of each recording from what was fed forward.
+
+    Recordings share a realisation if some joint's feed-forward spectrum in one is a multiple of some joint's in the other;
+    within one, two whose feed-forward torques are each other's negative are a pair. Where no feed-forward was logged, from
+    names such as ``run_000_1_plus``.
+
+    Raises
+    ------
+    ValueError
+        Neither tells; a run is there twice.
+    """
+    logged = all(r.feedforward_torque is not None for r in recordings)
+    places = _from_feedforward(recordings) if logged else _from_names(recordings)
+    twice = [key for key, count in Counter((p.realisation, p.experiment, p.sign) for p in places).items() if count > 1]
+    if twice:
+        names = [p.recording for p in places if (p.realisation, p.experiment, p.sign) == twice[0]]
+        raise ValueError(f"recordings {', '.join(names)} have the same excitation; give one of them, or `places`")
+    return places
+
+
+def _from_feedforward(recordings: Sequence[Recording]) -> tuple[Place, ...]:
+    spectra = np.stack([_period_mean_spectrum(r) for r in recordings])  # (runs, lines, joints)
+    size = np.sqrt(np.sum(np.abs(spectra) ** 2, axis=1))  # (runs, joints)
+    silent = [r.name for r, s in zip(recordings, size, strict=True) if not s.any()]
+    if silent:
+        raise ValueError(f"recording {silent[0]!r}: feedforward_torque does not change; an excitation is expected")
+    used = size > 1e-9 * size.max()
+    unit = np.divide(spectra, size[:, None, :], out=np.zeros_like(spectra), where=used[:, None, :])
+    places: list[Place] = []
+    heads: list[ComplexArray] = []  # of each realisation: its different multisines, (lines, joints) of its runs so far
+    members: list[list[tuple[int, int, int]]] = []  # run, experiment, sign
+    for run in range(len(recordings)):
+        alike = [np.abs(head.conj().T @ unit[run]).max() for head in heads]
+        if alike and max(alike) > SAME:
+            realisation = int(np.argmax(alike))
+            heads[realisation] = np.hstack([heads[realisation], unit[run]])
+        else:
+            realisation = len(heads)
+            heads.append(unit[run])
+            members.append([])
+        known = members[realisation]
+        for other, experiment, sign in known:
+            if np.abs(spectra[run] + spectra[other]).max() < OPPOSITE * np.abs(spectra[run]).max():
+                found = (run, experiment, -sign)
+                break
+            if np.abs(spectra[run] - spectra[other]).max() < OPPOSITE * np.abs(spectra[run]).max():
+                found = (run, experiment, sign)
+                break
+        else:
+            found = (run, max((e for _, e, _ in known), default=-1) + 1, 1)
+        known.append(found)
+        places.append(Place(recordings[run].name, realisation, found[1], found[2]))
+    return tuple(places)
+
+
+def _period_mean_spectrum(recording: Recording) -> ComplexArray:
+    assert recording.feedforward_torque is not None
+    wave = _periods(recording.feedforward_torque, recording).mean(axis=0)
+    return np.asarray(np.fft.rfft(wave - wave.mean(axis=0), axis=0))
+
+
+def _from_names(recordings: Sequence[Recording]) -> tuple[Place, ...]:
+    found = [NAME.match(r.name) for r in recordings]
+    unknown = [r.name for r, match in zip(recordings, found, strict=True) if match is None]
+    if unknown:
+        raise ValueError(
+            f"recording {unknown[0]!r}: neither feedforward_torque nor its name tells realisation, experiment and sign; "
+            "log the feed-forward torque, name recordings as run_000_1_plus, or give `places`"
+        )
+    orders = list(dict.fromkeys(match["realisation"] for match in found if match))
+    return tuple(
+        Place(r.name, orders.index(m["realisation"]), int(m["experiment"]) - 1, 1 if m["sign"] == "plus" else -1)
+        for r, m in zip(recordings, found, strict=True)
+        if m
+    )
+
+
+# ---- estimation -----------------------------------------------------------------------------------------------
+
+
+def estimate_frequency_response(
+    data: Campaign | Sequence[Recording],
+    *,
+    joints: Sequence[str] | None = None,
+    hz: Array | None = None,
+    band_hz: tuple[float, float] | None = None,
+    places: Sequence[Place] | None = None,
+    neighbours: int = 2,
+) -> MeasuredResponse:
+    """Drive acceleration over drive torque of a robot about one pose, with covariances of noise and of nonlinear distortion.
+
+    Sign pairs are subtracted, so that the references' part goes. With U and Y the torques and accelerations of one
+    realisation's experiments (columns), averaged over periods, the estimate is ``P = mean(Y U^-1)`` over realisations: mapping
+    them to common phases by the measured input, (6.22-6.25), multiplies U and Y from the right by one matrix, so that (6.32)
+    does not depend on the phases chosen. Noise covariance (6.26-6.28) is that of the equation error ``Y - P U`` between
+    periods, carried on by (6.33); torque and angle noise and their correlation are all in it. The total covariance of the
+    mean, (6.31), comes from the differences of realisations.
+
+    Parameters
+    ----------
+    data : Campaign, or its recordings
+        Of a campaign those for identification.
+    joints : names, optional
+        Those that were excited, by default. Torques of other joints count as part of the robot.
+    hz : array, optional
+        Lines to use; by default those of the feed-forward torque.
+    band_hz : two frequencies, optional
+        Keeps the lines between them.
+    places : as from `group_recordings`, which is asked by default
+    neighbours : int
+        Lines on either side whose departures of realisations count for a line's total covariance: R - 1 alone are fewer degrees of
+        freedom than a covariance of n*n entries needs. They are compared as torques, ``P^-1 (P_m - P)``, since friction's distortion
+        is a torque, smooth over the lines where P is not. 0 uses the line alone.
+
+    Raises
+    ------
+    ValueError
+        Recordings that do not fit together, no complete realisation, or no line left. What costs a part only is in `remarks`.
+    """
+    recordings = data.identification if isinstance(data, Campaign) else tuple(data)
+    _check_alike(recordings)
+    design = tuple(places) if places is not None else group_recordings(recordings)
+    first = recordings[0]
+    chosen = _excited_joints(recordings) if joints is None else tuple(joints)
+    unknown = [j for j in chosen if j not in first.joints]
+    if unknown:
+        raise ValueError(f"joint {unknown[0]!r} is not recorded; there are {', '.join(first.joints)}")
+    columns = [first.joints.index(j) for j in chosen]
+    remarks: list[str] = []
+    pairs = _sign_pairs(recordings, design, remarks)
+    complete = _complete(pairs, len(chosen), remarks)
+    torque, angle = _spectra_of(recordings, complete, columns)  # (R, E, M, L, n)
+    period = first.period_samples or 1
+    all_hz = np.arange(period // 2 + 1) * first.sample_rate_hz / period
+    acceleration = -((2.0 * np.pi * all_hz[:, None]) ** 2) * angle
+    lines = _lines(recordings, columns, hz, band_hz, all_hz, remarks)
+    feedforward = _feedforward(recordings, complete, columns)
+    u, y = (np.moveaxis(x, (1, 2, 3, 4), (4, 1, 2, 3)) for x in (torque[..., lines, :], acceleration[..., lines, :]))
+    lines, kept = _regular(u, None if feedforward is None else feedforward[:, :, lines], lines, all_hz, remarks)
+    u, y = u[:, :, kept], y[:, :, kept]  # (R, M, F, n, E)
+    spectra = _line_spectra(torque, acceleration, lines, all_hz)
+    return _estimate(u, y, all_hz[lines], chosen, _pose(recordings), neighbours, spectra, design, remarks)
+
+
+def _estimate(
+    u: ComplexArray,
+    y: ComplexArray,
+    hz: Array,
+    joints: tuple[str, ...],
+    pose: Array,
+    neighbours: int,
+    spectra: Spectra,
+    places: tuple[Place, ...],
+    remarks: list[str],
+) -> MeasuredResponse:
+    realisations, periods, _, n, experiments = u.shape
+    mean_u, mean_y = u.mean(axis=1), y.mean(axis=1)  # (R, F, n, E)
+    inverse = np.linalg.pinv(mean_u)  # (R, F, E, n): experiments beyond the joints are averaged by it
+    single = mean_y @ inverse
+    value = single.mean(axis=0)
+    # row j, column k of an error D = E U^+ of independent experiments: E[D_jk D*_j'k'] = C_jj' (U^+^T U^+*)_kk'
+    spread = np.mean(inverse.swapaxes(2, 3) @ inverse.conj(), axis=0)
+    noise = noise_covariance = None
+    error = y - y.mean(axis=1, keepdims=True) - value @ (u - u.mean(axis=1, keepdims=True))
+    if periods > 1:
+        freedom = realisations * (periods - 1) * experiments
+        noise = np.einsum("rmfje,rmfke->fjk", error, error.conj()) / freedom / periods
+        noise_covariance = _kron(noise, spread) / realisations
+    else:
+        remarks.append("one period: noise cannot be told from distortion")
+    if realisations > 1:
+        covariance, freedom = _over_realisations(single, neighbours)
+        if freedom < n * n:
+            remarks.append(
+                f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
+                "cannot be inverted; record more realisations or let more neighbours count"
+            )
+        on_output = (single - value) @ mean_u  # carried by n combinations of the experiments
+        total = np.einsum("rfje,rfke->fjk", on_output, on_output.conj()) / (n * (realisations - 1))
+    elif noise is not None and noise_covariance is not None:
+        remarks.append("one realisation: the nonlinear distortion is unknown, the covariance holds noise alone")
+        total, covariance, freedom = noise, noise_covariance, float((periods - 1) * experiments)
+    else:
+        raise ValueError(
+            "one realisation of one period: no covariance can be estimated; record more periods or realisations"
+        )
+    common_u, common_y = _to_common_phase(mean_u, mean_y)
+    return MeasuredResponse(
+        hz=hz,
+        value=value,
+        covariance=covariance,
+        joints=joints,
+        pose=pose,
+        noise_covariance=noise_covariance,
+        degrees_of_freedom=freedom,
+        realisations=single,
+        h1=_h1(u, y),
+        arithmetic_mean=np.mean(y @ np.linalg.pinv(u), axis=(0, 1)),
+        torque=common_u,
+        acceleration=common_y,
+        equation_noise=noise,
+        equation_total=total,
+        equation_covariance=_kron(total, spread) / realisations,
+        torque_snr=_ratio(mean_u, u),
+        acceleration_snr=_ratio(mean_y, y),
+        acceleration_distortion=_level(mean_y) / np.sqrt(np.einsum("fjj->fj", total).real),
+        spectra=spectra,
+        places=places,
+        periods=periods,
+        remarks=tuple(remarks),
+    )
+
+
+def _over_realisations(single: ComplexArray, neighbours: int) -> tuple[ComplexArray, float]:
+    """Covariance of the mean of realisations (R, F, n, n), shape (F, n*n, n*n), and its degrees of freedom."""
+    realisations, lines, n, _ = single.shape
+    value = single.mean(axis=0)
+    as_torque = np.linalg.solve(value, single - value).reshape(realisations, lines, n * n)
+    own = np.einsum("rfa,rfb->fab", as_torque, as_torque.conj()) / (realisations * (realisations - 1))
+    width = min(2 * neighbours + 1, lines)
+    # at the ends of the band the window stays as wide, and lies to one side
+    first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
+    smooth = np.lib.stride_tricks.sliding_window_view(own, width, axis=0).mean(axis=-1)[first]
+    back = np.einsum("fjk,ab->fjakb", value, np.eye(n)).reshape(lines, n * n, n * n)
+    covariance = back @ smooth @ back.conj().swapaxes(1, 2)
+    return np.asarray(0.5 * (covariance + covariance.conj().swapaxes(1, 2))), float(width * (realisations - 1))
+
+
+def _kron(left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Kronecker product line by line, (F, n, n) and (F, n, n) to (F, n*n, n*n)."""
+    n = left.shape[-1]
+    return np.asarray(np.einsum("fjk,fab->fjakb", left, right).reshape(-1, n * n, n * n))
+
+
+def _h1(u: ComplexArray, y: ComplexArray) -> ComplexArray:
+    adjoint = u.conj().swapaxes(-1, -2)
+    return np.asarray(np.sum(y @ adjoint, axis=(0, 1)) @ np.linalg.inv(np.sum(u @ adjoint, axis=(0, 1))))
+
+
+def _to_common_phase(u: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Realisations' spectra (R, F, n, E) brought to the first one's phases and averaged, each (F, n, E).
+
+    (6.23) takes magnitudes entry by entry, which would make U singular for (6.50); here a joint's line is turned by one phase for
+    all experiments, so that their signs stay.
+    """
+    phase = np.einsum("fje,rfje->rfj", u[0].conj(), u)
+    turn = np.divide(phase.conj(), np.abs(phase), out=np.ones_like(phase), where=phase != 0)
+    target = np.mean(turn[..., None] * u, axis=0)
+    to_target = np.linalg.pinv(u) @ target
+    return target, np.mean(y @ to_target, axis=0)
+
+
+def _level(x: ComplexArray) -> Array:
+    """Root mean square of each joint's line over realisations and experiments, (R, F, n, E) to (F, n)."""
+    return np.asarray(np.sqrt(np.mean(np.abs(x) ** 2, axis=(0, 3))))
+
+
+def _ratio(mean: ComplexArray, single: ComplexArray) -> Array:
+    periods = single.shape[1]
+    if periods < 2:
+        return np.full(mean.shape[1:3], np.nan)
+    deviation = np.sum(np.abs(single - mean[:, None]) ** 2, axis=1) / (periods - 1)
+    return np.asarray(_level(mean) / np.sqrt(np.mean(deviation, axis=(0, 3))))
+
+
+# ---- from recordings to spectra -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Recordings of one experiment by sign, as places in the list of recordings; None where that sign is missing."""
+
+    realisation: int
+    experiment: int
+    plus: int | None
+    minus: int | None
+
+
+def _periods(x: Array, recording: Recording) -> Array:
+    samples = recording.period_samples or len(x)
+    count = len(x) // samples
+    return x[: count * samples].reshape(count, samples, *x.shape[1:])
+
+
+def _check_alike(recordings: Sequence[Recording]) -> None:
+    if not recordings:
+        raise ValueError("no recordings; a campaign of periodic excitation is expected")
+    first = recordings[0]
+    for r in recordings:
+        if r.period_samples is None:
+            raise ValueError(f"recording {r.name!r} has no period_s; a frequency response needs a periodic excitation")
+        for what in ("joints", "sample_rate_hz", "period_samples"):
+            if getattr(r, what) != getattr(first, what):
+                found, expected = getattr(r, what), getattr(first, what)
+                raise ValueError(f"recording {r.name!r}: {what} is {found}; expected {expected}, as of {first.name!r}")
+    angles = np.stack([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings])
+    apart = np.abs(angles - angles[0]).max(axis=1)
+    worst = int(np.argmax(apart))
+    if apart[worst] > POSE_SPREAD:
+        raise ValueError(
+            f"recordings {first.name!r} and {recordings[worst].name!r} are {apart[worst]:.3g} rad apart in mean angle; "
+            "one pose is expected: estimate each pose from its own recordings"
+        )
+
+
+def _pose(recordings: Sequence[Recording]) -> Array:
+    return np.asarray(np.mean([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings], axis=0))
+
+
+def _excited_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    if any(r.feedforward_torque is None for r in recordings):
+        return recordings[0].joints
+    waves = [np.ptp(r.feedforward_torque, axis=0) for r in recordings if r.feedforward_torque is not None]
+    moved = np.max(waves, axis=0)
+    return tuple(j for j, size in zip(recordings[0].joints, moved, strict=True) if size > 1e-9 * moved.max())
+
+
+def _sign_pairs(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_Pair]:
+    rows = {r.name: i for i, r in enumerate(recordings)}
+    found: dict[tuple[int, int], dict[int, int]] = {}
+    for p in places:
+        if p.recording not in rows:
+            raise ValueError(f"places name recording {p.recording!r}; there are {', '.join(list(rows)[:4])}, ...")
+        found.setdefault((p.realisation, p.experiment), {})[p.sign] = rows[p.recording]
+    pairs = [_Pair(m, k, signs.get(1), signs.get(-1)) for (m, k), signs in sorted(found.items())]
+    if all(pair.plus is None or pair.minus is None for pair in pairs):
+        remarks.append(
+            "no experiment was run with both signs: the response to the references stays in the lines they share"
+        )
+        return pairs
+    for pair in pairs:
+        if pair.plus is None or pair.minus is None:
+            there = recordings[pair.plus if pair.plus is not None else pair.minus or 0].name
+            remarks.append(
+                f"realisation {pair.realisation + 1}: {there} lacks the run of opposite sign and is left out"
+            )
+    return [pair for pair in pairs if pair.plus is not None and pair.minus is not None]
+
+
+def _complete(pairs: list[_Pair], inputs: int, remarks: list[str]) -> list[list[_Pair]]:
+    """Experiments of each realisation that has as many as the others, in one order."""
+    groups = [[p for p in pairs if p.realisation == m] for m in sorted({p.realisation for p in pairs})]
+    expected = Counter(len(group) for group in groups).most_common(1)[0][0]
+    complete = [group for group in groups if len(group) == expected]
+    if expected < inputs:
+        complete = [group for group in groups if len(group) == max(map(len, groups))]
+        expected = len(complete[0])
+    if expected < inputs:
+        raise ValueError(f"{expected} experiments a realisation for {inputs} joints; expected {inputs} or more")
+    for group in groups:
+        if len(group) != expected:
+            remarks.append(
+                f"realisation {group[0].realisation + 1} has {len(group)} of {expected} experiments and is left out"
+            )
+    return complete
+
+
+def _spectra_of(
+    recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Line amplitudes of torque and angle of every period, signs subtracted, each (R, E, M, L, n)."""
+    used = {i for group in groups for p in group for i in (p.plus, p.minus) if i is not None}
+    count = min(recordings[i].samples // (recordings[i].period_samples or 1) for i in used)
+
+    def spectrum(i: int, field: str) -> ComplexArray:
+        wave = _periods(getattr(recordings[i], field)[:, columns], recordings[i])[:count]
+        return np.asarray(np.fft.rfft(wave, axis=1) * (2.0 / wave.shape[1]))
+
+    def difference(pair: _Pair, field: str) -> ComplexArray:
+        if pair.plus is None or pair.minus is None:
+            sign, only = (1.0, pair.plus) if pair.plus is not None else (-1.0, pair.minus)
+            return sign * spectrum(only or 0, field)
+        return 0.5 * (spectrum(pair.plus, field) - spectrum(pair.minus, field))
+
+    torque, angle = (np.stack([[difference(p, f) for p in g] for g in groups]) for f in ("torque", "position"))
+    return torque, angle
+
+
+def _feedforward(recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]) -> ComplexArray | None:
+    """Feed-forward spectra, (R, E, L, n), or None where they were not logged."""
+    if any(r.feedforward_torque is None for r in recordings):
+        return None
+    rows = [[p.plus if p.plus is not None else p.minus or 0 for p in group] for group in groups]
+    return np.stack([[_period_mean_spectrum(recordings[i])[:, columns] for i in row] for row in rows])
+
+
+def _lines(
+    recordings: Sequence[Recording],
+    columns: list[int],
+    hz: Array | None,
+    band_hz: tuple[float, float] | None,
+    all_hz: Array,
+    remarks: list[str],
+) -> NDArray[np.intp]:
+    """Places of the lines to use among all lines of the period."""
+    step = all_hz[1]
+    nyquist = 0.5 * recordings[0].sample_rate_hz
+    if hz is None:
+        if any(r.feedforward_torque is None for r in recordings):
+            raise ValueError("feedforward_torque is not in the recordings; give the excited lines as `hz`")
+        size = np.max([np.abs(_period_mean_spectrum(r)[:, columns]).max(axis=1) for r in recordings], axis=0)
+        lines = np.flatnonzero(size > EXCITED * size.max())
+    else:
+        wanted = np.asarray(hz, dtype=float)
+        number = np.round(wanted / step)
+        off = wanted[np.abs(wanted / step - number) > 1e-3]
+        if len(off):
+            raise ValueError(f"hz: {off[0]:g} Hz is no multiple of {step:g} Hz, one over the period")
+        lines = np.unique(number.astype(int))
+    low, high = band_hz if band_hz is not None else (0.0, np.inf)
+    lines = lines[(lines * step >= low - 1e-9) & (lines * step <= high + 1e-9)]
+    beyond = lines[lines * step >= nyquist - 1e-9]
+    if len(beyond):
+        remarks.append(
+            f"{len(beyond)} lines from {beyond[0] * step:g} Hz are at or beyond Nyquist ({nyquist:g} Hz) and left out"
+        )
+    lines = lines[(lines > 0) & (lines * step < nyquist - 1e-9)]
+    if len(lines) == 0:
+        raise ValueError("no line is left to estimate; expected excited lines within the band and below Nyquist")
+    return lines
+
+
+def _regular(
+    u: ComplexArray, feedforward: ComplexArray | None, lines: NDArray[np.intp], all_hz: Array, remarks: list[str]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Lines at which the experiments' torques are independent in every realisation, and which of the given they are."""
+    mean = u.mean(axis=1)
+    independent = _condition(mean) < WORST_CONDITION
+    if feedforward is not None:
+        independent &= _condition(np.moveaxis(feedforward, 1, 3)) < WORST_CONDITION
+    periods, experiments = u.shape[1], u.shape[-1]
+    if periods > 1:
+        # a combination of torques that only noise keeps from zero does not count
+        noise = np.sum(np.abs(u - mean[:, None]) ** 2, axis=(1, 3, 4)) / (periods - 1) / periods / experiments
+        independent &= np.linalg.svd(mean, compute_uv=False)[..., -1] > CLEAR * np.sqrt(noise)
+    kept = independent.all(axis=0)
+    if not kept.any():
+        raise ValueError("the experiments' torques are linearly dependent at every line; check the input matrix")
+    if not kept.all():
+        lost = ", ".join(f"{x:.4g}" for x in all_hz[lines[~kept]][:8]) + (", ..." if np.sum(~kept) > 8 else "")
+        remarks.append(f"{np.sum(~kept)} lines are left out, the experiments' torques are dependent there: {lost} Hz")
+    return lines[kept], kept
+
+
+def _condition(matrix: ComplexArray) -> Array:
+    """Condition number with rows of norm one, so that units and amplitudes of joints do not count, (..., n, E) to (...)."""
+    norm = np.linalg.norm(matrix, axis=-1, keepdims=True)
+    values = np.linalg.svd(np.divide(matrix, norm, out=np.zeros_like(matrix), where=norm > 0), compute_uv=False)
+    return np.asarray(values[..., 0] / np.maximum(values[..., -1], 1e-300))
+
+
+def _line_spectra(torque: ComplexArray, acceleration: ComplexArray, lines: NDArray[np.intp], all_hz: Array) -> Spectra:
+    kept = np.arange(1, len(all_hz) - 1)  # without the constant and Nyquist
+    excited = np.isin(kept, lines)
+    levels = []
+    for x in (torque[..., kept, :], acceleration[..., kept, :]):
+        mean = x.mean(axis=2, keepdims=True)
+        periods = x.shape[2]
+        noise = (
+            np.sum(np.abs(x - mean) ** 2, axis=2) / (periods - 1)
+            if periods > 1
+            else np.full(mean[:, :, 0].shape, np.nan)
+        )
+        levels += [np.sqrt(np.mean(np.abs(mean) ** 2, axis=(0, 1, 2))), np.sqrt(noise.mean(axis=(0, 1)))]
+    return Spectra(all_hz[kept], excited, levels[0], levels[2], levels[1], levels[3])

@@ -1,0 +1,210 @@
+"""Figures of a frequency response: entries with their bands, differences, excitation, signal-to-noise ratios.
+
+Each function takes results and returns a `matplotlib.figure.Figure`; none knows of a window or of pyplot. What was measured is
+always blue with its band shaded, what it is compared with orange and dashed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.frf import MeasuredResponse, Spectra, confidence_radius
+
+MEASURED, MODEL, DISTORTION, NOISE = "#0072b2", "#d55e00", "#009e73", "#8a8a8a"
+FILL = 0.25  # opacity of a band
+CELL_IN = (2.9, 2.1)  # width and height of one entry's axes
+UNIT = "rad/s² per N m"
+
+Comparison = tuple[Array, ComplexArray, str]  # hz, value (F, n, n), label
+
+
+def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
+    """Magnitude of every entry over frequency, with its band; models or other estimates beside it (figure 6.4).
+
+    Parameters
+    ----------
+    others : sequence of (hz, value, label)
+    level : float
+        Of the band: the circle about the entry in the complex plane.
+    """
+    radius = confidence_radius(response, level)
+
+    def draw(ax: Axes, j: int, k: int) -> None:
+        size = np.abs(response.value[:, j, k])
+        # the band's lower edge where the circle holds zero: a tenth of the entry, so that the axis keeps its scale
+        low = np.maximum(size - radius[:, j, k], 0.1 * size)
+        ax.fill_between(
+            response.hz, low, size + radius[:, j, k], color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band"
+        )
+        ax.plot(response.hz, size, color=MEASURED, lw=0.9, label="estimate")
+        for (hz, value, label), style in zip(others, _STYLES * len(others), strict=False):
+            ax.plot(hz, np.abs(value[:, j, k]), **style, label=label)
+        ax.set_yscale("log")
+
+    return _entries(response.joints, draw, f"|P|, {UNIT}")
+
+
+def phase(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
+    """Phase of every entry over frequency, degrees, with its band; where the band's circle holds zero it is all angles."""
+    radius = confidence_radius(response, level)
+
+    def draw(ax: Axes, j: int, k: int) -> None:
+        value = response.value[:, j, k]
+        angle = np.rad2deg(np.angle(value))
+        share = np.clip(radius[:, j, k] / np.abs(value), 0.0, 1.0)
+        half = np.where(share < 1.0, np.rad2deg(np.arcsin(share)), 180.0)
+        ax.fill_between(
+            response.hz, angle - half, angle + half, color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band"
+        )
+        ax.plot(response.hz, angle, ".", color=MEASURED, ms=2.5, label="estimate")
+        for (hz, other, label), style in zip(others, _STYLES * len(others), strict=False):
+            # points, or every turn from 180 to -180 degrees would draw a line
+            ax.plot(hz, np.rad2deg(np.angle(other[:, j, k])), ".", ms=1.5, color=style["color"], label=label)
+        ax.set_ylim(-200, 200)
+        ax.set_yticks([-180, -90, 0, 90, 180])
+
+    return _entries(response.joints, draw, "phase of P, °")
+
+
+def difference(response: FrequencyResponse, value: ComplexArray, label: str = "model", level: float = 0.95) -> Figure:
+    """Magnitude of what parts every entry from a model or another estimate at the same lines, with the estimate's own uncertainty.
+
+    If the model is right, `level` of the lines lie under the band's line.
+
+    Parameters
+    ----------
+    value : complex array, shape (F, n, n)
+    """
+    if np.shape(value) != response.value.shape:
+        raise ValueError(f"value has shape {np.shape(value)}; expected {response.value.shape}, at the response's lines")
+    radius = confidence_radius(response, level)
+    apart = np.abs(response.value - value)
+    below = np.mean(apart <= radius, axis=0)
+
+    def draw(ax: Axes, j: int, k: int) -> None:
+        ax.plot(response.hz, np.abs(response.value[:, j, k]), color=NOISE, lw=0.8, label="|P|")
+        ax.plot(response.hz, apart[:, j, k], ".", color=MODEL, ms=3, label=f"|P − {label}|")
+        ax.plot(response.hz, radius[:, j, k], color=MEASURED, lw=0.9, label=f"{100 * level:g} % band")
+        ax.set_yscale("log")
+        ax.annotate(f"{100 * below[j, k]:.0f} % below", (0.97, 0.04), xycoords="axes fraction", ha="right", fontsize=7)
+
+    return _entries(response.joints, draw, UNIT)
+
+
+def signal_to_noise(response: MeasuredResponse) -> Figure:
+    """Every entry's magnitude over its standard deviation, dB: of noise alone, and of noise and distortion together."""
+    noise = None if response.noise_covariance is None else _std(response.noise_covariance, response.value.shape)
+    total = response.std()
+
+    def draw(ax: Axes, j: int, k: int) -> None:
+        size = np.abs(response.value[:, j, k])
+        if noise is not None:
+            ax.plot(response.hz, _db(size / noise[:, j, k]), color=NOISE, lw=0.9, label="noise")
+        ax.plot(response.hz, _db(size / total[:, j, k]), color=DISTORTION, lw=0.9, label="noise and distortion")
+        ax.axhline(0.0, color="black", lw=0.5)
+
+    return _entries(response.joints, draw, "|P| over its deviation, dB")
+
+
+def channel_signal_to_noise(response: MeasuredResponse) -> Figure:
+    """Torque and acceleration of each joint over the noise of one period, and over one realisation's distortion, dB."""
+    figure, axes = _row(len(response.joints))
+    for j, (ax, joint) in enumerate(zip(axes, response.joints, strict=True)):
+        ax.plot(response.hz, _db(response.torque_snr[:, j]), color=MEASURED, lw=0.9, label="torque, noise")
+        ax.plot(response.hz, _db(response.acceleration_snr[:, j]), color=NOISE, lw=0.9, label="acceleration, noise")
+        ax.plot(
+            response.hz,
+            _db(response.acceleration_distortion[:, j]),
+            color=DISTORTION,
+            lw=0.9,
+            label="acceleration, noise and distortion",
+        )
+        _label(ax, joint, j == 0, "signal over noise, dB")
+    axes[0].legend(fontsize=6.5, frameon=False)
+    return figure
+
+
+def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
+    """Torque and acceleration at the excited lines, at the others, and the noise of one period, for each joint."""
+    figure = Figure(figsize=(CELL_IN[0] * len(joints), 2 * CELL_IN[1]), layout="constrained")
+    grid = figure.subplots(2, len(joints), squeeze=False, sharex=True, sharey="row")
+    rows = (
+        (spectra.torque, spectra.torque_noise, "torque, N m"),
+        (spectra.acceleration, spectra.acceleration_noise, "acceleration, rad/s²"),
+    )
+    for axes, (signal, noise, label) in zip(grid, rows, strict=True):
+        for j, (ax, joint) in enumerate(zip(axes, joints, strict=True)):
+            ax.plot(
+                spectra.hz[spectra.excited],
+                signal[spectra.excited, j],
+                ".",
+                color=MEASURED,
+                ms=3,
+                label="excited lines",
+            )
+            ax.plot(
+                spectra.hz[~spectra.excited],
+                signal[~spectra.excited, j],
+                ".",
+                color=DISTORTION,
+                ms=1.5,
+                label="other lines",
+            )
+            if np.isfinite(noise).all():
+                ax.plot(spectra.hz, noise[:, j], color=NOISE, lw=0.7, label="noise of a period")
+            ax.set_yscale("log")
+            _label(ax, joint, j == 0, label, bottom=axes is grid[-1])
+    grid[0, 0].legend(fontsize=6.5, frameon=False)
+    return figure
+
+
+# ---- shared ---------------------------------------------------------------------------------------------------
+
+_STYLES: list[dict[str, object]] = [
+    {"color": MODEL, "ls": "--", "lw": 0.9},
+    {"color": DISTORTION, "ls": ":", "lw": 1.1},
+    {"color": "black", "ls": "-.", "lw": 0.8},
+]
+
+
+def _entries(joints: Sequence[str], draw: Callable[[Axes, int, int], None], label: str) -> Figure:
+    """One axes an entry: rows are accelerations, columns torques."""
+    n = len(joints)
+    figure = Figure(figsize=(CELL_IN[0] * n, CELL_IN[1] * n), layout="constrained")
+    grid = figure.subplots(n, n, squeeze=False, sharex=True, sharey=True)
+    for j in range(n):
+        for k in range(n):
+            draw(grid[j, k], j, k)
+            _label(grid[j, k], f"{joints[j]} over torque of {joints[k]}", k == 0, label, bottom=j == n - 1)
+    grid[0, 0].legend(fontsize=6.5, frameon=False)
+    return figure
+
+
+def _row(count: int) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(CELL_IN[0] * count, 1.3 * CELL_IN[1]), layout="constrained")
+    return figure, list(figure.subplots(1, count, squeeze=False, sharey=True)[0])
+
+
+def _label(ax: Axes, title: str, left: bool, label: str, bottom: bool = True) -> None:
+    ax.set_title(title.replace("_", " "), fontsize=8)
+    ax.tick_params(labelsize=7)
+    ax.grid(color="#e4e4e4", lw=0.5)
+    if left:
+        ax.set_ylabel(label, fontsize=8)
+    if bottom:
+        ax.set_xlabel("frequency, Hz", fontsize=8)
+
+
+def _std(covariance: ComplexArray, shape: tuple[int, ...]) -> Array:
+    return np.asarray(np.sqrt(np.einsum("faa->fa", covariance).real).reshape(shape))
+
+
+def _db(ratio: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.asarray(20.0 * np.log10(ratio))
