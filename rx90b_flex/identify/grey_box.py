@@ -269,22 +269,24 @@ def _of_link(motion: Motion, link: str, parameters: Array) -> tuple[Array, Array
 
 
 def poses_along(position: Array, count: int = 3) -> Array:
-    """A few poses that stand for a motion: evenly spaced in time, spread so that each joint's variance is that of the motion.
+    """A few poses that stand for a motion to and fro: means of equal parts along its main direction, with each joint's variance.
 
-    For a motion to and fro along a line at constant speed three of them average polynomials up to the third degree exactly.
+    For a motion along a line at constant speed three of them average polynomials up to the third degree exactly.
 
     Parameters
     ----------
     position : array, shape (N, joints), rad
-        Half a period of a motion to and fro, or any motion sampled evenly.
+        Whole periods, sampled evenly.
 
     Returns
     -------
     array, shape (count, joints)
     """
     mean = position.mean(axis=0)
-    picked = position[((np.arange(count) + 0.5) / count * len(position)).astype(int)] - mean
-    picked -= picked.mean(axis=0)
+    moved = position - mean
+    main = np.linalg.svd(moved, full_matrices=False)[2][0]
+    parts = np.array_split(moved[np.argsort(moved @ main)], count)
+    picked = np.array([part.mean(axis=0) for part in parts])
     size = np.sqrt((picked**2).mean(axis=0))
     return np.asarray(mean + picked * np.divide(position.std(axis=0), size, out=np.zeros_like(size), where=size > 0))
 
