@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rx90b_flex.effects.motion import Array
+
+if TYPE_CHECKING:
+    from rx90b_flex.identify.transfer_function import TransferFit
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,164 @@ def drive_parameters(
     )
     stiffness = inertia * difference
     return DriveParameters(inertia, stiffness, float(inertia * np.sqrt(relative)), float(stiffness * np.sqrt(stiff)))
+
+
+def truncated_drive_parameters(
+    resonances_hz: ArrayLike,
+    antiresonances_hz: ArrayLike,
+    drive_inertia: float,
+    kept: int,
+    convention: Literal["exact", "source"] = "exact",
+) -> DriveParameters:
+    """What a drive seems to be when only its lowest modes are seen (table 5.2), the low-frequency gain held.
+
+    That gain is ``prod(mu_r^2 / w_r^2) / J`` over all modes. With n of them, ``J_n = J prod_{r>n} (w_r / mu_r)^2``, which
+    rises as modes are lost; ``stiffness = J_n (sum w_r^2 - sum mu_r^2)`` over the n.
+
+    Parameters
+    ----------
+    resonances_hz, antiresonances_hz : array, shape (N,)
+        All of them, ascending, without the rigid-body modes, Hz.
+    drive_inertia : float
+        The true one, kg m^2.
+    kept : int
+        n, 0 to N. Table 5.2 counts one more: its N includes the rigid-body mode.
+    convention : str
+        ``exact``, or ``source``: table 5.2 divides where this multiplies, so that its inertia falls.
+
+    Raises
+    ------
+    ValueError
+        As `drive_parameters`; a number of modes that is not there; another convention.
+    """
+    w, mu = _frequencies("resonances_hz", resonances_hz), _frequencies("antiresonances_hz", antiresonances_hz)
+    if len(w) != len(mu):
+        raise ValueError(f"{len(w)} resonances and {len(mu)} antiresonances; expected as many of one as of the other")
+    if not 0 <= kept <= len(w):
+        raise ValueError(f"kept is {kept}; expected 0 to {len(w)} modes")
+    if convention not in ("exact", "source"):
+        raise ValueError(f"convention is {convention!r}; expected 'exact' or 'source'")
+    lost = float(np.prod((w[kept:] / mu[kept:]) ** 2))
+    inertia = drive_inertia * (lost if convention == "exact" else 1.0 / lost)
+    difference = float((w[:kept] ** 2).sum() - (mu[:kept] ** 2).sum())
+    return DriveParameters(inertia, inertia * difference, 0.0, 0.0)
+
+
+def eigenvector_entries(resonances_hz: ArrayLike, antiresonances_hz: ArrayLike, drive_inertia: float) -> Array:
+    """Entries of the mass-normalised eigenvectors at one drive (5.31), from its undamped resonances and antiresonances.
+
+    With ``P = (1/J) prod(mu^2 - w^2) / prod(w_r^2 - w^2) = nu_0^2 - w^2 sum_r nu_r^2 / (w_r^2 - w^2)``.
+
+    Returns
+    -------
+    array, shape (n + 1,), 1 / sqrt(kg m^2)
+        First the rigid-body modes' (their squares added), then one a mode. Signs are free, so all are positive.
+
+    Raises
+    ------
+    ValueError
+        As `drive_parameters`; resonances and antiresonances that do not alternate, which no undamped drive point has.
+    """
+    w, mu = _frequencies("resonances_hz", resonances_hz) ** 2, _frequencies("antiresonances_hz", antiresonances_hz) ** 2
+    if len(w) != len(mu):
+        raise ValueError(f"{len(w)} resonances and {len(mu)} antiresonances; expected as many of one as of the other")
+    squares = [np.prod(mu / w)]
+    for r, at in enumerate(w):
+        others = np.delete(w, r)
+        squares.append(-(mu[r] - at) / at * np.prod((np.delete(mu, r) - at) / (others - at)))
+    if min(squares) < 0:
+        raise ValueError(
+            f"resonances and antiresonances do not alternate: mode {int(np.argmin(squares))} would have a negative share of the inertia"
+        )
+    return np.sqrt(np.array(squares) / drive_inertia)
+
+
+def drive_damping(poles: ArrayLike, zeros: ArrayLike, drive_inertia: float) -> float:
+    """Damping of one drive's flexibility from the real parts of its poles and zeros, N m s/rad.
+
+    The traces that give the stiffness give it too: ``d = J (sum Re(z) - sum Re(p))`` over all poles p of the system and all
+    zeros z of its drive point, real ones and both of each pair counted, rad/s. It is exact, for damping of any kind, because friction
+    acts behind the flexibility, on the joint angle, and not on the drive's own row of the damping matrix.
+    """
+    return float(drive_inertia * (np.real(np.asarray(zeros)).sum() - np.real(np.asarray(poles)).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class DriveIdentification:
+    """What the motor signals say of the drives (section 5.8), from one fit.
+
+    Attributes
+    ----------
+    joints : tuple of str
+    drives : tuple of DriveParameters
+        One a joint. With the modes above the band missing they are truncated: inertia too high, stiffness mostly too low.
+    modes : tuple of int
+        Pairs of resonance and antiresonance that each drive used.
+    rigid_mass : array, shape (n, n)
+        M_ee, kg m^2 (5.52).
+    rigid_mass_std : array, shape (n, n)
+    decay_rate, decay_rate_std : array, shape (m,)
+        ``-Re(p)`` of each mode: its damping, rad/s.
+    """
+
+    joints: tuple[str, ...]
+    drives: tuple[DriveParameters, ...]
+    modes: tuple[int, ...]
+    rigid_mass: Array
+    rigid_mass_std: Array
+    decay_rate: Array
+    decay_rate_std: Array
+
+
+def identify_drives(fit: TransferFit) -> DriveIdentification:
+    """Drive inertias and stiffnesses, the rigid mass matrix and the modes' damping, with the fit's covariance carried through.
+
+    Each drive's inertia comes from its gain at low frequency, without friction, and its resonances and antiresonances above the
+    lowest line, ``J = prod(mu_r / w_r)^2 / (M_ee^-1)_jj``; its stiffness from the traces.
+
+    Raises
+    ------
+    ValueError
+        A drive without a resonance and an antiresonance above the lowest line.
+    """
+    n, at = len(fit.response.joints), fit.response.hz[0]
+    by_inverse = fit.rigid_inverse_derivatives()
+    inverse, mass = fit.model.rigid_inverse(), np.linalg.inv(fit.model.rigid_inverse())
+    resonances, by_resonance = fit.resonance_derivatives()
+    kept = resonances > at * 1.001  # not on the bound
+    drives, counts = [], []
+    for j in range(n):
+        zeros, by_zero = fit.antiresonance_derivatives(j)
+        above = zeros > at
+        count = min(int(kept.sum()), int(above.sum()))
+        if count == 0:
+            raise ValueError(f"{fit.response.joints[j]} has no resonance and antiresonance above {at:.4g} Hz")
+        w, mu = (2 * np.pi * x[:count] for x in (resonances[kept], zeros[above]))
+        by_w, by_mu = (2 * np.pi * x[:count] for x in (by_resonance[kept], by_zero[above]))
+        inertia = float(np.prod((mu / w) ** 2) / inverse[j, j])
+        difference = float((w**2).sum() - (mu**2).sum())
+        by_log = 2 * (by_mu / mu[:, None] - by_w / w[:, None]).sum(axis=0) - by_inverse[j, j] / inverse[j, j]
+        by_stiffness = inertia * (2 * (w @ by_w - mu @ by_mu) + difference * by_log)
+        inertia_std, stiffness_std = (
+            float(np.sqrt(by @ fit.covariance @ by)) for by in (inertia * by_log, by_stiffness)
+        )
+        drives.append(DriveParameters(inertia, inertia * difference, inertia_std, stiffness_std))
+        counts.append(count)
+    by_mass = -np.einsum("ij,jkp,kl->ilp", mass, by_inverse, mass)
+    rate, by_rate = fit.decay_derivatives()
+    return DriveIdentification(
+        fit.response.joints,
+        tuple(drives),
+        tuple(counts),
+        mass,
+        _spread(by_mass, fit.covariance),
+        rate,
+        _spread(by_rate, fit.covariance),
+    )
+
+
+def _spread(derivatives: Array, covariance: Array) -> Array:
+    return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives))
 
 
 def _frequencies(name: str, values: ArrayLike) -> Array:
