@@ -220,4 +220,6 @@ def _refuse_unseen(robot: Robot, seen: ComplexArray) -> None:
     else:
         vectors = np.linalg.svd(matrix)[2]
     name = robot.coordinates[int(np.argmax(np.abs(vectors[-1])))]
-    raise ValueError(f"the accelerometers do not see every coordinate: {name} is one that they miss; expected more sensors, or elsewhere")
+    raise ValueError(
+        f"the accelerometers do not see every coordinate: {name} is one that they miss; expected more sensors, or elsewhere"
+    )

@@ -159,8 +159,12 @@ def identify_from_motors(
     drives = stages.run("inverse eigenvalue problem", 0.62, lambda: identify_drives(_there(transfer)), [transfer])
     remarks = list(measured.remarks)
     if controller is None:
-        remarks.append(f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop")
-    grey = stages.run("grey box", 0.65, lambda: _grey_box(campaign.identification, robot, measured, drives, controller, options, tell))
+        remarks.append(
+            f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop"
+        )
+    grey = stages.run(
+        "grey box", 0.65, lambda: _grey_box(campaign.identification, robot, measured, drives, controller, options, tell)
+    )
     return MotorIdentification(
         Path(source), robot, options, measured, transfer, validation, drives, grey,
         tuple(stages.left_out), tuple(remarks), stages.seconds,
@@ -187,7 +191,9 @@ def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
     With the current loop's lag and half a period of the zero-order hold.
     """
     own = controller.for_joints(joints).joints
-    position, velocity, integral = (np.array([getattr(j, f"{x}_gain") for j in own]) for x in ("position", "velocity", "integral"))
+    position, velocity, integral = (
+        np.array([getattr(j, f"{x}_gain") for j in own]) for x in ("position", "velocity", "integral")
+    )
 
     def feedback(hz: Array) -> ComplexArray:
         s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
@@ -342,7 +348,13 @@ def _grey_json(grey: GreyBox | None) -> dict[str, Any] | None:
         return None
     return {
         "parameters": {
-            e.name: {**_quantity(e.value, e.std, e.unit), "low": e.low, "high": e.high, "declared": e.start, "determined": e.determined}
+            e.name: {
+                **_quantity(e.value, e.std, e.unit),
+                "low": e.low,
+                "high": e.high,
+                "declared": e.start,
+                "determined": e.determined,
+            }
             for e in grey.estimates
         },
         "vague_directions": [{"relative_std": d.relative_std, "parts": dict(d.parts)} for d in grey.directions],
@@ -354,7 +366,9 @@ def _grey_json(grey: GreyBox | None) -> dict[str, Any] | None:
 
 
 def write_motor_identification(
-    result: MotorIdentification, folder: str | os.PathLike[str], extra: Iterable[Callable[[MotorIdentification, Path], None]] = ()
+    result: MotorIdentification,
+    folder: str | os.PathLike[str],
+    extra: Iterable[Callable[[MotorIdentification, Path], None]] = (),
 ) -> Path:
     """Write ``frf.json``, the robot with the grey box's values (``robot.toml`` with its URDF), and what else is given; all or nothing."""
     from rx90b_flex.export import save_robot

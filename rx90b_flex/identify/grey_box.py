@@ -23,7 +23,9 @@ from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyRespon
 from rx90b_flex.robot import Robot
 
 WEAK = 2.0  # standard deviation of a logarithm: a factor of 7 either way, which only matters where the data say nothing
-UNDETERMINED = 0.5  # relative standard deviation from the data alone beyond which a direction or parameter is called undetermined
+UNDETERMINED = (
+    0.5  # relative standard deviation from the data alone beyond which a direction or parameter is called undetermined
+)
 VAGUE = 0.1  # the same, beyond which a direction is worth naming
 NAMED = 0.4  # entries of a direction that are named, over its largest
 SMOOTHED = 8  # degrees of freedom that a line's covariance is given by its neighbours, per entry of the response
@@ -145,7 +147,8 @@ class _Motion:
         inverse = np.linalg.inv(sensitivity.mean(axis=0))
         mean = (responses @ sensitivity).mean(axis=0) @ inverse
         return mean, [
-            (one + (mean - each) @ s @ self.feedback, s @ inverse) for each, s in zip(responses, sensitivity, strict=True)
+            (one + (mean - each) @ s @ self.feedback, s @ inverse)
+            for each, s in zip(responses, sensitivity, strict=True)
         ]
 
 
@@ -218,9 +221,7 @@ def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     return max(slope, 1.0)
 
 
-def _pose(
-    robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Sequence[GreyParameter]
-) -> _Pose:
+def _pose(robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Sequence[GreyParameter]) -> _Pose:
     """Matrices with the drives at some angles; drives without a slope stand still, held by their friction.
 
     Parameters
@@ -416,7 +417,9 @@ class _Problem:
             ))  # fmt: skip
             motions.append(motion.coarser(keep))
         whiteners = tuple(_whitener(r.covariance, r) for r in responses)
-        return dataclasses.replace(self, responses=tuple(responses), motions=tuple(motions), whiteners=whiteners, bias=())
+        return dataclasses.replace(
+            self, responses=tuple(responses), motions=tuple(motions), whiteners=whiteners, bias=()
+        )
 
     def minimum(self, start: Array, evaluations: int) -> Array:
         found = optimize.least_squares(
@@ -691,11 +694,15 @@ def _problem(
         if response.joints != joints:
             raise ValueError(f"responses of joints {joints} and {response.joints}; expected the same joints")
         if np.shape(response.pose) != (len(robot.joints),):
-            raise ValueError(f"the response's pose has shape {np.shape(response.pose)}; expected {len(robot.joints)} angles of {robot.name}")
+            raise ValueError(
+                f"the response's pose has shape {np.shape(response.pose)}; expected {len(robot.joints)} angles of {robot.name}"
+            )
     kept = tuple(r.band(*band_hz) for r in given)
     for r, k in zip(given, kept, strict=True):
         if len(k.hz) < 2:
-            raise ValueError(f"{len(k.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz (the response has {len(r.hz)}); expected 2 or more")
+            raise ValueError(
+                f"{len(k.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz (the response has {len(r.hz)}); expected 2 or more"
+            )
     used = _torques(given, torques, band_hz)
     experiments = 1 if used[0] is None else used[0].shape[2]
     parameters = tuple(_parameters(robot, joints, experiments, link_mass_std))
@@ -714,7 +721,9 @@ def _problem(
             each.append(_Motion(poses, back))
         motions.append(_Experiments(tuple(each), _shares(torque, len(joints))))
     whiteners = tuple(_whitener(smoothed_covariance(r)[0], r) for r in kept)
-    return _Problem(parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std)
+    return _Problem(
+        parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std
+    )
 
 
 def _torques(
@@ -727,15 +736,24 @@ def _torques(
     out: list[ComplexArray | None] = []
     for r, torque in zip(given, torques, strict=True):
         shape = np.shape(torque)
-        if len(shape) != 3 or shape[:2] != r.value.shape[:2] or shape[2] != np.shape(torques[0])[2] or shape[2] < shape[1]:
-            raise ValueError(f"torques has shape {shape}; expected {r.value.shape[:2]} and at least as many experiments as joints")
+        if (
+            len(shape) != 3
+            or shape[:2] != r.value.shape[:2]
+            or shape[2] != np.shape(torques[0])[2]
+            or shape[2] < shape[1]
+        ):
+            raise ValueError(
+                f"torques has shape {shape}; expected {r.value.shape[:2]} and at least as many experiments as joints"
+            )
         out.append(np.asarray(torque)[(r.hz >= band_hz[0]) & (r.hz <= band_hz[1])])
     return out
 
 
 def _drawn(problem: _Problem, spread: float, rng: np.random.Generator) -> Array:
     """A random step of the logarithms, no larger than priors allow."""
-    return np.asarray(rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters]))
+    return np.asarray(
+        rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters])
+    )
 
 
 FOLLOWED = 4  # best starts that are followed to their end
@@ -776,7 +794,16 @@ def _result(robot: Robot, problem: _Problem, x: Array, starts: tuple[Start, ...]
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
     estimates = tuple(
-        GreyEstimate(p.name, p.unit, v, v * s, v * math.exp(-reach * s), v * math.exp(reach * s), p.declared, bool(a < UNDETERMINED))
+        GreyEstimate(
+            p.name,
+            p.unit,
+            v,
+            v * s,
+            v * math.exp(-reach * s),
+            v * math.exp(reach * s),
+            p.declared,
+            bool(a < UNDETERMINED),
+        )
         for p, v, s, a in zip(problem.parameters, values.tolist(), std.tolist(), alone.tolist(), strict=True)
     )
     names = [problem.parameters[i].name for i in free]
@@ -814,7 +841,11 @@ def _expected_cost(problem: _Problem, fitted: int) -> tuple[float, float]:
         larger = 1.0 if not np.isfinite(freedom) else freedom / max(freedom - size, 1.0)
         mean += larger * size * lines
         # neighbours share a smoothed covariance, so its error does not average out over them
-        shared = 0.0 if not np.isfinite(freedom) else (larger * size * lines) ** 2 / (freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size)
+        shared = (
+            0.0
+            if not np.isfinite(freedom)
+            else (larger * size * lines) ** 2 / (freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size)
+        )
         variance += larger**2 * size * lines + shared
     return mean - 0.5 * fitted, math.sqrt(variance)
 

@@ -115,9 +115,7 @@ def symmetric_data(response: FrequencyResponse) -> SymmetricData:
     return SymmetricData(2j * np.pi * response.hz, r, target, rest, n)
 
 
-def starting_poles(
-    data: SymmetricData, orders: Iterable[int], powers: Sequence[float] = POWERS
-) -> tuple[PoleSet, ...]:
+def starting_poles(data: SymmetricData, orders: Iterable[int], powers: Sequence[float] = POWERS) -> tuple[PoleSet, ...]:
     """Poles of common-denominator fits by iterated weighted least squares (6.41), for every order and power.
 
     ``min sum |C^-1/2 (N(s) - A(s) P)|^2 / |A_before(s)|^w`` over symmetric numerators N, one degree above A, and the
@@ -153,7 +151,9 @@ def _iterated(
         x = real_rows(rows * scale[:, None, None])
         gram = x.T @ x
         # what is left for A when N has done what it can
-        corner = gram[split:, split:] - gram[split:, :split] @ np.linalg.solve(gram[:split, :split], gram[:split, split:])
+        corner = gram[split:, split:] - gram[split:, :split] @ np.linalg.solve(
+            gram[:split, :split], gram[:split, split:]
+        )
         a = np.linalg.eigh(corner)[1][:, 0]
         step = hessenberg[:order, :order].copy()
         step[:, -1] -= hessenberg[order, order - 1] / a[order] * a[:order]

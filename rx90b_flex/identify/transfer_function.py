@@ -208,9 +208,7 @@ def _start(data: SymmetricData, poles: ComplexArray, layout: _Layout, decay_hz: 
     size = np.einsum("ma,mab,mb->m", left.conj(), residues, left.conj())
     shape = left * np.sqrt(size)[:, None]
     p = poles
-    return TransferFunctions(
-        np.abs(p) / TURN, -p.real / np.abs(p), shape, direct, slope, decay_hz, -drag, np.zeros(n)
-    )
+    return TransferFunctions(np.abs(p) / TURN, -p.real / np.abs(p), shape, direct, slope, decay_hz, -drag, np.zeros(n))
 
 
 # ---- fit ------------------------------------------------------------------------------------------------------
@@ -567,9 +565,7 @@ def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
     return bool(np.any((x <= low)[own] | (x >= high)[own]))
 
 
-def _climb(
-    problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150
-) -> tuple[Array, float]:
+def _climb(problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150) -> tuple[Array, float]:
     """Levenberg-Marquardt within bounds, until a step would lower the cost by less than a hundredth.
 
     The cost is in units of the noise: a tenth of a parameter's standard deviation is worth a hundredth of it.
@@ -634,9 +630,7 @@ def _starts(
         plausible = (f * z > spacing / 4) & (f > bounds.frequency_hz[0]) & (f < bounds.frequency_hz[1])
         poles = one.poles[plausible & (z < bounds.damping_ratio[1])]
         while len(poles) > layout.modes:
-            poles = min(
-                (np.delete(poles, i) for i in range(len(poles))), key=lambda p: residue_fit(problem.data, p)[1]
-            )
+            poles = min((np.delete(poles, i) for i in range(len(poles))), key=lambda p: residue_fit(problem.data, p)[1])
         if len(poles) == layout.modes:
             add(f"linear fit of order {one.order}, w = {one.power:g}", poles)
     if before is not None and len(before.poles) == layout.modes - 1:

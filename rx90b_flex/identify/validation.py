@@ -160,7 +160,9 @@ def _white(fit: TransferFit, white: Whiteness) -> Check:
         if bad
         else "no dynamics are left in the residuals"
     )
-    return Check("whiteness", not bad, f"lags within the 95 % bound: {found}; expected {100 * fewest:.0f} % or more", implies)
+    return Check(
+        "whiteness", not bad, f"lags within the 95 % bound: {found}; expected {100 * fewest:.0f} % or more", implies
+    )
 
 
 def _modes(fit: TransferFit) -> Check:
