@@ -138,7 +138,7 @@ def frf(
     if result.grey is not None:
         table = Table(title=f"{result.robot.name}, from motor signals", title_justify="left")
         for name in ("parameter", "value", "95 % interval", "unit"):
-            table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
+            table.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
         for e in result.grey.estimates:
             said = f"{e.value:.4g}" if e.determined else "not determined"
             table.add_row(e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit)

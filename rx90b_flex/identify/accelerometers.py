@@ -6,9 +6,9 @@ hinges, on which no motor acts, hold
     (s^2 M + K_G) x + (k_i + s d_i) eps_i + s c_j theta_j = 0,      s = jw,
 
 K_G being gravity and springs. They are linear in stiffness k and damping d of each hinge and in the friction slope c of each joint.
-Since the coordinates are noisy on both sides of these equations, each line's equations are weighted with the covariance that the noise
-gives them at the present parameters: maximum likelihood for constrained, noisy coordinates. No drive torque is needed, and so no motor
-constant and no drive inertia.
+Since the coordinates are noisy on both sides of these equations, each line's equations are weighted with the covariance that the
+noise gives them at the present parameters: maximum likelihood for constrained, noisy coordinates. No drive torque is needed, and
+so no motor constant and no drive inertia.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def fit_accelerations(
     """
     hz, measured, covariance = np.asarray(hz, dtype=float), np.asarray(measured), np.asarray(covariance)
     seen = sensor_matrix(robot, angles, sensors, hz)
-    lines, rows, n = seen.shape
+    lines, rows = seen.shape[:2]
     if measured.ndim != 3 or measured.shape[:2] != (lines, rows):
         raise ValueError(f"measured has shape {measured.shape}; expected ({lines}, {rows}, experiments)")
     if covariance.shape != (lines, rows, rows):
@@ -195,7 +195,7 @@ def _equations(robot: Robot, angles: Array) -> _Equations:
         (*(x.format("stiffness") for x in names), *(x.format("damping") for x in names), *(f"{j}.friction_slope" for j in twisting)),
         ("N m/rad",) * len(free) + ("N m s/rad",) * (len(free) + len(twisting)),
         np.concatenate([stiffness, np.maximum(damping, 1e-6 * stiffness), [moving[j] for j in twisting]]),
-        len(free), _known(at, "M")[free], _known(at, "K")[free], hinges, np.concatenate([hinges, *([np.stack(slopes)] if slopes else [])]),
+        len(free), _known(at, "M")[free], _known(at, "K")[free], hinges, np.stack([*hinges, *slopes]),
     )  # fmt: skip
 
 

@@ -53,6 +53,8 @@ class Options:
         To which a joint is equally stiff about both its bending axes, as in table 4.1; 0: not assumed.
     starts, seed : int
         Of the grey box.
+    modes : tuple of int
+        Numbers of modes that the transfer functions try.
     """
 
     band_hz: tuple[float, float] = (8.0, 80.0)
@@ -61,6 +63,7 @@ class Options:
     bending_alike_std: float = 0.1
     starts: int = 8
     seed: int = 0
+    modes: tuple[int, ...] = tuple(range(2, 9))
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ def identify_from_motors(
     began = time.perf_counter()
     measured = estimate_frequency_response(campaign, band_hz=options.band_hz)
     stages.seconds["frequency response"] = time.perf_counter() - began
-    transfer = stages.run("transfer functions", 0.3, lambda: fit_transfer_functions(measured))
+    transfer = stages.run("transfer functions", 0.3, lambda: fit_transfer_functions(measured, options.modes))
     validation = stages.run("validation", 0.6, lambda: validate(_there(transfer)), [transfer])
     drives = stages.run("inverse eigenvalue problem", 0.62, lambda: identify_drives(_there(transfer)), [transfer])
     remarks = list(measured.remarks)
@@ -271,9 +274,9 @@ def _start(robot: Robot, drives: DriveIdentification | None) -> dict[str, float]
 def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
-    ``frequency_response``: lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m. ``transfer_functions``,
-    ``drives`` and ``grey_box`` are null where ``left_out`` says why. Each parameter has value, std and unit; of the grey box also its 95 %
-    interval and whether the data determine it.
+    ``frequency_response``: lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m.
+    ``transfer_functions``, ``drives`` and ``grey_box`` are null where ``left_out`` says why. Each parameter has value, std and unit;
+    of the grey box also its 95 % interval and whether the data determine it.
     """
     measured, options = result.measured, result.options
     noise = measured.noise_covariance
@@ -370,7 +373,7 @@ def write_motor_identification(
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[MotorIdentification, Path], None]] = (),
 ) -> Path:
-    """Write ``frf.json``, the robot with the grey box's values (``robot.toml`` with its URDF), and what else is given; all or nothing."""
+    """Write ``frf.json``, the robot with the grey box's values, and what else is given; all or nothing."""
     from rx90b_flex.export import save_robot
 
     folder = Path(folder)

@@ -1,6 +1,6 @@
 """Physical parameters fitted straight to frequency responses: the grey box.
 
-The model is (3.90) at the poses that were measured, with one viscous slope a joint for its friction. It is linear in its parameters p,
+The model is (3.90) at the poses that were measured, with one viscous slope a joint for its friction. It is linear in its parameters,
 ``Z(p) = s^2 M(p) + s D(p) + K(p)``, ``s = jw``, so that the response ``P = s^2 B^T Z^-1 B`` has the derivative
 ``dP/dp = -s^2 (B^T Z^-1) dZ/dp (Z^-1 B)``. All lines of a pose are worked out together.
 """
@@ -111,16 +111,17 @@ class _Pose:
         s = 2j * np.pi * hz[:, None, None]
         weights = np.concatenate([[1.0], p])
         M, D, K = (np.tensordot(weights, x, axes=1) for x in (self.M, self.D, self.K))
-        return s, np.linalg.inv(s**2 * M + s * D + K)
+        inverse: ComplexArray = np.linalg.inv(s**2 * M + s * D + K)
+        return s, inverse
 
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
     """Poses that a motion passes in one experiment, and the feedback that holds the robot to it.
 
-    The robot changes slowly beside its vibrations, so that at each pose P_q holds. Torque and acceleration of an experiment are means
-    over the poses, and in a loop ``u = S_q r``, ``y = P_q S_q r`` with ``S_q = (I + H P_q)^-1`` both change: what ``Y U^-1`` estimates is
-    ``P = mean(P_q S_q) mean(S_q)^-1``.
+    The robot changes slowly beside its vibrations, so that at each pose P_q holds. Torque and acceleration of an experiment are
+    means over the poses, and in a loop ``u = S_q r``, ``y = P_q S_q r`` with ``S_q = (I + H P_q)^-1`` both change: what
+    ``Y U^-1`` estimates is ``P = mean(P_q S_q) mean(S_q)^-1``.
     """
 
     poses: tuple[_Pose, ...]
@@ -140,9 +141,9 @@ class _Motion:
     def _mean(self, hz: Array, p: Array) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
         """P, and the factors that a change of each P_q comes with in a change of P."""
         responses = np.array([pose.response(hz, p) for pose in self.poses])
-        one = np.eye(responses.shape[-1])
+        one = np.eye(responses.shape[-1], dtype=complex)
         if self.feedback is None or len(self.poses) == 1:
-            return responses.mean(axis=0), [(one, one)] * len(responses)
+            return np.asarray(responses.mean(axis=0)), [(one, one)] * len(responses)
         sensitivity = np.linalg.inv(one + self.feedback @ responses)
         inverse = np.linalg.inv(sensitivity.mean(axis=0))
         mean = (responses @ sensitivity).mean(axis=0) @ inverse
@@ -256,10 +257,11 @@ def _pose(robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Se
             of_link = _of_link(motion, link, robot.link_parameters[10 * b : 10 * b + 10])
             add(index[f"{link}.{MASS}"], of_link)
             add(0, of_link, -1.0)
-    held = [robot.layout.index(j) for j in robot.joints if j not in joints]
-    free = np.setdiff1d(np.arange(n), np.array(held, dtype=int))
+    held = np.array([j not in joints for j in robot.joints])
+    free = np.flatnonzero(~robot.input_matrix[:, held].any(axis=1))
     drives = robot.input_matrix[np.ix_(free, [robot.joints.index(j) for j in joints])]
-    return _Pose(*(x[:, free[:, None], free] for x in (M, D, K)), drives)
+    M, D, K = (x[:, free[:, None], free] for x in (M, D, K))
+    return _Pose(M, D, K, drives)
 
 
 def _of_link(motion: Motion, link: str, parameters: Array) -> tuple[Array, Array, Array]:
@@ -288,6 +290,7 @@ def poses_along(position: Array, count: int = 3) -> Array:
     main = np.linalg.svd(moved, full_matrices=False)[2][0]
     parts = np.array_split(moved[np.argsort(moved @ main)], count)
     picked = np.array([part.mean(axis=0) for part in parts])
+    picked -= picked.mean(axis=0)
     size = np.sqrt((picked**2).mean(axis=0))
     return np.asarray(mean + picked * np.divide(position.std(axis=0), size, out=np.zeros_like(size), where=size > 0))
 
@@ -433,7 +436,7 @@ class _Problem:
 
 def _whitener(covariance: ComplexArray, response: FrequencyResponse) -> ComplexArray:
     try:
-        return np.linalg.inv(np.linalg.cholesky(covariance))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
     except np.linalg.LinAlgError:
         positive = np.linalg.eigvalsh(covariance).min(axis=1) > 0
         where = f"{response.hz[np.argmin(positive)]:.2f} Hz"
@@ -539,7 +542,7 @@ class GreyBox:
     ----------
     estimates : tuple of GreyEstimate
     covariance : array, shape (p, p)
-        Of the logarithms; it allows for residuals that are larger than the noise or alike at neighbouring lines, as a bias leaves them.
+        Of the logarithms; noise, distortion and the stated model errors are in it, and a cost beyond what these explain.
     information : array, shape (p, p)
         Of the data alone, of the logarithms, as if the model were right.
     directions : tuple of Direction
@@ -547,8 +550,8 @@ class GreyBox:
     robot : Robot
         With the drives, flexibilities and (where fitted) links found; its friction is as declared.
     responses, predicted : the data, and the model's responses at its lines.
-    errors : tuple of complex array, shape (F, n*n)
-        Whitened residuals, unit variance where the model is right.
+    errors : tuple of complex array, shape (F * n*n,)
+        Whitened residuals, unit variance where noise, distortion and the stated model error are all that there is.
     cost, expected_cost : float
         Sum of squared whitened residuals, and what it would be without bias.
     cost_limit : float
@@ -608,8 +611,9 @@ def grey_box(
 ) -> GreyBox:
     """Fit drive and joint stiffness, damping, drive inertia and friction slope to frequency responses, by maximum likelihood.
 
-    The errors are circular complex normal with the responses' own covariance. Parameters are fitted as logarithms, from several starts:
-    first on a third of the lines with 30 % of additional error, which smooths the likelihood's narrow valleys, then the best on all lines.
+    The errors are circular complex normal with the responses' own covariance. Parameters are fitted as logarithms, from several
+    starts: first on a third of the lines with 30 % of additional error, which smooths the likelihood's narrow valleys, then the best
+    on all lines.
 
     Parameters
     ----------
@@ -626,14 +630,14 @@ def grey_box(
     link_mass_std : float
         Relative standard deviation to which the links' masses are known; then one factor a link is fitted too. 0: known exactly.
     bending_alike_std : float
-        Relative standard deviation to which a joint is known to be equally stiff (and damped) about both its bending axes, up to their
-        declared ratio: bearings are round. One pose may not tell joints apart that bend about the same axis. 0: not known.
+        Relative standard deviation to which a joint is known to be equally stiff (and damped) about both its bending axes, up to
+        their declared ratio: bearings are round. One pose may not tell joints apart that bend about the same axis. 0: not known.
     fixed : names of parameters that keep their declared values.
     along : sequence of array, shape (S, joints of the robot), rad, optional
-        Of each response, poses that the motion passes, evenly in time (`poses_along`): the model is averaged over them. Otherwise the
-        pose alone.
+        Of each response, poses that the motion passes (`poses_along`), alike in time: the model is averaged over them. Otherwise
+        the pose alone.
     feedback : callable, optional
-        Feedback torque against drive acceleration as a function of frequencies in Hz (`CS8`: `feedback_of`), shape (F, joints, joints).
+        Feedback torque against drive acceleration, (F, joints, joints), as a function of frequencies in Hz.
         With it the average over the poses is that of a closed loop.
     torques : sequence of complex array, shape (F, joints, experiments), optional
         Of each response, the torques of its experiments at one phase realisation. Friction with reversals is steeper where a joint
@@ -715,8 +719,8 @@ def _problem(
     for r, path, torque in zip(kept, passed, used, strict=True):
         back = None if feedback is None else feedback(r.hz)
         each = []
-        for k in range(experiments):
-            slopes = {joint: _slope_name(joint, k, experiments) for joint in joints}
+        for number in range(experiments):
+            slopes = {joint: _slope_name(joint, number, experiments) for joint in joints}
             poses = tuple(_pose(robot, slopes, np.asarray(q, dtype=float), parameters) for q in path)
             each.append(_Motion(poses, back))
         motions.append(_Experiments(tuple(each), _shares(torque, len(joints))))
@@ -757,6 +761,7 @@ def _drawn(problem: _Problem, spread: float, rng: np.random.Generator) -> Array:
 
 
 FOLLOWED = 4  # best starts that are followed to their end
+SAME = 1e-3  # of the logarithms: starts that are so near each other after the coarse fits are followed once
 
 
 def _search(
@@ -772,6 +777,10 @@ def _search(
     problem = problem.with_bias(found[order[0]][2], model_error, friction_error)
     ends: dict[int, tuple[float, Array]] = {}
     for k in order[:FOLLOWED]:
+        same = [other for other in ends if np.abs(found[k][2] - found[other][2]).max() < SAME]
+        if same:
+            ends[k] = ends[same[0]]
+            continue
         tell(f"fit from {found[k][1]}", 0.7 + 0.2 * len(ends) / FOLLOWED)
         x = problem.minimum(found[k][2], 60)
         ends[k] = (problem.cost(x), x)
@@ -782,14 +791,14 @@ def _search(
 
 def _result(robot: Robot, problem: _Problem, x: Array, starts: tuple[Start, ...]) -> GreyBox:
     free = np.flatnonzero(problem.free)
-    errors = problem.errors(x)
+    errors = problem.whitened(problem.errors(x))
     slopes = problem.whitened([d[:, free] for d in problem.slopes(x)])
     information = sum((2.0 * (d.conj().T @ d).real for d in slopes), np.zeros((len(free),) * 2))
-    cost = float(sum((np.abs(e) ** 2).sum() for e in problem.whitened(errors)))
+    cost = float(sum((np.abs(e) ** 2).sum() for e in errors))
     expected, spread = _expected_cost(problem, len(free))
     # covariances from few realisations are too small or too large by a common factor; a cost beyond it is unknown bias
     information /= max(cost / expected, 1.0)
-    covariance = np.linalg.inv(information + problem.prior.T @ problem.prior)
+    covariance: Array = np.asarray(np.linalg.inv(information + problem.prior.T @ problem.prior))
     values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))

@@ -14,6 +14,7 @@ from rx90b_flex.view.page import Section, Table, image, write_page
 from rx90b_flex.view.report import number, unit_text
 
 SHOWN_STARTS = 6
+SHOWN_DIRECTIONS = 4  # vaguest; frf.json has all
 
 
 def write_frf_report(result: MotorIdentification, path: Path) -> None:
@@ -50,10 +51,10 @@ def _bias_words(grey: GreyBox) -> str:
     share = grey.cost / grey.expected_cost
     if grey.bias_detected:
         return (
-            f"The model leaves {share:.2f} times the residual that noise, distortion and the stated model error give: something is missing "
-            "in it, and the intervals are widened by that."
+            f"The model leaves {share:.2f} times the residual that noise, distortion and the stated model error give: something is "
+            "missing in it, and the intervals are widened by that."
         )
-    return f"The residual is {share:.2f} times what noise, distortion and the stated model error give: the data ask for no more than the model."
+    return f"The residual is {share:.2f} times what noise, distortion and the stated model error give: the model is enough."
 
 
 def _physical(result: MotorIdentification) -> Section | None:
@@ -100,17 +101,18 @@ def _physical(result: MotorIdentification) -> Section | None:
             )
         )
     text = ["Fitted straight to the frequency response; links and springs are as declared."]
-    text += [f"Hardly determined, {d.words}." for d in grey.directions]
+    text += [f"Hardly determined, {d.words}." for d in grey.directions[:SHOWN_DIRECTIONS]]
     assumed = result.options.bending_alike_std
     if assumed > 0:
         text.append(
-            f"Assumed: a joint is equally stiff about both its bending axes to {100 * assumed:.0f} % (the source has one number for both)."
+            f"Assumed: a joint is equally stiff about both its bending axes to {100 * assumed:.0f} % "
+            "(the source has one number for both)."
         )
     if result.options.link_mass_std > 0:
         text.append(f"Links' masses are known to {100 * result.options.link_mass_std:.1f} %, and fitted.")
     text.append(
-        "Friction that reverses is not viscous: its slopes are those that serve this motion, one for each experiment, and what they leave "
-        "over is part of the intervals as a model error."
+        "Friction that reverses is not viscous: its slopes are those that serve this motion, one for each experiment, and what they "
+        "leave over is part of the intervals as a model error."
     )
     figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
     return Section("Physical parameters", tuple(text), tuple(tables), (figure,))
