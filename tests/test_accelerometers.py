@@ -88,7 +88,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         for estimate in fit.estimates:
             inside += abs(estimate.value - truth(true, estimate.name)) < 1.96 * estimate.std
             count += 1
-    # 420 intervals, those of one seed not independent: 95 % less three deviations of 20 independent ones' mean would be 80 %
+    # 420 intervals; were those of one seed independent, three deviations were 3 %; they are partly not, which widens it
     assert 0.90 < inside / count < 0.99
     # one cost has the relative deviation 1 / sqrt(complex equations) = 2.3 %, the mean of 20 of them 0.5 %
     assert np.mean(costs) == pytest.approx(1.0, abs=3 * 0.0052)
