@@ -108,7 +108,7 @@ class _Pose:
         return out
 
     def _inverse(self, hz: Array, p: Array) -> tuple[ComplexArray, ComplexArray]:
-        s = 2j * np.pi * hz[:, None, None]
+        s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=complex)
         weights = np.concatenate([[1.0], p])
         M, D, K = (np.tensordot(weights, x, axes=1) for x in (self.M, self.D, self.K))
         inverse: ComplexArray = np.linalg.inv(s**2 * M + s * D + K)
@@ -140,10 +140,10 @@ class _Motion:
 
     def _mean(self, hz: Array, p: Array) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
         """P, and the factors that a change of each P_q comes with in a change of P."""
-        responses = np.array([pose.response(hz, p) for pose in self.poses])
+        responses: ComplexArray = np.array([pose.response(hz, p) for pose in self.poses])
         one = np.eye(responses.shape[-1], dtype=complex)
         if self.feedback is None or len(self.poses) == 1:
-            return np.asarray(responses.mean(axis=0)), [(one, one)] * len(responses)
+            return np.asarray(responses.mean(axis=0), dtype=complex), [(one, one)] * len(responses)
         sensitivity = np.linalg.inv(one + self.feedback @ responses)
         inverse = np.linalg.inv(sensitivity.mean(axis=0))
         mean = (responses @ sensitivity).mean(axis=0) @ inverse
@@ -259,7 +259,7 @@ def _pose(robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Se
             add(0, of_link, -1.0)
     held = np.array([j not in joints for j in robot.joints])
     free = np.flatnonzero(~robot.input_matrix[:, held].any(axis=1))
-    drives = robot.input_matrix[np.ix_(free, [robot.joints.index(j) for j in joints])]
+    drives = robot.input_matrix[free][:, [robot.joints.index(j) for j in joints]]
     M, D, K = (x[:, free[:, None], free] for x in (M, D, K))
     return _Pose(M, D, K, drives)
 
