@@ -132,7 +132,7 @@ def whitening(sensitivity: ArrayLike) -> Array:
 def smoothed_square(samples: int, odd_count: int) -> tuple[Array, Array]:
     """One period of a smoothed square wave of height 1 and of its integral over the phase 0..2 pi, each (samples,).
 
-    The first `odd_count` odd lines of a square wave, and no other line, each with Lanczos's factor, so that it overshoots by 2 % only
+    The first `odd_count` odd lines of a square wave, and no other line, each with Lanczos's factor, so that it overshoots by 2.3 % only
     at its flanks. As a joint's velocity reference it keeps the joint from reversing but twice a period (section 6.5.2).
     """
     angle = 2.0 * np.pi * np.arange(samples) / samples

@@ -23,8 +23,9 @@ from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyRespon
 from rx90b_flex.signals import Campaign, Recording
 
 EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of the largest
+USED = 1e-4  # a joint is excited where its feed-forward exceeds this part of the largest joint's
 SAME = 0.99  # correlation over lines from which two feed-forward spectra are the same multisine's
-OPPOSITE = 1e-6  # relative: how near a feed-forward must come to the negative of another
+OPPOSITE = 1e-2  # relative: how near a feed-forward must come to the negative of another
 WORST_CONDITION = (
     1e3  # of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular
 )
@@ -58,7 +59,7 @@ class Spectra:
     """
 
     hz: Array
-    excited: Array
+    excited: NDArray[np.bool_]
     torque: Array
     acceleration: Array
     torque_noise: Array
@@ -76,7 +77,8 @@ class MeasuredResponse(FrequencyResponse):
     h1, arithmetic_mean : complex array, shape (F, n, n)
         For comparison: ``S_yu S_uu^-1`` and the mean of ``Y U^-1``, both over single periods.
     torque, acceleration : complex array, shape (F, n, E)
-        U and Y brought to the first realisation's phases (6.22-6.25) and averaged (6.29).
+        U of the first realisation, and Y of all mapped to it (6.22-6.25) and averaged (6.29). The source maps to the mean magnitudes
+        of U, entry by entry, (6.23): with (6.50) these are nearly alike and their matrix singular.
     equation_noise : complex array, shape (F, n, n), or None
         Covariance of ``Y - P U`` from noise, of one experiment's mean over periods: ``B C_ZV B^H / periods`` in (6.33).
     equation_total : complex array, shape (F, n, n)
@@ -170,7 +172,7 @@ def _from_feedforward(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     silent = [r.name for r, s in zip(recordings, size, strict=True) if not s.any()]
     if silent:
         raise ValueError(f"recording {silent[0]!r}: feedforward_torque does not change; an excitation is expected")
-    used = size > 1e-9 * size.max()
+    used = size > USED * size.max()
     unit = np.divide(spectra, size[:, None, :], out=np.zeros_like(spectra), where=used[:, None, :])
     places: list[Place] = []
     heads: list[ComplexArray] = []  # of each realisation: its different multisines, (lines, joints) of its runs so far
@@ -330,7 +332,6 @@ def _estimate(
         raise ValueError(
             "one realisation of one period: no covariance can be estimated; record more periods or realisations"
         )
-    common_u, common_y = _to_common_phase(mean_u, mean_y)
     return MeasuredResponse(
         hz=hz,
         value=value,
@@ -342,14 +343,14 @@ def _estimate(
         realisations=single,
         h1=_h1(u, y),
         arithmetic_mean=np.mean(y @ np.linalg.pinv(u), axis=(0, 1)),
-        torque=common_u,
-        acceleration=common_y,
+        torque=mean_u[0],
+        acceleration=np.mean(mean_y @ inverse @ mean_u[0], axis=0),
         equation_noise=noise,
         equation_total=total,
         equation_covariance=_kron(total, spread) / realisations,
         torque_snr=_ratio(mean_u, u),
         acceleration_snr=_ratio(mean_y, y),
-        acceleration_distortion=_level(mean_y) / np.sqrt(np.einsum("fjj->fj", total).real),
+        acceleration_distortion=_over(_level(mean_y), np.einsum("fjj->fj", total).real),
         spectra=spectra,
         places=places,
         periods=periods,
@@ -383,19 +384,6 @@ def _h1(u: ComplexArray, y: ComplexArray) -> ComplexArray:
     return np.asarray(np.sum(y @ adjoint, axis=(0, 1)) @ np.linalg.inv(np.sum(u @ adjoint, axis=(0, 1))))
 
 
-def _to_common_phase(u: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Realisations' spectra (R, F, n, E) brought to the first one's phases and averaged, each (F, n, E).
-
-    (6.23) takes magnitudes entry by entry, which would make U singular for (6.50); here a joint's line is turned by one phase for
-    all experiments, so that their signs stay.
-    """
-    phase = np.einsum("fje,rfje->rfj", u[0].conj(), u)
-    turn = np.divide(phase.conj(), np.abs(phase), out=np.ones_like(phase), where=phase != 0)
-    target = np.mean(turn[..., None] * u, axis=0)
-    to_target = np.linalg.pinv(u) @ target
-    return target, np.mean(y @ to_target, axis=0)
-
-
 def _level(x: ComplexArray) -> Array:
     """Root mean square of each joint's line over realisations and experiments, (R, F, n, E) to (F, n)."""
     return np.asarray(np.sqrt(np.mean(np.abs(x) ** 2, axis=(0, 3))))
@@ -406,7 +394,11 @@ def _ratio(mean: ComplexArray, single: ComplexArray) -> Array:
     if periods < 2:
         return np.full(mean.shape[1:3], np.nan)
     deviation = np.sum(np.abs(single - mean[:, None]) ** 2, axis=1) / (periods - 1)
-    return np.asarray(_level(mean) / np.sqrt(np.mean(deviation, axis=(0, 3))))
+    return _over(_level(mean), np.mean(deviation, axis=(0, 3)))
+
+
+def _over(level: Array, variance: Array) -> Array:
+    return np.divide(level, np.sqrt(variance), out=np.full_like(level, np.inf), where=variance > 0)
 
 
 # ---- from recordings to spectra -------------------------------------------------------------------------------
@@ -458,7 +450,7 @@ def _excited_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
         return recordings[0].joints
     waves = [np.ptp(r.feedforward_torque, axis=0) for r in recordings if r.feedforward_torque is not None]
     moved = np.max(waves, axis=0)
-    return tuple(j for j, size in zip(recordings[0].joints, moved, strict=True) if size > 1e-9 * moved.max())
+    return tuple(j for j, size in zip(recordings[0].joints, moved, strict=True) if size > USED * moved.max())
 
 
 def _sign_pairs(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_Pair]:
@@ -579,7 +571,7 @@ def _regular(
         # a combination of torques that only noise keeps from zero does not count
         noise = np.sum(np.abs(u - mean[:, None]) ** 2, axis=(1, 3, 4)) / (periods - 1) / periods / experiments
         independent &= np.linalg.svd(mean, compute_uv=False)[..., -1] > CLEAR * np.sqrt(noise)
-    kept = independent.all(axis=0)
+    kept = np.asarray(independent.all(axis=0))
     if not kept.any():
         raise ValueError("the experiments' torques are linearly dependent at every line; check the input matrix")
     if not kept.all():

@@ -337,9 +337,18 @@ def _without_tail(plan: Plan, recording: Recording) -> Recording:
     if plan.reference.period_s is None:
         return recording
     count = round(plan.periods * plan.reference.period_s * recording.sample_rate_hz)
-    values = {f.name: getattr(recording, f.name) for f in dataclasses.fields(recording)}
-    cut = {name: value[:count] for name, value in values.items() if isinstance(value, np.ndarray)}
-    return dataclasses.replace(recording, **cut)
+    reference = (recording.reference_position, recording.reference_velocity, recording.feedforward_torque)
+    position, velocity, torque = (None if x is None else x[:count] for x in reference)
+    return dataclasses.replace(
+        recording,
+        time=recording.time[:count],
+        position=recording.position[:count],
+        torque=recording.torque[:count],
+        velocity=None if recording.velocity is None else recording.velocity[:count],
+        reference_position=position,
+        reference_velocity=velocity,
+        feedforward_torque=torque,
+    )
 
 
 class _Spawned(np.random.Generator):

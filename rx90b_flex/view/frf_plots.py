@@ -43,8 +43,8 @@ def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), le
             response.hz, low, size + radius[:, j, k], color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band"
         )
         ax.plot(response.hz, size, color=MEASURED, lw=0.9, label="estimate")
-        for (hz, value, label), style in zip(others, _STYLES * len(others), strict=False):
-            ax.plot(hz, np.abs(value[:, j, k]), **style, label=label)
+        for (hz, value, label), (colour, dash) in zip(others, _STYLES * len(others), strict=False):
+            ax.plot(hz, np.abs(value[:, j, k]), color=colour, ls=dash, lw=1.0, label=label)
         ax.set_yscale("log")
 
     return _entries(response.joints, draw, f"|P|, {UNIT}")
@@ -63,9 +63,9 @@ def phase(response: FrequencyResponse, others: Sequence[Comparison] = (), level:
             response.hz, angle - half, angle + half, color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band"
         )
         ax.plot(response.hz, angle, ".", color=MEASURED, ms=2.5, label="estimate")
-        for (hz, other, label), style in zip(others, _STYLES * len(others), strict=False):
+        for (hz, other, label), (colour, _) in zip(others, _STYLES * len(others), strict=False):
             # points, or every turn from 180 to -180 degrees would draw a line
-            ax.plot(hz, np.rad2deg(np.angle(other[:, j, k])), ".", ms=1.5, color=style["color"], label=label)
+            ax.plot(hz, np.rad2deg(np.angle(other[:, j, k])), ".", ms=1.5, color=colour, label=label)
         ax.set_ylim(-200, 200)
         ax.set_yticks([-180, -90, 0, 90, 180])
 
@@ -138,7 +138,7 @@ def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
         (spectra.torque, spectra.torque_noise, "torque, N m"),
         (spectra.acceleration, spectra.acceleration_noise, "acceleration, rad/s²"),
     )
-    for axes, (signal, noise, label) in zip(grid, rows, strict=True):
+    for row, (axes, (signal, noise, label)) in enumerate(zip(grid, rows, strict=True)):
         for j, (ax, joint) in enumerate(zip(axes, joints, strict=True)):
             ax.plot(
                 spectra.hz[spectra.excited],
@@ -159,18 +159,14 @@ def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
             if np.isfinite(noise).all():
                 ax.plot(spectra.hz, noise[:, j], color=NOISE, lw=0.7, label="noise of a period")
             ax.set_yscale("log")
-            _label(ax, joint, j == 0, label, bottom=axes is grid[-1])
+            _label(ax, joint, j == 0, label, bottom=row == 1)
     grid[0, 0].legend(fontsize=6.5, frameon=False)
     return figure
 
 
 # ---- shared ---------------------------------------------------------------------------------------------------
 
-_STYLES: list[dict[str, object]] = [
-    {"color": MODEL, "ls": "--", "lw": 0.9},
-    {"color": DISTORTION, "ls": ":", "lw": 1.1},
-    {"color": "black", "ls": "-.", "lw": 0.8},
-]
+_STYLES = ((MODEL, "--"), (DISTORTION, ":"), ("black", "-."))
 
 
 def _entries(joints: Sequence[str], draw: Callable[[Axes, int, int], None], label: str) -> Figure:
