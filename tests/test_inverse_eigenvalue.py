@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from two_drives import HZ, MASS, STIFFNESS, noisy, truth
 
+import rx90b_flex as rf
 from rx90b_flex import drive_parameters
+from rx90b_flex.identify.inverse_eigenvalue import (
+    drive_damping,
+    eigenvector_entries,
+    identify_drives,
+    truncated_drive_parameters,
+)
+from rx90b_flex.identify.transfer_function import fit_transfer_functions
 
 # Table 5.1, Hz: the linearised 3-DOF model without its rigid-body modes.
 RESONANCES = [31.3, 41.0, 52.2, 71.3, 82.6, 99.1, 144.7, 249.8, 381.5]
@@ -100,3 +111,146 @@ def test_standard_deviations_are_those_of_many_noisy_tables() -> None:
 def test_bad_input_is_refused_by_name(arguments: tuple[object, ...], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         drive_parameters(*arguments)  # type: ignore[arg-type]
+
+
+# ---- truncation, table 5.2 ------------------------------------------------------------------------------------
+
+# N counts the rigid-body mode: N = 10 keeps all nine. Columns: inertias, stiffnesses in 1e5 N m/rad.
+TABLE_5_2 = {
+    10: (3.10, 1.31, 0.79, 2.80, 2.70, 1.00),
+    9: (3.10, 1.31, 0.79, 2.80, 2.68, 1.00),
+    8: (3.05, 1.31, 0.79, 1.53, 2.47, 1.00),
+    7: (3.04, 1.29, 0.79, 1.46, 2.23, 0.98),
+    6: (3.04, 1.18, 0.79, 1.46, 1.53, 0.97),
+    5: (2.99, 1.07, 0.73, 1.27, 1.03, 0.71),
+    4: (2.92, 0.74, 0.39, 1.08, 0.23, 0.02),
+    3: (2.86, 0.67, 0.35, 0.98, 0.16, 0.00),
+    2: (2.55, 0.42, 0.34, 0.63, 0.03, 0.00),
+    1: (0.57, 0.18, 0.34, 0.00, 0.00, 0.00),
+}
+
+
+@pytest.mark.parametrize("drive", [0, 1, 2])
+def test_the_source_s_truncation_gives_table_5_2_within_the_rounding_of_its_frequencies(drive: int) -> None:
+    zeros = np.array(ANTIRESONANCES[drive])
+    for modes, row in TABLE_5_2.items():
+        kept = modes - 1
+        found = truncated_drive_parameters(RESONANCES, zeros, INERTIAS[drive], kept, "source")
+        # frequencies printed to 0.1 Hz and inertias to 0.01, all worst: relative error of the inertia, then of the squares kept
+        relative = sum(0.1 / f for f in (*RESONANCES[kept:], *zeros[kept:])) + 0.005 / INERTIAS[drive]
+        squares = (2 * np.pi) ** 2 * sum(0.1 * f for f in (*RESONANCES[:kept], *zeros[:kept]))
+        assert abs(found.inertia - row[drive]) < found.inertia * relative + 0.005
+        assert (
+            abs(found.stiffness - 1e5 * row[3 + drive])
+            < found.inertia * squares + 2 * found.stiffness * relative + 500.0
+        )
+
+
+@pytest.mark.parametrize("drive", [0, 1, 2])
+def test_the_exact_truncation_keeps_the_low_frequency_gain_so_that_the_inertia_rises(drive: int) -> None:
+    w, mu, inertia = np.array(RESONANCES), np.array(ANTIRESONANCES[drive]), INERTIAS[drive]
+    found = [truncated_drive_parameters(w, mu, inertia, n) for n in range(10)]
+    gains = [np.prod((mu[:n] / w[:n]) ** 2) / found[n].inertia for n in range(10)]
+    np.testing.assert_allclose(gains, gains[-1], rtol=1e-12)
+    assert all(a.inertia >= b.inertia for a, b in pairwise(found))
+    # without any mode the drive is the rigid robot: table 6.6's 17.0, 1 / (M^-1)_22 and _33 of it
+    rigid = 1.0 / gains[-1]
+    again = drive_parameters(w[:4], mu[:4], rigid_inertia=rigid)
+    np.testing.assert_allclose([again.inertia, again.stiffness], [found[4].inertia, found[4].stiffness], rtol=1e-12)
+
+
+# Tables 6.4 (measured, Hz, with standard deviations) and 6.5 (result).
+MEASURED = [28.4, 30.3, 32.5, 41.0, 44.7, 62.6, 64.1, 67.1, 69.3]
+MEASURED_ZEROS = [
+    [15.1, 28.5, 31.6, 39.8, 42.8, 61.8, 64.6, 68.3, 68.4],
+    [20.8, 29.5, 30.4, 33.0, 44.0, 62.6, 65.7, 66.9, 68.3],
+    [28.2, 30.2, 32.4, 37.7, 44.1, 62.5, 63.1, 64.9, 67.0],
+]
+
+
+@pytest.mark.parametrize(("drive", "inertia", "stiffness"), [(0, 3.54, 1.39e5), (1, 3.63, 1.68e5), (2, 1.47, 0.62e5)])
+def test_table_6_4_gives_table_6_5_within_the_rounding_of_the_frequencies(
+    drive: int, inertia: float, stiffness: float
+) -> None:
+    # a hundredth or less off as printed (1.40, 1.67, 0.63); 18 frequencies rounded to 0.1 Hz leave a standard deviation of
+    # 0.013, 0.014 and 0.006e5
+    spread = [0.1 / np.sqrt(12.0)] * 9
+    found = drive_parameters(
+        MEASURED,
+        MEASURED_ZEROS[drive],
+        drive_inertia=inertia,
+        resonances_std_hz=spread,
+        antiresonances_std_hz=spread,
+        inertia_std=0.01 / np.sqrt(12.0),
+    )
+    assert abs(found.stiffness - stiffness) < 500.0 + 3 * found.stiffness_std
+
+
+# ---- eigenvectors, damping, and all of it from a fit -----------------------------------------------------------
+
+
+def test_eigenvector_entries_are_those_of_the_chain() -> None:
+    mass = np.diag([0.7, 2.0, 1.0, 0.5])
+    k = np.zeros((4, 4))
+    for i, value in enumerate([5.0e4, 3.0e4, 1.0e4]):
+        k[i : i + 2, i : i + 2] += value * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    free, locked, _ = chain(0.7, 5.0e4)
+    expected = np.abs(eigh(k, mass)[1][0])  # mass-normalised
+    found = eigenvector_entries(free, locked, 0.7)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    # (5.53), the source's sum, is the trace form
+    source = 0.7**2 * ((found[1:] * 2 * np.pi * free) ** 2).sum()
+    assert source == pytest.approx(drive_parameters(free, locked, drive_inertia=0.7).stiffness, rel=1e-9)
+
+
+@pytest.mark.parametrize("drive", [0, 1, 2])
+def test_damping_of_a_drive_follows_from_the_real_parts_under_friction(drive: int) -> None:
+    robot = rf.load_robot("rx90b_3dof")
+    drives = [robot.coordinates.index(f"{j}:drive") for j in robot.joints]
+    q, v = np.zeros(12), np.zeros(12)
+    q[drives[1]], v[drives] = np.pi / 2, 0.11
+    line = robot.linearize(q, v)
+    free = np.delete(np.arange(12), drives[drive])
+
+    def poles(at: np.ndarray) -> np.ndarray:
+        m, d, k = (x[np.ix_(at, at)] for x in (line.M, line.D, line.K))
+        n = len(at)
+        return np.linalg.eigvals(
+            np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(m, k), -np.linalg.solve(m, d)]])
+        )
+
+    found = drive_damping(poles(np.arange(12)), poles(free), INERTIAS[drive])
+    # what the coordinates' velocities add to the drive's own row is C0, absent at the drives in joint angles
+    assert found == pytest.approx([280.0, 270.0, 100.0][drive], rel=1e-6)
+
+
+def test_drives_and_rigid_mass_from_a_fit_lie_within_their_standard_deviations() -> None:
+    rng = np.random.default_rng(11)
+    fit = fit_transfer_functions(noisy(truth(HZ), HZ, 0.005, rng), 3)
+    told = identify_drives(fit)
+    rigid = np.linalg.inv((v := eigh(STIFFNESS, MASS)[1][:2, :2]) @ v.T)
+    for j, (inertia, stiffness) in enumerate([(2.0, 6.0e4), (1.0, 9.0e4)]):
+        assert abs(told.drives[j].inertia - inertia) < 4 * told.drives[j].inertia_std
+        assert abs(told.drives[j].stiffness - stiffness) < 4 * told.drives[j].stiffness_std
+    assert (np.abs(told.rigid_mass - rigid) < 4 * told.rigid_mass_std).all()
+    # damping is 2e-4 s times the stiffness: each mode decays with half of that times its frequency squared
+    expected = 1e-4 * (2 * np.pi * fit.resonances_hz) ** 2
+    assert (np.abs(told.decay_rate - expected) < 4 * told.decay_rate_std).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (([30.0], [20.0], 1.0, 2), "expected 0 to 1"),
+        (([30.0], [20.0], 1.0, 1, "other"), "expected 'exact' or 'source'"),
+        (([30.0, 40.0], [20.0], 1.0, 1), "2 resonances and 1"),
+    ],
+)
+def test_bad_truncations_are_refused_by_name(arguments: tuple[object, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        truncated_drive_parameters(*arguments)  # type: ignore[arg-type]
+
+
+def test_frequencies_that_do_not_alternate_are_refused() -> None:
+    with pytest.raises(ValueError, match="do not alternate"):
+        eigenvector_entries([30.0, 40.0], [32.0, 45.0], 1.0)

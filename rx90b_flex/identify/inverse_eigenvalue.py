@@ -119,7 +119,8 @@ def truncated_drive_parameters(
     kept : int
         n, 0 to N. Table 5.2 counts one more: its N includes the rigid-body mode.
     convention : str
-        ``exact``, or ``source``: table 5.2 divides where this multiplies, so that its inertia falls.
+        ``exact``, or ``source``, as table 5.2 was made: it divides where this multiplies, so that its inertia falls, and scales
+        the eigenvectors in (5.53) by the true inertia, so that its stiffness is ``J_n^2 / J (sum w_r^2 - sum mu_r^2)``.
 
     Raises
     ------
@@ -134,9 +135,10 @@ def truncated_drive_parameters(
     if convention not in ("exact", "source"):
         raise ValueError(f"convention is {convention!r}; expected 'exact' or 'source'")
     lost = float(np.prod((w[kept:] / mu[kept:]) ** 2))
-    inertia = drive_inertia * (lost if convention == "exact" else 1.0 / lost)
     difference = float((w[:kept] ** 2).sum() - (mu[:kept] ** 2).sum())
-    return DriveParameters(inertia, inertia * difference, 0.0, 0.0)
+    if convention == "source":
+        return DriveParameters(drive_inertia / lost, drive_inertia / lost**2 * difference, 0.0, 0.0)
+    return DriveParameters(drive_inertia * lost, drive_inertia * lost * difference, 0.0, 0.0)
 
 
 def eigenvector_entries(resonances_hz: ArrayLike, antiresonances_hz: ArrayLike, drive_inertia: float) -> Array:
@@ -163,7 +165,8 @@ def eigenvector_entries(resonances_hz: ArrayLike, antiresonances_hz: ArrayLike, 
         squares.append(-(mu[r] - at) / at * np.prod((np.delete(mu, r) - at) / (others - at)))
     if min(squares) < 0:
         raise ValueError(
-            f"resonances and antiresonances do not alternate: mode {int(np.argmin(squares))} would have a negative share of the inertia"
+            f"resonances and antiresonances do not alternate: mode {int(np.argmin(squares))} would have a "
+            "negative share of the inertia"
         )
     return np.sqrt(np.array(squares) / drive_inertia)
 
@@ -253,7 +256,7 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
 
 
 def _spread(derivatives: Array, covariance: Array) -> Array:
-    return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives))
+    return np.asarray(np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives)), dtype=float)
 
 
 def _frequencies(name: str, values: ArrayLike) -> Array:

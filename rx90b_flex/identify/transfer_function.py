@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,6 +155,7 @@ class _Layout:
         n, k = self.size, self.entries
         own, rest = np.split(x, [self.modes * (2 + 2 * n)])
         own = own.reshape(self.modes, -1)
+        delay: Array
         direct, slope, decay, drag, delay = np.split(rest, np.cumsum([k, k, 1, k]))
         full = symmetric_basis(n)
         return TransferFunctions(
@@ -247,7 +249,8 @@ class Candidate:
     started : str
         Where its poles came from.
     bound : bool
-        Whether a mode ended on a bound: then it is no mode of the band, and the candidate stands back behind those without.
+        Whether a mode not above the lines ended on a bound: then it is no mode of the band, and candidates without such
+        modes go before.
     """
 
     modes: int
@@ -413,17 +416,18 @@ def fit_transfer_functions(
     if criterion not in ("mdl", "aic"):
         raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
     response = _without(response, leave_out_hz)
-    n, bounds = len(response.joints), _filled(bounds or Bounds(), response)
+    n, high = len(response.joints), float(response.hz[-1]) if len(response.hz) else 1.0
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
     count = {"none": 0, "common": 1, "each": n}[delays]
-    layouts = {m: _Layout(m, n, float(response.hz[-1]), count) for m in tried}
+    layouts = {m: _Layout(m, n, high, count) for m in tried}
     rows = 2 * len(response.hz) * n * n
-    needed = layouts[max(tried)].count
+    needed = max((layout.count for layout in layouts.values()), default=0)
     if not tried or min(tried) < 1 or rows < 2 * needed:
         raise ValueError(
-            f"{len(response.hz)} lines give {rows} numbers for {needed} parameters of {max(tried, default=0)} modes; expected modes "
-            "from 1 on and twice as many numbers as parameters"
+            f"{len(response.hz)} lines give {rows} numbers for the {needed} parameters of {max(tried, default=0)} modes; "
+            "expected modes from 1 on and twice as many numbers as parameters"
         )
+    bounds = _filled(bounds or Bounds(), response)
     problem = _Problem(response)
     sets: tuple[PoleSet, ...] = ()
     if start is None:
@@ -560,9 +564,11 @@ def _limits(layout: _Layout, bounds: Bounds) -> tuple[Array, Array]:
 
 
 def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
+    """Whether a mode not above the lines sits on a bound. Above them a broad one may stand for all that lies there."""
     low, high = _limits(layout, bounds)
-    own = np.arange(layout.modes * (2 + 2 * layout.size))  # the friction's pole and delays may well end there
-    return bool(np.any((x <= low)[own] | (x >= high)[own]))
+    width = 2 + 2 * layout.size
+    at = ((x <= low) | (x >= high))[: layout.modes * width].reshape(layout.modes, width).any(axis=1)
+    return bool(np.any(at & (x[: layout.modes * width : width] <= layout.high_hz)))
 
 
 def _climb(problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150) -> tuple[Array, float]:
@@ -636,15 +642,20 @@ def _starts(
     if before is not None and len(before.poles) == layout.modes - 1:
         low, high = problem.response.hz[0], problem.response.hz[-1]
         typical = float(np.median(before.damping_ratio))
-        for f in np.geomspace(low, 1.4 * high, 40):
-            add("one mode more", np.append(before.poles, TURN * f * (-typical + 1j * np.sqrt(1 - typical**2))))
+        inside, above = np.geomspace(low, high, 30), np.geomspace(1.05 * high, bounds.frequency_hz[1], 6)[:-1]
+        for told, places, damping in (
+            ("one mode more", inside, (typical,)),
+            ("a mode above the band", above, (typical, 0.2, 0.4)),
+        ):
+            for f, z in product(places.tolist(), damping):
+                add(told, np.append(before.poles, complex(TURN * f * (-z + 1j * np.sqrt(1 - z**2)))))
     if not found:
         f = np.geomspace(problem.response.hz[0], problem.response.hz[-1], layout.modes + 2)[1:-1]
         add("spread over the band", TURN * f * (-0.05 + 1j))
     found.sort(key=lambda item: item[0])
     chosen: list[tuple[float, str, ComplexArray]] = []
     for item in found:  # the best of each kind
-        if item[1].split(" ")[0] not in {c[1].split(" ")[0] for c in chosen}:
+        if item[1].split(" of ")[0] not in {c[1].split(" of ")[0] for c in chosen}:
             chosen.append(item)
     return [(told, _start(problem.data, poles, layout, decay)) for _, told, poles in chosen]
 

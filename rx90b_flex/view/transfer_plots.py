@@ -1,0 +1,138 @@
+"""Figures of fitted transfer functions: magnitude and errors with bands, correlation of residuals, stabilisation over orders."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frequency_response import ComplexArray
+from rx90b_flex.identify.transfer_function import TransferFit
+from rx90b_flex.identify.validation import LEVEL, whiteness
+from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN
+
+PANEL_IN = 1.9  # height of a row
+BAND = float(np.sqrt(-np.log(1 - LEVEL)))  # half width of a complex number's 95 % band in standard deviations
+
+
+def magnitudes(fit: TransferFit, truth: ComplexArray | None = None) -> Figure:
+    """Magnitude of each entry on and above the diagonal: estimate, fit with its band, and the truth where known (figure 6.5).
+
+    Parameters
+    ----------
+    truth : complex array, shape (F, n, n), optional
+        At the lines of the fit.
+    """
+    hz, n = fit.response.hz, len(fit.response.joints)
+    figure, axes = _grid(n)
+    model, std = fit.model.frf(hz), fit.frf_std(hz)
+    for (j, k), ax in axes.items():
+        size = np.abs(model[:, j, k])
+        ax.fill_between(
+            hz,
+            np.maximum(size - BAND * std[:, j, k], 1e-2 * size),
+            size + BAND * std[:, j, k],
+            color=AFTER,
+            alpha=0.25,
+            linewidth=0,
+        )
+        ax.semilogy(hz, np.abs(fit.response.value[:, j, k]), ".", color=MEASURED, markersize=3, label="estimate")
+        if truth is not None:
+            ax.semilogy(hz, np.abs(truth[:, j, k]), color=FLOOR, linewidth=0.8, label="truth")
+        ax.semilogy(hz, size, color=AFTER, linewidth=1.1, label=f"fit, {100 * LEVEL:.0f} % band")
+        _title(ax, fit, j, k)
+    _finish(figure, axes, "|P|, rad/s² per N m")
+    return figure
+
+
+def differences(fit: TransferFit, truth: ComplexArray | None = None) -> Figure:
+    """Estimate minus fit, with the 95 % bands of both (figure 6.12); with the truth, fit minus truth too."""
+    hz, n = fit.response.hz, len(fit.response.joints)
+    figure, axes = _grid(n)
+    model = fit.model.frf(hz)
+    left, own, data = np.abs(fit.response.value - model), BAND * fit.frf_std(hz), BAND * fit.response.std()
+    for (j, k), ax in axes.items():
+        ax.semilogy(hz, left[:, j, k], ".", color=MEASURED, markersize=3, label="estimate − fit")
+        ax.semilogy(hz, data[:, j, k], ":", color=BEFORE, linewidth=1.1, label="band of the estimate")
+        ax.semilogy(hz, own[:, j, k], "--", color=AFTER, linewidth=1.1, label="band of the fit")
+        if truth is not None:
+            ax.semilogy(hz, np.abs(model - truth)[:, j, k], color=FLOOR, linewidth=0.8, label="fit − truth")
+        _title(ax, fit, j, k)
+    _finish(figure, axes, "|ΔP|, rad/s² per N m")
+    return figure
+
+
+def residual_correlation(fit: TransferFit) -> Figure:
+    """Correlation of the weighted residuals of each output over lines apart, with its 95 % bound (figures 6.6 and 6.13)."""
+    white, joints = whiteness(fit), fit.response.joints
+    figure = Figure(figsize=(WIDTH_IN, 1.3 * len(joints) + 0.6), layout="constrained")
+    rows = figure.subplots(len(joints), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+    for j, ax in enumerate(rows):
+        _plain_axes(ax)
+        ax.plot([0, *white.lag], [1, *np.abs(white.correlation[:, j])], ".-", color=AFTER, markersize=3, linewidth=0.7)
+        ax.plot(white.lag, white.bound, "--", color=BEFORE, linewidth=1.1, label="95 % bound")
+        ax.set_title(f"{joints[j]}: {100 * white.inside[j]:.0f} % of lags within the bound", fontsize=9, loc="left")
+        ax.set_ylabel("correlation", fontsize=9)
+    rows[-1].set_xlabel("lines apart", fontsize=9)
+    rows[0].legend(fontsize=8, frameon=False, loc="upper right")
+    return figure
+
+
+def stabilisation(fit: TransferFit) -> Figure:
+    """Poles of the linear fits over their order, and the modes that the likelihood kept."""
+    figure = Figure(figsize=(WIDTH_IN, 3.0), layout="constrained")
+    ax = figure.subplots()
+    _plain_axes(ax)
+    orders = sorted({one.order for one in fit.pole_sets})
+    for colour, mark, power in zip(
+        (AFTER, BEFORE, FLOOR, MEASURED), "osx+", sorted({one.power for one in fit.pole_sets}), strict=False
+    ):
+        chosen = [one for one in fit.pole_sets if one.power == power]
+        f = np.concatenate([one.frequencies_hz for one in chosen])
+        order = np.concatenate([np.full(len(one.poles), one.order) for one in chosen])
+        ax.plot(f, order, mark, color=colour, markersize=4, fillstyle="none", label=f"w = {power:g}")
+    for f in fit.resonances_hz:
+        ax.axvline(f, color=MEASURED, linewidth=0.8, zorder=0)
+    ax.set_xlim(0, 1.15 * fit.response.hz[-1])
+    ax.set_yticks(orders)
+    ax.set_xlabel("frequency of the pole, Hz (lines: modes of the fit)", fontsize=9)
+    ax.set_ylabel("order of the linear fit", fontsize=9)
+    ax.legend(fontsize=8, frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    return figure
+
+
+def _grid(n: int) -> tuple[Figure, dict[tuple[int, int], Axes]]:
+    """One panel an entry on and above the diagonal, the rest empty."""
+    width = WIDTH_IN * max(1.0, n / 2)
+    figure = Figure(figsize=(width, PANEL_IN * n + 0.4), layout="constrained")
+    grid = figure.subplots(n, n, squeeze=False, sharex=True)
+    for j in range(n):
+        for k in range(j):
+            grid[j, k].set_axis_off()
+    axes = {(j, k): grid[j, k] for j in range(n) for k in range(j, n)}
+    for ax in axes.values():
+        _plain_axes(ax)
+    return figure, axes
+
+
+def _finish(figure: Figure, axes: dict[tuple[int, int], Axes], label: str) -> None:
+    for (j, k), ax in axes.items():
+        if j == k:  # nothing stands below it or to its left
+            ax.set_xlabel("frequency, Hz", fontsize=9)
+            ax.set_ylabel(label, fontsize=9)
+            ax.tick_params(labelbottom=True)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.02, 0.03))
+
+
+def _title(ax: Axes, fit: TransferFit, j: int, k: int) -> None:
+    names: Array | tuple[str, ...] = fit.response.joints
+    ax.set_title(f"{names[j]} from {names[k]}", fontsize=9, loc="left")
+
+
+def _plain_axes(ax: Axes) -> None:
+    ax.tick_params(labelsize=8)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(color="#e6e6e6", linewidth=0.5)
+    ax.set_axisbelow(True)
