@@ -111,7 +111,7 @@ class _Pose:
         s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=complex)
         weights = np.concatenate([[1.0], p])
         M, D, K = (np.tensordot(weights, x, axes=1) for x in (self.M, self.D, self.K))
-        inverse: ComplexArray = np.linalg.inv(s**2 * M + s * D + K)
+        inverse: ComplexArray = np.asarray(np.linalg.inv(s**2 * M + s * D + K), dtype=complex)
         return s, inverse
 
 
@@ -136,14 +136,16 @@ class _Motion:
         out = np.zeros((len(p), *mean.shape), dtype=complex)
         for pose, (left, right) in zip(self.poses, each, strict=True):
             out += left @ pose.derivatives(hz, p) @ right
-        return out / len(self.poses)
+        out /= len(self.poses)
+        return out
 
     def _mean(self, hz: Array, p: Array) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
         """P, and the factors that a change of each P_q comes with in a change of P."""
         responses: ComplexArray = np.array([pose.response(hz, p) for pose in self.poses])
         one = np.eye(responses.shape[-1], dtype=complex)
         if self.feedback is None or len(self.poses) == 1:
-            return np.asarray(responses.mean(axis=0), dtype=complex), [(one, one)] * len(responses)
+            plain: ComplexArray = np.asarray(responses.mean(axis=0), dtype=np.complex128)
+            return plain, [(one, one)] * len(responses)
         sensitivity = np.linalg.inv(one + self.feedback @ responses)
         inverse = np.linalg.inv(sensitivity.mean(axis=0))
         mean = (responses @ sensitivity).mean(axis=0) @ inverse

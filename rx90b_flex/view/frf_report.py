@@ -9,7 +9,7 @@ import numpy as np
 
 from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
-from rx90b_flex.view import frf_plots, grey_plots
+from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import Section, Table, image, write_page
 from rx90b_flex.view.report import number, unit_text
 
@@ -168,14 +168,17 @@ def _modes(result: MotorIdentification) -> Section | None:
         zeros += [(joint.replace("_", " "), f"{f:.2f}", f"{s:.2f}") for f, s in zip(hz, std, strict=True)]
     antiresonances = Table(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped")
     tables = [resonances, antiresonances]
-    images = []
     if tests is not None:
         rows = tuple((c.name, "pass" if c.passed else "fail", c.found, c.implies) for c in tests.checks)
         tables.append(Table(("test", "", "found", "what it implies"), rows, "Validation", ()))
-        figure = grey_plots.correlation(tests.whiteness, fit.response.joints)
-        images.append(image(figure, "Correlation of residuals", "Correlation of the residuals along the lines"))
+    correlation = image(
+        transfer_plots.residual_correlation(fit),
+        "Correlation of residuals",
+        "Correlation of the residuals along the lines",
+    )
+    stable = image(transfer_plots.stabilisation(fit), "Poles of fits of several orders", "Stabilisation diagram")
     text = f"{len(fit.resonances_hz)} modes, chosen from {', '.join(str(c.modes) for c in fit.candidates)}."
-    return Section("Transfer functions", (text,), tuple(tables), tuple(images))
+    return Section("Transfer functions", (text,), tuple(tables), (correlation, stable))
 
 
 def _residuals(result: MotorIdentification) -> Section | None:

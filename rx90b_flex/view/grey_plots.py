@@ -1,4 +1,4 @@
-"""Figures of a grey box and of the residuals along frequency.
+"""Figures of a grey box.
 
 Each function takes results and returns a `matplotlib.figure.Figure`; none knows of a window or of pyplot.
 """
@@ -8,9 +8,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.grey_box import GreyBox
-from rx90b_flex.identify.validation import Whiteness
 
 ESTIMATE, DECLARED, BOUND = "#0072b2", "#d55e00", "#8a8a8a"
 WIDTH_IN = 8.7  # that of a three by three grid of responses
@@ -56,19 +54,6 @@ def residuals(grey: GreyBox, response: int = 0) -> Figure:
     ax.axhline(1.0 + 1.645 / np.sqrt(entries), color=BOUND, lw=0.8, ls="--", label="95 % of right models below")
     ax.set_ylim(0.0, max(3.0, 1.1 * float(np.percentile(size, 98))))
     _axes(ax, "frequency, Hz", "squared residual over its variance, -")
-    return figure
-
-
-def correlation(white: Whiteness, joints: tuple[str, ...]) -> Figure:
-    """Correlation of the residuals along the lines with its 95 % bound (figure 6.6 of the source)."""
-    figure = Figure(figsize=(WIDTH_IN, 2.4), layout="constrained")
-    axes = figure.subplots(1, len(joints), squeeze=False, sharey=True)[0]
-    values: Array = np.abs(white.correlation)
-    for j, (ax, joint) in enumerate(zip(axes, joints, strict=True)):
-        ax.plot(white.lag, values[:, j], ".", color=ESTIMATE, ms=3, label="residuals")
-        ax.plot(white.lag, white.bound, color=BOUND, lw=0.9, ls="--", label="95 % bound")
-        ax.set_title(joint.replace("_", " "), fontsize=8)
-        _axes(ax, "lag, lines", "correlation, -" if j == 0 else "")
     return figure
 
 
