@@ -101,6 +101,54 @@ def demo(
 
 
 @app.command()
+def frf(
+    campaign: Annotated[
+        Path, typer.Argument(help="Campaign file (TOML): periodic excitation with feed-forward torque.")
+    ],
+    out: Out,
+    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 8.0,
+    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
+    controller: Annotated[
+        Path | None, typer.Option(help="Controller file; controller.toml beside CAMPAIGN otherwise.")
+    ] = None,
+    link_mass_std: Annotated[float, typer.Option(help="Relative uncertainty of the links' masses; 0: known.")] = 0.0,
+    bending_alike_std: Annotated[
+        float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
+    ] = 0.1,
+    seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
+) -> None:
+    """Identify stiffness, damping and drive inertia from the motor signals of CAMPAIGN alone."""
+    from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
+    from rx90b_flex.signals.folders import check_folder
+    from rx90b_flex.view.frf_report import write_frf_report
+
+    check_folder(out)
+    if not 0.0 < low_hz < high_hz:
+        raise ValueError(f"the band is {low_hz:g} to {high_hz:g} Hz; expected a low and a higher frequency above 0")
+    if link_mass_std < 0.0 or bending_alike_std < 0.0:
+        raise ValueError(
+            f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
+        )
+    options = Options((low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed)
+    with _progress() as tell:
+        result = identify_from_motors(campaign, options, tell)
+        tell("writing the report", 0.97)
+        write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")])
+    console = Console()
+    if result.grey is not None:
+        table = Table(title=f"{result.robot.name}, from motor signals", title_justify="left")
+        for name in ("parameter", "value", "95 % interval", "unit"):
+            table.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
+        for e in result.grey.estimates:
+            said = f"{e.value:.4g}" if e.determined else "not determined"
+            table.add_row(e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit)
+        console.print(table)
+    for left in result.left_out:
+        console.print(f"Left out: {left.stage}: {left.why}", soft_wrap=True, markup=False)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+@app.command()
 def flexify(
     robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
     out: Annotated[Path, typer.Option("--out", help="URDF to write.")],

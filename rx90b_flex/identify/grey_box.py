@@ -1,0 +1,873 @@
+"""Physical parameters fitted straight to frequency responses: the grey box.
+
+The model is (3.90) at the poses that were measured, with one viscous slope a joint for its friction. It is linear in its parameters,
+``Z(p) = s^2 M(p) + s D(p) + K(p)``, ``s = jw``, so that the response ``P = s^2 B^T Z^-1 B`` has the derivative
+``dP/dp = -s^2 (B^T Z^-1) dZ/dp (Z^-1 B)``. All lines of a pose are worked out together.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize, stats
+
+from rx90b_flex.effects import Effect, close_match
+from rx90b_flex.effects.motion import Array, Mask, Motion
+from rx90b_flex.export import with_link_parameters
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.robot import Robot
+
+WEAK = 2.0  # standard deviation of a logarithm: a factor of 7 either way, which only matters where the data say nothing
+UNDETERMINED = (
+    0.5  # relative standard deviation from the data alone beyond which a direction or parameter is called undetermined
+)
+VAGUE = 0.1  # the same, beyond which a direction is worth naming
+NAMED = 0.4  # entries of a direction that are named, over its largest
+SMOOTHED = 8  # degrees of freedom that a line's covariance is given by its neighbours, per entry of the response
+OWN = 3.0  # a line whose variance exceeds its neighbours' mean by this keeps its own: an interfering line
+COARSE = 0.3  # part of |P| taken as an additional error where the search from many starts begins
+MODEL_ERROR = 0.01  # of |P|: what separates the response of a moving robot from the model after all that is averaged (see `grey_box`)
+FRICTION_ERROR = 0.5  # of a friction slope: what separates sliding friction with reversals from a viscous one
+REACH_HZ = 5.0  # over which these errors stay alike
+KINDS = {
+    "drive_inertia.inertia": "drive_inertia",
+    "drive_flexibility.stiffness": "drive_stiffness",
+    "drive_flexibility.damping": "drive_damping",
+    "joint_flexibility.stiffness": "joint_stiffness",
+    "joint_flexibility.damping": "joint_damping",
+    "base_flexibility.stiffness": "base_stiffness",
+    "base_flexibility.damping": "base_damping",
+}
+SLOPE, MASS = "friction_slope", "mass_factor"
+
+Progress = Callable[[str, float], None]
+Feedback = Callable[[Array], ComplexArray]
+
+
+# ---- the model as a function of its parameters ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GreyParameter:
+    """One fitted parameter; positive, and fitted as its logarithm.
+
+    Attributes
+    ----------
+    name : str
+        Place and kind: ``joint_2.drive_stiffness``, ``joint_2.joint_stiffness_1`` (``bend_1``), ``joint_2.friction_slope``,
+        ``link_2.mass_factor`` (all ten inertial parameters of the link are multiplied by it).
+    unit : str
+    declared : float
+        Value of the robot; for a friction slope the one that its friction has on average where it moves.
+    prior_std : float
+        Of the logarithm, about the declared value.
+    """
+
+    name: str
+    unit: str
+    declared: float
+    prior_std: float
+
+    @property
+    def words(self) -> str:
+        """The name as it stands in a sentence."""
+        place, kind = self.name.rsplit(".", 1)
+        return f"{place} {kind.replace('_', ' ')}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """Matrices at one pose: what is fixed, and what one unit of each parameter adds; each of shape (p + 1, n, n)."""
+
+    M: Array
+    D: Array
+    K: Array
+    drives: Array  # (n, joints), B
+
+    def response(self, hz: Array, p: Array) -> ComplexArray:
+        """P, shape (F, joints, joints)."""
+        s, inverse = self._inverse(hz, p)
+        return s**2 * (self.drives.T @ inverse @ self.drives)
+
+    def derivatives(self, hz: Array, p: Array) -> ComplexArray:
+        """dP/dp, shape (p, F, joints, joints)."""
+        s, inverse = self._inverse(hz, p)
+        left, right = self.drives.T @ inverse, inverse @ self.drives
+        out = np.zeros((len(p), len(hz), left.shape[1], left.shape[1]), dtype=complex)
+        for power, pattern in ((2, self.M), (1, self.D), (0, self.K)):
+            for i in np.flatnonzero(pattern[1:].any(axis=(1, 2))):
+                # most patterns touch one or two coordinates
+                at = np.flatnonzero(pattern[i + 1].any(axis=0) | pattern[i + 1].any(axis=1))
+                middle = pattern[i + 1][np.ix_(at, at)]
+                out[i] -= s ** (2 + power) * (left[:, :, at] @ middle @ right[:, at])
+        return out
+
+    def _inverse(self, hz: Array, p: Array) -> tuple[ComplexArray, ComplexArray]:
+        s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=complex)
+        weights = np.concatenate([[1.0], p])
+        M, D, K = (np.tensordot(weights, x, axes=1) for x in (self.M, self.D, self.K))
+        inverse: ComplexArray = np.asarray(np.linalg.inv(s**2 * M + s * D + K), dtype=complex)
+        return s, inverse
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Poses that a motion passes in one experiment, and the feedback that holds the robot to it.
+
+    The robot changes slowly beside its vibrations, so that at each pose P_q holds. Torque and acceleration of an experiment are
+    means over the poses, and in a loop ``u = S_q r``, ``y = P_q S_q r`` with ``S_q = (I + H P_q)^-1`` both change: what
+    ``Y U^-1`` estimates is ``P = mean(P_q S_q) mean(S_q)^-1``.
+    """
+
+    poses: tuple[_Pose, ...]
+    feedback: ComplexArray | None  # H: torque against acceleration, (F, joints, joints)
+
+    def response(self, hz: Array, p: Array) -> ComplexArray:
+        return self._mean(hz, p)[0]
+
+    def derivatives(self, hz: Array, p: Array) -> ComplexArray:
+        """Shape (p, F, joints, joints)."""
+        mean, each = self._mean(hz, p)
+        out = np.zeros((len(p), *mean.shape), dtype=complex)
+        for pose, (left, right) in zip(self.poses, each, strict=True):
+            out += left @ pose.derivatives(hz, p) @ right
+        out /= len(self.poses)
+        return out
+
+    def _mean(self, hz: Array, p: Array) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
+        """P, and the factors that a change of each P_q comes with in a change of P."""
+        responses: ComplexArray = np.array([pose.response(hz, p) for pose in self.poses])
+        one = np.eye(responses.shape[-1], dtype=complex)
+        if self.feedback is None or len(self.poses) == 1:
+            plain: ComplexArray = np.asarray(responses.mean(axis=0), dtype=np.complex128)
+            return plain, [(one, one)] * len(responses)
+        sensitivity = np.linalg.inv(one + self.feedback @ responses)
+        inverse = np.linalg.inv(sensitivity.mean(axis=0))
+        mean = (responses @ sensitivity).mean(axis=0) @ inverse
+        return mean, [
+            (one + (mean - each) @ s @ self.feedback, s @ inverse)
+            for each, s in zip(responses, sensitivity, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Experiments:
+    """What ``Y U^-1`` estimates where each experiment k has its own friction: ``P = sum_k P_k u_k (U^-1)_k``."""
+
+    motions: tuple[_Motion, ...]
+    shares: tuple[ComplexArray | Array, ...]  # u_k (U^-1)_k of each, (F, joints, joints) or (joints, joints)
+
+    def response(self, hz: Array, p: Array) -> ComplexArray:
+        each = [motion.response(hz, p) @ share for motion, share in zip(self.motions, self.shares, strict=True)]
+        return np.asarray(sum(each))
+
+    def derivatives(self, hz: Array, p: Array) -> ComplexArray:
+        """Shape (p, F, joints, joints)."""
+        each = [motion.derivatives(hz, p) @ share for motion, share in zip(self.motions, self.shares, strict=True)]
+        return np.asarray(sum(each))
+
+    def coarser(self, keep: slice) -> _Experiments:
+        """Some of the lines, with each motion's middle pose alone."""
+        motions = tuple(_Motion((m.poses[len(m.poses) // 2],), None) for m in self.motions)
+        return _Experiments(motions, tuple(s[keep] if s.ndim == 3 else s for s in self.shares))
+
+
+def _shares(torques: ComplexArray | None, joints: int) -> tuple[ComplexArray | Array, ...]:
+    if torques is None:
+        return (np.eye(joints),)
+    inverse = np.linalg.pinv(torques)
+    return tuple(torques[:, :, k, None] * inverse[:, k, None, :] for k in range(torques.shape[2]))
+
+
+def _parameters(robot: Robot, joints: Sequence[str], experiments: int, link_mass_std: float) -> list[GreyParameter]:
+    out = []
+    for effect in robot.effects:
+        if effect.part in ("drives", "flexibility"):
+            for name, unit, value in zip(_names(effect), effect.coefficient_units, effect.coefficients, strict=True):
+                if not (np.isfinite(value) and value > 0):
+                    raise ValueError(f"{effect.label}: {name} is {value:g}; expected a positive value to start from")
+                out.append(GreyParameter(name, unit, float(value), WEAK))
+    for joint in joints:
+        slope = _slope(robot, joint)
+        out += [GreyParameter(_slope_name(joint, k, experiments), "N m s/rad", slope, WEAK) for k in range(experiments)]
+    if link_mass_std > 0.0:
+        out += [GreyParameter(f"{link}.{MASS}", "-", 1.0, link_mass_std) for link, _ in robot.bodies]
+    return out
+
+
+def _names(effect: Effect) -> list[str]:
+    place = "_".join(effect.joints) or "base"
+    out = []
+    for name in effect.coefficient_names:
+        stem, _, digit = name.rpartition("_") if name[-1].isdigit() else (name, "", "")
+        kind = KINDS.get(f"{effect.type_name()}.{stem}", f"{effect.type_name()}_{stem}")
+        out.append(f"{place}.{kind}" + (f"_{digit}" if digit else ""))
+    return out
+
+
+def _slope_name(joint: str, experiment: int, experiments: int) -> str:
+    return f"{joint}.{SLOPE}" + (f"_{experiment + 1}" if experiments > 1 else "")
+
+
+def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
+    """Slope of the declared friction at a usual speed of such experiments; only a place to start from."""
+    q = np.zeros(robot.model.nv)
+    port = robot.layout.port(joint)
+    motion = robot.motion(q, speed * robot.layout.port(joint, "drive"), q)
+    frictions = [e for e in robot.effects if e.part == "friction" and e.joints == (joint,) and e.acts_on == "forces"]
+    slope = sum(float(port @ e.derivatives(motion)[1][0] @ port) / float(port @ port) ** 2 for e in frictions)
+    return max(slope, 1.0)
+
+
+def _pose(robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Sequence[GreyParameter]) -> _Pose:
+    """Matrices with the drives at some angles; drives without a slope stand still, held by their friction.
+
+    Parameters
+    ----------
+    slopes : name of the friction slope of each joint that moves
+    """
+    joints = list(slopes)
+    n, rest = robot.model.nv, np.zeros(robot.model.nv)
+    q = robot.input_matrix @ angles
+    motion = robot.motion(q, rest, rest)
+    index = {p.name: i + 1 for i, p in enumerate(parameters)}
+    M, D, K = (np.zeros((len(parameters) + 1, n, n)) for _ in range(3))
+
+    def add(at: int, derivatives: tuple[Array, Array, Array], factor: float = 1.0) -> None:
+        K[at] += factor * derivatives[0][0]
+        D[at] += factor * derivatives[1][0]
+        M[at] += factor * derivatives[2][0]
+
+    add(0, motion.on_tree.derivatives())
+    for effect in robot.effects:
+        if effect.part in ("drives", "flexibility"):
+            for k, name in enumerate(_names(effect)):
+                unit = np.eye(len(effect.coefficients))[k]
+                add(index[name], effect.with_coefficients(unit).derivatives(motion))
+        elif effect.part != "friction":
+            add(0, effect.derivatives(motion))
+    for joint in joints:
+        port = robot.layout.port(joint)  # friction acts on e + eps1
+        D[index[slopes[joint]]] += np.outer(port, port)
+    for b, (link, _) in enumerate(robot.bodies):
+        if f"{link}.{MASS}" in index:
+            of_link = _of_link(motion, link, robot.link_parameters[10 * b : 10 * b + 10])
+            add(index[f"{link}.{MASS}"], of_link)
+            add(0, of_link, -1.0)
+    held = np.array([j not in joints for j in robot.joints])
+    free = np.flatnonzero(~robot.input_matrix[:, held].any(axis=1))
+    drives = robot.input_matrix[free][:, [robot.joints.index(j) for j in joints]]
+    M, D, K = (x[:, free[:, None], free] for x in (M, D, K))
+    return _Pose(M, D, K, drives)
+
+
+def _of_link(motion: Motion, link: str, parameters: Array) -> tuple[Array, Array, Array]:
+    if parameters[0] <= 0.0:
+        zero = np.zeros((1, len(motion.coordinates), len(motion.coordinates)))
+        return zero, zero, zero
+    return motion.on_tree.body_derivatives(link, parameters)
+
+
+def poses_along(position: Array, count: int = 3) -> Array:
+    """A few poses that stand for a motion to and fro: means of equal parts along its main direction, with each joint's variance.
+
+    For a motion along a line at constant speed three of them average polynomials up to the third degree exactly.
+
+    Parameters
+    ----------
+    position : array, shape (N, joints), rad
+        Whole periods, sampled evenly.
+
+    Returns
+    -------
+    array, shape (count, joints)
+    """
+    mean = position.mean(axis=0)
+    moved = position - mean
+    main = np.linalg.svd(moved, full_matrices=False)[2][0]
+    parts = np.array_split(moved[np.argsort(moved @ main)], count)
+    picked = np.array([part.mean(axis=0) for part in parts])
+    picked -= picked.mean(axis=0)
+    size = np.sqrt((picked**2).mean(axis=0))
+    return np.asarray(mean + picked * np.divide(position.std(axis=0), size, out=np.zeros_like(size), where=size > 0))
+
+
+# ---- the data ---------------------------------------------------------------------------------------------------
+
+
+def smoothed_covariance(response: FrequencyResponse) -> tuple[ComplexArray, float]:
+    """Covariance of a response, averaged over neighbouring lines as far as its few degrees of freedom ask for.
+
+    A covariance of n^2 entries from a dozen realisations is nearly singular, and its inverse far too large. The distortion changes
+    slowly along the lines, so that neighbours may be put together; a line whose variance sticks out keeps its own.
+
+    Returns
+    -------
+    covariance : complex array, shape (F, n*n, n*n)
+    degrees_of_freedom : float
+        Of each, about.
+    """
+    covariance, own = response.covariance, response.degrees_of_freedom
+    size = covariance.shape[1]
+    if not np.isfinite(own) or own >= SMOOTHED * size:
+        return covariance, own
+    half = math.ceil((SMOOTHED * size / max(own, 1.0) - 1) / 2)
+    lines = len(response.hz)
+    sums = np.concatenate([np.zeros((1, size, size)), np.cumsum(covariance, axis=0)])
+    low, high = np.maximum(np.arange(lines) - half, 0), np.minimum(np.arange(lines) + half + 1, lines)
+    mean = (sums[high] - sums[low]) / (high - low)[:, None, None]
+    excess = np.einsum("faa->fa", covariance).real / np.einsum("faa->fa", mean).real
+    grow = np.sqrt(np.where(excess > OWN, excess, 1.0))
+    return grow[:, :, None] * mean * grow[:, None, :], float(own * np.mean(high - low))
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Whitened residuals of all responses and their Jacobian, as functions of the logarithms x of the parameters."""
+
+    parameters: tuple[GreyParameter, ...]
+    responses: tuple[FrequencyResponse, ...]
+    motions: tuple[_Experiments, ...]  # of each response
+    whiteners: tuple[ComplexArray, ...]  # (F, n*n, n*n)
+    free: Mask  # parameters that are fitted
+    bending_alike_std: float
+    bias: tuple[_Bias, ...] = ()  # of each response; empty: the model is taken as exact
+
+    @cached_property
+    def declared(self) -> Array:
+        return np.log([p.declared for p in self.parameters])
+
+    @cached_property
+    def prior(self) -> Array:
+        """Rows that bring what is known of ``x - declared`` to unit variance, (rows, free parameters)."""
+        own = np.diag([1.0 / p.prior_std for p in self.parameters])
+        names = [p.name for p in self.parameters]
+        pairs = []
+        for i, name in enumerate(names):
+            if self.bending_alike_std > 0.0 and ".joint_" in name and name.endswith("_1"):
+                row = np.zeros(len(names))
+                row[i], row[names.index(name[:-1] + "2")] = 1.0 / self.bending_alike_std, -1.0 / self.bending_alike_std
+                pairs.append(row)
+        return np.vstack([own[self.free], *pairs])[:, self.free]
+
+    def predicted(self, x: Array) -> list[ComplexArray]:
+        return [motion.response(r.hz, np.exp(x)) for r, motion in zip(self.responses, self.motions, strict=True)]
+
+    def errors(self, x: Array) -> list[ComplexArray]:
+        """Whitened errors of each response, line by line, (F * n*n,): unit variance where the model is exact."""
+        return [
+            np.einsum("fab,fb->fa", w, (r.value - model).reshape(len(r.hz), -1)).ravel()
+            for w, r, model in zip(self.whiteners, self.responses, self.predicted(x), strict=True)
+        ]
+
+    def slopes(self, x: Array) -> list[ComplexArray]:
+        """Derivatives of `errors` by x, (F * n*n, p)."""
+        out = []
+        for w, r, by_x in zip(self.whiteners, self.responses, self.derivatives(x), strict=True):
+            lines = by_x.reshape(len(by_x), len(r.hz), -1)
+            out.append(-(w @ np.moveaxis(lines, 0, -1)).reshape(-1, len(x)))
+        return out
+
+    def derivatives(self, x: Array) -> list[ComplexArray]:
+        """Derivatives of each response by x, (p, F, joints, joints)."""
+        p = np.exp(x)
+        both = zip(self.responses, self.motions, strict=True)
+        return [motion.derivatives(r.hz, p) * p[:, None, None, None] for r, motion in both]
+
+    def whitened(self, errors: list[ComplexArray]) -> list[ComplexArray]:
+        """Errors or slopes with the bias, too, brought to unit variance."""
+        return [bias.white(e) for bias, e in zip(self.bias, errors, strict=True)] if self.bias else errors
+
+    def with_bias(self, x: Array, model_error: float, friction_error: float) -> _Problem:
+        """The same problem with the bias that a response near x may have."""
+        rough = zip(self.whiteners, self.responses, self.predicted(x), self.derivatives(x), strict=True)
+        slope = np.array([f".{SLOPE}" in p.name for p in self.parameters])
+        bias = tuple(_bias(w, r.hz, model_error * model, friction_error * by_x[slope]) for w, r, model, by_x in rough)
+        return dataclasses.replace(self, bias=bias)
+
+    # real residuals of unit variance, with the prior's
+
+    def residual(self, free: Array) -> Array:
+        x = self.full(free)
+        errors = self.whitened(self.errors(x))
+        data = [np.sqrt(2.0) * part for e in errors for part in (e.real, e.imag)]
+        return np.concatenate([*data, self.prior @ (x - self.declared)[self.free]])
+
+    def jacobian(self, free: Array) -> Array:
+        slopes = self.whitened([d[:, self.free] for d in self.slopes(self.full(free))])
+        data = [np.sqrt(2.0) * part for d in slopes for part in (d.real, d.imag)]
+        return np.concatenate([*data, self.prior])
+
+    def full(self, free: Array) -> Array:
+        x = self.declared.copy()
+        x[self.free] = free
+        return x
+
+    def coarser(self, part: float, step: int) -> _Problem:
+        """Every `step`-th line, with `part` of |P| as an additional error: wide valleys, and cheap."""
+        responses, motions = [], []
+        for r, motion in zip(self.responses, self.motions, strict=True):
+            keep = slice(step // 2 if len(r.hz) > step else 0, None, step)
+            extra = (part * np.abs(r.value[keep]).reshape(len(r.hz[keep]), -1)) ** 2
+            covariance, _ = smoothed_covariance(r)
+            diagonal = np.einsum("faa->fa", covariance[keep]).real + extra
+            full = diagonal[:, :, None] * np.eye(diagonal.shape[1])
+            responses.append(dataclasses.replace(
+                r, hz=r.hz[keep], value=r.value[keep], covariance=full, noise_covariance=None, degrees_of_freedom=np.inf
+            ))  # fmt: skip
+            motions.append(motion.coarser(keep))
+        whiteners = tuple(_whitener(r.covariance, r) for r in responses)
+        return dataclasses.replace(
+            self, responses=tuple(responses), motions=tuple(motions), whiteners=whiteners, bias=()
+        )
+
+    def minimum(self, start: Array, evaluations: int) -> Array:
+        found = optimize.least_squares(
+            self.residual, start[self.free], self.jacobian, method="lm", max_nfev=evaluations, xtol=1e-9, ftol=1e-10
+        )
+        return self.full(found.x)
+
+    def cost(self, x: Array) -> float:
+        return float((self.residual(x[self.free]) ** 2).sum())
+
+
+def _whitener(covariance: ComplexArray, response: FrequencyResponse) -> ComplexArray:
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    except np.linalg.LinAlgError:
+        positive = np.linalg.eigvalsh(covariance).min(axis=1) > 0
+        where = f"{response.hz[np.argmin(positive)]:.2f} Hz"
+        raise ValueError(
+            f"the covariance of the frequency response is not positive definite at {where}; expected more realisations "
+            "than its entries, or lines whose neighbours have them"
+        ) from None
+
+
+@dataclass(frozen=True, eq=False)
+class _Bias:
+    """Smooth errors of a model, as random functions of frequency: the covariance of whitened errors is ``1 + Q diag(s^2) Q^H``."""
+
+    directions: ComplexArray  # Q, (F * n*n, K), orthonormal
+    shrink: Array  # 1 - 1 / sqrt(1 + s^2), (K,)
+
+    def white(self, errors: ComplexArray) -> ComplexArray:
+        inside = self.directions.conj().T @ errors
+        return errors - self.directions @ (self.shrink[:, None] * inside if errors.ndim == 2 else self.shrink * inside)
+
+
+def _bias(whitener: ComplexArray, hz: Array, size: ComplexArray, friction: ComplexArray) -> _Bias:
+    """Bias of independent entries, of standard deviation |size| (F, n, n), and of the frictions, (joints, F, n, n) each."""
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * ((hz[:, None] - hz) / REACH_HZ) ** 2))
+    basis = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, values > 1e-3 * values[-1]]
+    lines, entries = len(hz), size[0].size
+    own = np.abs(size).reshape(lines, entries, 1, 1) * np.eye(entries)[:, :, None] * basis[:, None, None, :]
+    shared = friction.reshape(len(friction), lines, entries).transpose(1, 2, 0)[..., None] * basis[:, None, None, :]
+    functions = np.concatenate([own.reshape(lines, entries, -1), shared.reshape(lines, entries, -1)], axis=2)
+    directions, s, _ = np.linalg.svd((whitener @ functions).reshape(lines * entries, -1), full_matrices=False)
+    return _Bias(directions, 1.0 - 1.0 / np.sqrt(1.0 + s**2))
+
+
+# ---- what comes out -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GreyEstimate:
+    """One parameter as it was found.
+
+    Attributes
+    ----------
+    name, unit : str
+    value, std : float
+    low, high : float
+        95 % interval, from the logarithm.
+    start : float
+        The robot's declared value.
+    determined : bool
+        Whether the data alone say it, to better than `UNDETERMINED`.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    low: float
+    high: float
+    start: float
+    determined: bool
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Parameters that can change together almost unseen.
+
+    Attributes
+    ----------
+    relative_std : float
+        Of the combination, from the data alone.
+    parts : tuple of (GreyParameter name, float)
+        Share of each named parameter, largest first; their signs tell which go up where others go down.
+    """
+
+    relative_std: float
+    parts: tuple[tuple[str, float], ...]
+
+    @property
+    def words(self) -> str:
+        """In a sentence."""
+        named = [f"{name.replace('.', ' ').replace('_', ' ')}" for name, _ in self.parts]
+        signs = ["up" if share * self.parts[0][1] > 0 else "down" for _, share in self.parts]
+        if len(named) == 1:
+            return f"{named[0]} alone: {100 * self.relative_std:.0f} %"
+        together = ", ".join(f"{n} {s}" for n, s in zip(named, signs, strict=True))
+        return f"together: {together}: {100 * self.relative_std:.0f} %"
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of the search: where from, and the cost at which it ended."""
+
+    name: str
+    coarse_cost: float
+    cost: float | None  # None: not among the best, not followed to its end
+
+
+@dataclass(frozen=True, eq=False)
+class GreyBox:
+    """A robot's physical parameters from its frequency responses.
+
+    Attributes
+    ----------
+    estimates : tuple of GreyEstimate
+    covariance : array, shape (p, p)
+        Of the logarithms; noise, distortion and the stated model errors are in it, and a cost beyond what these explain.
+    information : array, shape (p, p)
+        Of the data alone, of the logarithms, as if the model were right.
+    directions : tuple of Direction
+        Vaguest first.
+    robot : Robot
+        With the drives, flexibilities and (where fitted) links found; its friction is as declared.
+    responses, predicted : the data, and the model's responses at its lines.
+    errors : tuple of complex array, shape (F * n*n,)
+        Whitened residuals, unit variance where noise, distortion and the stated model error are all that there is.
+    cost, expected_cost : float
+        Sum of squared whitened residuals, and what it would be without bias.
+    cost_limit : float
+        95 % of right models stay below.
+    starts : tuple of Start
+    """
+
+    estimates: tuple[GreyEstimate, ...]
+    covariance: Array
+    information: Array
+    directions: tuple[Direction, ...]
+    robot: Robot
+    responses: tuple[FrequencyResponse, ...]
+    predicted: tuple[ComplexArray, ...]
+    errors: tuple[ComplexArray, ...]
+    cost: float
+    expected_cost: float
+    cost_limit: float
+    starts: tuple[Start, ...]
+
+    def __getitem__(self, name: str) -> GreyEstimate:
+        for estimate in self.estimates:
+            if estimate.name == name:
+                return estimate
+        raise ValueError(f"no parameter {name!r}; {close_match(name, [e.name for e in self.estimates])}")
+
+    @property
+    def bias_detected(self) -> bool:
+        """Whether the residual is larger than noise and distortion explain."""
+        return self.cost > self.cost_limit
+
+    @property
+    def ended_alike(self) -> tuple[int, int]:
+        """How many of the starts that were followed to their end found the best minimum, and how many there were."""
+        costs = np.array([s.cost for s in self.starts if s.cost is not None])
+        return int((costs < costs.min() + 1.0).sum()), len(costs)
+
+
+def grey_box(
+    robot: Robot,
+    responses: FrequencyResponse | Sequence[FrequencyResponse],
+    *,
+    band_hz: tuple[float, float] = (8.0, 80.0),
+    start: Mapping[str, float] | None = None,
+    starts: int = 16,
+    spread: float = 0.4,
+    seed: int = 0,
+    link_mass_std: float = 0.0,
+    bending_alike_std: float = 0.0,
+    fixed: Sequence[str] = (),
+    along: Sequence[Array] | None = None,
+    feedback: Feedback | None = None,
+    torques: Sequence[ComplexArray] | None = None,
+    model_error: float = MODEL_ERROR,
+    friction_error: float = FRICTION_ERROR,
+    progress: Progress | None = None,
+) -> GreyBox:
+    """Fit drive and joint stiffness, damping, drive inertia and friction slope to frequency responses, by maximum likelihood.
+
+    The errors are circular complex normal with the responses' own covariance. Parameters are fitted as logarithms, from several
+    starts: first on a third of the lines with 30 % of additional error, which smooths the likelihood's narrow valleys, then the best
+    on all lines.
+
+    Parameters
+    ----------
+    robot : Robot
+        With links, springs and the effects whose values are asked for; declared values are one of the starts.
+    responses : FrequencyResponse or sequence of them
+        At one or several poses; each knows its pose.
+    band_hz : (low, high)
+        Lines used.
+    start : mapping of parameter names to values, optional
+        Another start, for example drive stiffness and inertia from poles and zeros: ``{"joint_1.drive_stiffness": 1.5e5}``.
+    starts, spread, seed : int, float, int
+        Further starts, and the standard deviation of their logarithms about the declared values.
+    link_mass_std : float
+        Relative standard deviation to which the links' masses are known; then one factor a link is fitted too. 0: known exactly.
+    bending_alike_std : float
+        Relative standard deviation to which a joint is known to be equally stiff (and damped) about both its bending axes, up to
+        their declared ratio: bearings are round. One pose may not tell joints apart that bend about the same axis. 0: not known.
+    fixed : names of parameters that keep their declared values.
+    along : sequence of array, shape (S, joints of the robot), rad, optional
+        Of each response, poses that the motion passes (`poses_along`), alike in time: the model is averaged over them. Otherwise
+        the pose alone.
+    feedback : callable, optional
+        Feedback torque against drive acceleration, (F, joints, joints), as a function of frequencies in Hz.
+        With it the average over the poses is that of a closed loop.
+    torques : sequence of complex array, shape (F, joints, experiments), optional
+        Of each response, the torques of its experiments at one phase realisation. Friction with reversals is steeper where a joint
+        vibrates less, and so differs between experiments; with their torques each has its own slopes (``joint_3.friction_slope_2``).
+    model_error, friction_error : float
+        Bias that is left, as random functions of frequency that stay alike over `REACH_HZ`: of each entry, over its magnitude, and of
+        each friction slope, over the slope. It weighs the lines and widens the intervals. 0: the model is exact.
+    progress : callable, optional
+
+    Raises
+    ------
+    ValueError
+        A response without pose or of unknown joints, a parameter without value or unknown, a singular covariance.
+    """
+    given = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
+    tell = progress or (lambda text, part: None)
+    problem = _problem(robot, given, band_hz, link_mass_std, fixed, along, feedback, torques, bending_alike_std)
+    first = problem.declared.copy()
+    names = [p.name for p in problem.parameters]
+    begin = [("declared values", first)]
+    if start:
+        other = first.copy()
+        for name, value in start.items():
+            if name not in names:
+                raise ValueError(f"start: no parameter {name!r}; {close_match(name, names)}")
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"start: {name} is {value:g}; expected a positive value")
+            other[names.index(name)] = np.log(value)
+        begin.insert(0, ("given start", other))
+    rng = np.random.default_rng(seed)
+    centre = begin[0][1]
+    begin += [(f"drawn {k + 1}", centre + _drawn(problem, spread, rng)) for k in range(starts)]
+    problem, best, ends = _search(problem, begin, model_error, friction_error, tell)
+    tell("information", 0.95)
+    return _result(robot, problem, best, ends)
+
+
+def _problem(
+    robot: Robot,
+    given: tuple[FrequencyResponse, ...],
+    band_hz: tuple[float, float],
+    link_mass_std: float,
+    fixed: Sequence[str],
+    along: Sequence[Array] | None,
+    feedback: Feedback | None,
+    torques: Sequence[ComplexArray] | None,
+    bending_alike_std: float,
+) -> _Problem:
+    if not given:
+        raise ValueError("no frequency response to fit to")
+    if along is not None and len(along) != len(given):
+        raise ValueError(f"along has {len(along)} motions; expected {len(given)}, one a response")
+    joints = given[0].joints
+    for response in given:
+        unknown = [j for j in response.joints if j not in robot.joints]
+        if unknown:
+            raise ValueError(f"the response is of joint {unknown[0]!r}; {close_match(unknown[0], robot.joints)}")
+        if response.joints != joints:
+            raise ValueError(f"responses of joints {joints} and {response.joints}; expected the same joints")
+        if np.shape(response.pose) != (len(robot.joints),):
+            raise ValueError(
+                f"the response's pose has shape {np.shape(response.pose)}; expected {len(robot.joints)} angles of {robot.name}"
+            )
+    kept = tuple(r.band(*band_hz) for r in given)
+    for r, k in zip(given, kept, strict=True):
+        if len(k.hz) < 2:
+            raise ValueError(
+                f"{len(k.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz (the response has {len(r.hz)}); expected 2 or more"
+            )
+    used = _torques(given, torques, band_hz)
+    experiments = 1 if used[0] is None else used[0].shape[2]
+    parameters = tuple(_parameters(robot, joints, experiments, link_mass_std))
+    names = [p.name for p in parameters]
+    for name in fixed:
+        if name not in names:
+            raise ValueError(f"fixed: no parameter {name!r}; {close_match(name, names)}")
+    passed = along if along is not None else [np.atleast_2d(r.pose) for r in kept]
+    motions = []
+    for r, path, torque in zip(kept, passed, used, strict=True):
+        back = None if feedback is None else feedback(r.hz)
+        each = []
+        for number in range(experiments):
+            slopes = {joint: _slope_name(joint, number, experiments) for joint in joints}
+            poses = tuple(_pose(robot, slopes, np.asarray(q, dtype=float), parameters) for q in path)
+            each.append(_Motion(poses, back))
+        motions.append(_Experiments(tuple(each), _shares(torque, len(joints))))
+    whiteners = tuple(_whitener(smoothed_covariance(r)[0], r) for r in kept)
+    return _Problem(
+        parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std
+    )
+
+
+def _torques(
+    given: tuple[FrequencyResponse, ...], torques: Sequence[ComplexArray] | None, band_hz: tuple[float, float]
+) -> list[ComplexArray | None]:
+    if torques is None:
+        return [None] * len(given)
+    if len(torques) != len(given):
+        raise ValueError(f"torques has {len(torques)} arrays; expected {len(given)}, one a response")
+    out: list[ComplexArray | None] = []
+    for r, torque in zip(given, torques, strict=True):
+        shape = np.shape(torque)
+        if (
+            len(shape) != 3
+            or shape[:2] != r.value.shape[:2]
+            or shape[2] != np.shape(torques[0])[2]
+            or shape[2] < shape[1]
+        ):
+            raise ValueError(
+                f"torques has shape {shape}; expected {r.value.shape[:2]} and at least as many experiments as joints"
+            )
+        out.append(np.asarray(torque)[(r.hz >= band_hz[0]) & (r.hz <= band_hz[1])])
+    return out
+
+
+def _drawn(problem: _Problem, spread: float, rng: np.random.Generator) -> Array:
+    """A random step of the logarithms, no larger than priors allow."""
+    return np.asarray(
+        rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters])
+    )
+
+
+FOLLOWED = 4  # best starts that are followed to their end
+SAME = 1e-3  # of the logarithms: starts that are so near each other after the coarse fits are followed once
+
+
+def _search(
+    problem: _Problem, begin: list[tuple[str, Array]], model_error: float, friction_error: float, tell: Progress
+) -> tuple[_Problem, Array, tuple[Start, ...]]:
+    coarse, middle = problem.coarser(COARSE, 3), problem.coarser(0.1 * COARSE, 3)
+    found = []
+    for k, (name, x) in enumerate(begin):
+        tell(f"start {k + 1} of {len(begin)}", 0.7 * k / len(begin))
+        x = middle.minimum(coarse.minimum(x, 30), 20)
+        found.append((middle.cost(x), name, x))
+    order = sorted(range(len(found)), key=lambda k: found[k][0])
+    problem = problem.with_bias(found[order[0]][2], model_error, friction_error)
+    ends: dict[int, tuple[float, Array]] = {}
+    for k in order[:FOLLOWED]:
+        same = [other for other in ends if np.abs(found[k][2] - found[other][2]).max() < SAME]
+        if same:
+            ends[k] = ends[same[0]]
+            continue
+        tell(f"fit from {found[k][1]}", 0.7 + 0.2 * len(ends) / FOLLOWED)
+        x = problem.minimum(found[k][2], 60)
+        ends[k] = (problem.cost(x), x)
+    best = min(ends, key=lambda k: ends[k][0])
+    starts = tuple(Start(name, cost, ends[k][0] if k in ends else None) for k, (cost, name, _) in enumerate(found))
+    return problem, ends[best][1], starts
+
+
+def _result(robot: Robot, problem: _Problem, x: Array, starts: tuple[Start, ...]) -> GreyBox:
+    free = np.flatnonzero(problem.free)
+    errors = problem.whitened(problem.errors(x))
+    slopes = problem.whitened([d[:, free] for d in problem.slopes(x)])
+    information = sum((2.0 * (d.conj().T @ d).real for d in slopes), np.zeros((len(free),) * 2))
+    cost = float(sum((np.abs(e) ** 2).sum() for e in errors))
+    expected, spread = _expected_cost(problem, len(free))
+    # covariances from few realisations are too small or too large by a common factor; a cost beyond it is unknown bias
+    information /= max(cost / expected, 1.0)
+    covariance: Array = np.asarray(np.linalg.inv(information + problem.prior.T @ problem.prior))
+    values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
+    std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
+    reach = float(stats.norm.ppf(0.975))
+    estimates = tuple(
+        GreyEstimate(
+            p.name,
+            p.unit,
+            v,
+            v * s,
+            v * math.exp(-reach * s),
+            v * math.exp(reach * s),
+            p.declared,
+            bool(a < UNDETERMINED),
+        )
+        for p, v, s, a in zip(problem.parameters, values.tolist(), std.tolist(), alone.tolist(), strict=True)
+    )
+    names = [problem.parameters[i].name for i in free]
+    return GreyBox(
+        estimates, covariance, information, _directions(information, names), _fitted_robot(robot, problem.parameters, values),
+        problem.responses, tuple(problem.predicted(x)), tuple(errors), cost, expected, expected + 1.645 * spread, starts,
+    )  # fmt: skip
+
+
+def _std_without_prior(information: Array) -> Array:
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(np.sqrt((vectors**2 / np.maximum(values, 1e-12 * values[-1])).sum(axis=1)))
+
+
+def _directions(information: Array, names: Sequence[str]) -> tuple[Direction, ...]:
+    values, vectors = np.linalg.eigh(information)
+    out = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        std = float(1.0 / np.sqrt(max(value, 1e-12 * values[-1])))
+        if std < VAGUE:
+            break
+        order = np.argsort(-np.abs(vector))
+        kept = [i for i in order if abs(vector[i]) >= NAMED * abs(vector[order[0]])]
+        sign = np.sign(vector[order[0]])
+        out.append(Direction(std, tuple((names[i], float(sign * vector[i])) for i in kept)))
+    return tuple(out)
+
+
+def _expected_cost(problem: _Problem, fitted: int) -> tuple[float, float]:
+    """Mean and standard deviation of the cost of a right model; covariances from few realisations make it larger."""
+    mean, variance = 0.0, 0.0
+    for r in problem.responses:
+        size, lines = r.value[0].size, len(r.hz)
+        _, freedom = smoothed_covariance(r)
+        larger = 1.0 if not np.isfinite(freedom) else freedom / max(freedom - size, 1.0)
+        mean += larger * size * lines
+        # neighbours share a smoothed covariance, so its error does not average out over them
+        shared = (
+            0.0
+            if not np.isfinite(freedom)
+            else (larger * size * lines) ** 2 / (freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size)
+        )
+        variance += larger**2 * size * lines + shared
+    return mean - 0.5 * fitted, math.sqrt(variance)
+
+
+def _fitted_robot(robot: Robot, parameters: Sequence[GreyParameter], values: Array) -> Robot:
+    found = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
+    effects = [
+        e.with_coefficients([found[name] for name in _names(e)]) if e.part in ("drives", "flexibility") else e
+        for e in robot.effects
+    ]
+    factors = np.array([found.get(f"{link}.{MASS}", 1.0) for link, _ in robot.bodies])
+    if (factors != 1.0).any():
+        robot = with_link_parameters(robot, np.repeat(factors, 10) * robot.link_parameters, allow_inconsistent=True)
+    return robot.with_effects(effects)

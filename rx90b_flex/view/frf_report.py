@@ -1,0 +1,203 @@
+"""The report of an identification from motor signals: one HTML file that opens offline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rx90b_flex.identify.frf_command import MotorIdentification
+from rx90b_flex.identify.grey_box import GreyBox
+from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
+from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.report import number, unit_text
+
+SHOWN_STARTS = 6
+SHOWN_DIRECTIONS = 4  # vaguest; frf.json has all
+
+
+def write_frf_report(result: MotorIdentification, path: Path) -> None:
+    """Write the report; it appears whole or not at all.
+
+    Parameters
+    ----------
+    result : MotorIdentification
+    path : Path
+        The file; its folder exists.
+    """
+    sections = [_physical(result), _response(result), _modes(result), _residuals(result), _how(result)]
+    write_page(path, f"{result.robot.name} from motor signals", _lead(result), [s for s in sections if s is not None])
+
+
+def _lead(result: MotorIdentification) -> list[str]:
+    measured, grey = result.measured, result.grey
+    low, high = measured.hz[0], measured.hz[-1]
+    out = []
+    if grey is not None:
+        known = [e for e in grey.estimates if "stiffness" in e.name]
+        good = [e for e in known if e.std < 0.1 * e.value]
+        out.append(f"{len(good)} of {len(known)} stiffnesses are known to 10 % (one standard deviation) or better.")
+        out.append(_bias_words(grey))
+    out.append(
+        f"{measured.value.shape[1]} joints, {len(measured.hz)} lines from {low:.3g} to {high:.3g} Hz, {len(measured.realisations)} "
+        f"realisations of {measured.torque.shape[2]} experiments, {measured.periods} periods each."
+    )
+    out += [f"Left out: {x.stage}: {x.why}." for x in result.left_out]
+    return out
+
+
+def _bias_words(grey: GreyBox) -> str:
+    share = grey.cost / grey.expected_cost
+    if grey.bias_detected:
+        return (
+            f"The model leaves {share:.2f} times the residual that noise, distortion and the stated model error give: something is "
+            "missing in it, and the intervals are widened by that."
+        )
+    return f"The residual is {share:.2f} times what noise, distortion and the stated model error give: the model is enough."
+
+
+def _physical(result: MotorIdentification) -> Section | None:
+    grey, drives = result.grey, result.drives
+    if grey is None:
+        return None
+    rows = []
+    for e in grey.estimates:
+        note = "" if e.determined else "not determined by this data"
+        rows.append((
+            e.name.replace(".", " ").replace("_", " "), number(e.value), number(e.std), f"{number(e.low)} – {number(e.high)}",
+            number(e.start), unit_text(e.unit), note,
+        ))  # fmt: skip
+    tables = [
+        Table(
+            ("parameter", "value", "std", "95 % interval", "declared", "unit", ""),
+            tuple(rows),
+            "Grey box",
+            (1, 2, 3, 4),
+        ),
+    ]
+    if drives is not None:
+        compared = []
+        for joint, d in zip(drives.joints, drives.drives, strict=True):
+            for kind, value, std, unit in (
+                ("inertia", d.inertia, d.inertia_std, "kg m²"),
+                ("stiffness", d.stiffness, d.stiffness_std, "N m/rad"),
+            ):
+                best = grey[f"{joint}.drive_{kind}"]
+                compared.append(
+                    (
+                        f"{joint.replace('_', ' ')} {kind}",
+                        number(value),
+                        number(std),
+                        number(best.value),
+                        number(best.std),
+                        unit,
+                    )
+                )
+        head = ("drive", "poles and zeros", "std", "grey box", "std", "unit")
+        tables.append(
+            Table(
+                head, tuple(compared), "The source's route beside it: it lacks the modes above the band", (1, 2, 3, 4)
+            )
+        )
+    text = ["Fitted straight to the frequency response; links and springs are as declared."]
+    text += [f"Hardly determined, {d.words}." for d in grey.directions[:SHOWN_DIRECTIONS]]
+    assumed = result.options.bending_alike_std
+    if assumed > 0:
+        text.append(
+            f"Assumed: a joint is equally stiff about both its bending axes to {100 * assumed:.0f} % "
+            "(the source has one number for both)."
+        )
+    if result.options.link_mass_std > 0:
+        text.append(f"Links' masses are known to {100 * result.options.link_mass_std:.1f} %, and fitted.")
+    text.append(
+        "Friction that reverses is not viscous: its slopes are those that serve this motion, one for each experiment, and what they "
+        "leave over is part of the intervals as a model error."
+    )
+    figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
+    return Section("Physical parameters", tuple(text), tuple(tables), (figure,))
+
+
+def _response(result: MotorIdentification) -> Section:
+    measured = result.measured
+    others: list[frf_plots.Comparison] = []
+    if result.grey is not None:
+        others.append((result.grey.responses[0].hz, result.grey.predicted[0], "grey box"))
+    if result.transfer is not None:
+        others.append((measured.hz, result.transfer.model.frf(measured.hz), "transfer functions"))
+    images = [
+        image(frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
+        image(frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
+    ]
+    if result.grey is not None and len(result.grey.responses[0].hz) == len(measured.hz):
+        images.append(
+            image(frf_plots.difference(measured, result.grey.predicted[0], "grey box"), "Difference from the grey box")
+        )
+    if result.transfer is not None:
+        model = result.transfer.model.frf(measured.hz)
+        images.append(
+            image(frf_plots.difference(measured, model, "transfer functions"), "Difference from the transfer functions")
+        )
+    images += [
+        image(frf_plots.signal_to_noise(measured), "Signal-to-noise ratio of every entry"),
+        image(frf_plots.channel_signal_to_noise(measured), "Signal-to-noise ratio of the measured signals"),
+        image(
+            frf_plots.excitation(measured.spectra, measured.joints),
+            "Torque and acceleration at excited and other lines",
+        ),
+    ]
+    text = "Drive acceleration over drive torque, at a mean pose of " + ", ".join(
+        f"{joint.replace('_', ' ')} {np.rad2deg(q):.1f}°"
+        for joint, q in zip(result.robot.joints, measured.pose, strict=False)
+    )
+    return Section("Frequency response", (f"{text}.",), (), tuple(images))
+
+
+def _modes(result: MotorIdentification) -> Section | None:
+    fit, tests = result.transfer, result.validation
+    if fit is None:
+        return None
+    both = zip(fit.resonances_hz, fit.resonances_std_hz(), fit.model.damping_ratio, strict=True)
+    head = ("resonance, Hz", "std, Hz", "damping ratio, -")
+    resonances = Table(
+        head, tuple((f"{f:.2f}", f"{s:.2f}", f"{z:.3f}") for f, s, z in both), "Resonances, undamped", (0, 1, 2)
+    )
+    zeros = []
+    for j, joint in enumerate(fit.response.joints):
+        hz, std = fit.antiresonances(j)
+        zeros += [(joint.replace("_", " "), f"{f:.2f}", f"{s:.2f}") for f, s in zip(hz, std, strict=True)]
+    antiresonances = Table(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped")
+    tables = [resonances, antiresonances]
+    if tests is not None:
+        rows = tuple((c.name, "pass" if c.passed else "fail", c.found, c.implies) for c in tests.checks)
+        tables.append(Table(("test", "", "found", "what it implies"), rows, "Validation", ()))
+    correlation = image(
+        transfer_plots.residual_correlation(fit),
+        "Correlation of residuals",
+        "Correlation of the residuals along the lines",
+    )
+    stable = image(transfer_plots.stabilisation(fit), "Poles of fits of several orders", "Stabilisation diagram")
+    text = f"{len(fit.resonances_hz)} modes, chosen from {', '.join(str(c.modes) for c in fit.candidates)}."
+    return Section("Transfer functions", (text,), tuple(tables), (correlation, stable))
+
+
+def _residuals(result: MotorIdentification) -> Section | None:
+    grey = result.grey
+    if grey is None:
+        return None
+    alike, followed = grey.ended_alike
+    costs = [(s.name, number(s.cost)) for s in grey.starts if s.cost is not None]
+    table = Table(
+        ("start", "cost at its end"),
+        tuple(costs[:SHOWN_STARTS]),
+        f"{alike} of {followed} starts that were followed to the end agree",
+    )
+    figure = image(grey_plots.residuals(grey), "Residuals of the grey box along frequency")
+    text = f"Cost {grey.cost:.0f}; {grey.expected_cost:.0f} expected, 95 % of right models below {grey.cost_limit:.0f}."
+    return Section("Residuals of the grey box", (text, _bias_words(grey)), (table,), (figure,))
+
+
+def _how(result: MotorIdentification) -> Section:
+    rows: Sequence[tuple[str, ...]] = [(stage, f"{s:.1f}") for stage, s in result.seconds.items()]
+    text = [*result.remarks, *(f"{x.stage}: left out: {x.why}." for x in result.left_out)]
+    return Section("How it was done", tuple(text), (Table(("stage", "time, s"), tuple(rows)),))

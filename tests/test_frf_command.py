@@ -1,0 +1,129 @@
+"""Claims about ``rx90b-flex frf``: from recordings to physical parameters, its files, and what it says of what it cannot do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90b_flex import cli
+from rx90b_flex.effects.friction import ViscousFriction
+from rx90b_flex.identify.frf_command import (
+    Options,
+    feedback_of,
+    frf_json,
+    identify_from_motors,
+    mean_motion,
+    write_motor_identification,
+)
+from rx90b_flex.robot import load_robot
+from rx90b_flex.signals import load_campaign
+from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+from rx90b_flex.simulate.trajectories import square_wave
+
+SLOPES = (60.0, 32.0, 14.0)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four realisations of three experiments, both signs, two periods kept; viscous friction, arm bent at the elbow."""
+    robot = load_robot("rx90b_3dof")
+    viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(robot.joints, SLOPES, strict=True)]
+    robot = robot.with_effects([*(e for e in robot.effects if e.part != "friction"), *viscous])
+    reference = square_wave(robot, [0.0, 0.5 * np.pi, 1.0], moving=robot.joints)
+    noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
+    plan = section_662(robot, load_cs8(), reference=reference, realisations=4, periods=3, noise=noise, peak=20.0)
+    result = run_campaign(plan, tmp_path_factory.mktemp("frf") / "campaign")
+    assert result.file is not None
+    return result.file
+
+
+def test_stiffness_comes_from_motor_signals_and_is_written(campaign, tmp_path):
+    out = tmp_path / "out"
+    result = identify_from_motors(campaign, Options(bending_alike_std=0.0, starts=0, modes=(5,)))
+    write_motor_identification(result, out)
+    assert {p.name for p in out.iterdir()} >= {"frf.json", "robot.toml"}
+    found = json.loads((out / "frf.json").read_text())
+    assert found["schema"] == 1 and found["left_out"] == []
+    assert found["pose_rad"] == pytest.approx([0.0, 0.5 * np.pi, 1.0], abs=1e-3)
+    parameters = found["grey_box"]["parameters"]
+    declared = load_robot("rx90b_3dof")
+    for effect in declared.effects:
+        if effect.type_name() in ("drive_flexibility", "drive_inertia"):
+            what = "stiffness" if effect.type_name() == "drive_flexibility" else "inertia"
+            one = parameters[f"{effect.joints[0]}.drive_{what}"]
+            # six intervals of 95 %, wide by the stated model error: four deviations, twice their half width, hold all
+            assert abs(one["value"] - getattr(effect, what)) < 2.0 * (one["high"] - one["low"]) / 2.0
+            assert one["std"] < 0.05 * one["value"]
+    written = load_robot(str(out / "robot.toml"))
+    stiffness = next(e for e in written.effects if e.type_name() == "drive_flexibility").stiffness
+    assert stiffness == pytest.approx(parameters["joint_1.drive_stiffness"]["value"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_command_does_it_all_by_itself(campaign, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    monkeypatch.setattr("sys.argv", ["rx90b-flex", "frf", str(campaign), "--out", str(out)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    assert {p.name for p in out.iterdir()} >= {"frf.json", "report.html", "robot.toml"}
+    assert json.loads((out / "frf.json").read_text())["left_out"] == []
+    page = (out / "report.html").read_text()
+    assert "<script" not in page and "http://" not in page and "https://" not in page
+    for words in (
+        "Physical parameters",
+        "Frequency response",
+        "Transfer functions",
+        "Correlation of the residuals",
+        "Signal-to-noise",
+    ):
+        assert words in page
+
+
+def test_a_stage_that_fails_is_left_out_with_its_reason(campaign):
+    # a band of three lines is too little for transfer functions, and so for poles and zeros; the grey box goes on
+    result = identify_from_motors(campaign, Options(band_hz=(30.0, 31.5), starts=0))
+    assert result.transfer is None and result.drives is None and result.grey is not None
+    stages = {x["stage"]: x["why"] for x in frf_json(result)["left_out"]}
+    assert "lines" in stages["transfer functions"]
+    assert "builds on" in stages["inverse eigenvalue problem"]
+    assert frf_json(result)["transfer_functions"] is None
+
+
+def test_bad_input_is_one_line_and_nothing_is_written(campaign, tmp_path, monkeypatch, capsys):
+    for arguments, words in (
+        ([str(tmp_path / "none.toml")], "none.toml"),
+        ([str(campaign), "--low-hz", "50", "--high-hz", "20"], "the band is 50 to 20 Hz"),
+        ([str(campaign), "--controller", str(tmp_path / "c.toml")], "no such controller file"),
+    ):
+        monkeypatch.setattr("sys.argv", ["rx90b-flex", "frf", *arguments, "--out", str(tmp_path / "out")])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr().err
+        assert ended.value.code == 2 and words in said and said.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+
+def test_the_mean_motion_is_the_reference(campaign):
+    recordings = load_campaign(campaign).identification
+    motion = mean_motion(recordings, recordings[0].joints)
+    reference = recordings[0].reference_position[: len(motion)]
+    # the controller follows within its error at 0.11 rad/s; the excitation's part goes with the signs
+    assert np.abs(motion - reference).max() < 5e-3
+
+
+def test_feedback_is_stiff_at_low_and_soft_at_high_frequency():
+    controller = load_cs8()
+    joints = tuple(j.name for j in controller.joints[:2])
+    feedback = feedback_of(controller, joints)(np.array([0.01, 10.0, 1000.0]))
+    assert feedback.shape == (3, 2, 2)
+    first = controller.joints[0]
+    s = 2j * np.pi * 0.01
+    # integral and position gain at 0.01 Hz; the lags turn it by 1e-5
+    assert feedback[0, 0, 0] == pytest.approx((first.position_gain + first.integral_gain / s) / s**2, rel=2e-3)
+    assert np.all(feedback[:, 0, 1] == 0.0)
+    # from 10 Hz to 1 kHz the velocity part falls by 100, and the current loop's bandwidth of 1 kHz takes another sqrt(2)
+    assert abs(feedback[2, 0, 0]) < 1e-2 * abs(feedback[1, 0, 0])
