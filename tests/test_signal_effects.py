@@ -76,9 +76,12 @@ def test_interference_is_a_sine_of_the_files_time(robot):
 def test_interference_is_looked_for_where_the_residuals_of_all_recordings_peak_together(robot):
     rng = np.random.default_rng(0)
     effect = effect_of(robot, "line_interference")
+    rest = np.zeros(robot.model.nv)
     times = [np.arange(2000) / RATE, 7.3 + np.arange(1500) / RATE]
-    left = [(t, np.sin(2 * np.pi * 33.2 * t + 1.0) + rng.normal(size=len(t))) for t in times]
-    starts = effect.starts_beside(moved(robot), left)
+    left = [
+        (robot.motion(np.zeros((len(t), len(rest))), rest, rest, t), np.sin(2 * np.pi * 33.2 * t + 1.0)) for t in times
+    ]
+    starts = effect.starts_beside(moved(robot), [(m, x + rng.normal(size=len(x))) for m, x in left], None)
     assert np.abs(starts[0, 0] - 33.2) < 0.1
 
 

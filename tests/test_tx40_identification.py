@@ -32,6 +32,12 @@ def columns_of(regression: Regression) -> np.ndarray:
     return np.concatenate(parts, axis=2)
 
 
+def scale_of(columns: np.ndarray) -> np.ndarray:
+    """One over each column's length; zero for columns of nothing but rounding."""
+    length = np.linalg.norm(columns.reshape(-1, columns.shape[2]), axis=0)
+    return np.where(length > 1e-12 * length.max(), 1.0 / np.maximum(length, 1e-300), 0.0)
+
+
 def test_the_estimate_is_reproducible(result: tuple[Identification, Regression]) -> None:
     again, _ = fitted()
     assert np.array_equal(again.theta, result[0].theta)
@@ -48,7 +54,7 @@ def test_the_fit_is_that_of_plain_weighted_least_squares(result: tuple[Identific
     """NumPy's solution of the same weighted rows predicts the same torque: rounding, through a condition number of 1e6 at most."""
     fit, held_out = result
     columns, sigma = columns_of(fit.regression), fit.solution.sigma
-    scale = 1.0 / np.maximum(np.linalg.norm(columns.reshape(-1, columns.shape[2]), axis=0), 1e-12)
+    scale = scale_of(columns)
     rows = (columns * scale / sigma[:, None]).reshape(-1, len(scale))
     target = (fit.regression.torque / sigma).ravel()
     plain = np.linalg.lstsq(rows, target, rcond=1e-6)[0] * scale
@@ -63,7 +69,7 @@ def test_held_out_prediction_is_no_worse_than_that_of_ordinary_least_squares(
     """Ordinary least squares on the same columns is what figaroh's QR and `lstsq` come to."""
     fit, held_out = result
     columns = columns_of(fit.regression)
-    scale = 1.0 / np.maximum(np.linalg.norm(columns.reshape(-1, columns.shape[2]), axis=0), 1e-12)
+    scale = scale_of(columns)
     rows = (columns * scale).reshape(-1, len(scale))
     ordinary = np.linalg.lstsq(rows, fit.regression.torque.ravel(), rcond=1e-6)[0] * scale
     theirs = np.linalg.norm(held_out.torque - columns_of(held_out) @ ordinary)

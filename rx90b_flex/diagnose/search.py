@@ -252,6 +252,11 @@ class Search:
         columns = np.ascontiguousarray(self.model.columns.transpose(1, 0, 2))
         return _Shared(columns, np.ascontiguousarray(self.target.T), self.model.solution.sigma**-2.0, self.blocks)
 
+    @cached_property
+    def present(self) -> _Base:
+        """The present model as it is."""
+        return self.base()
+
     def base(self, replaced: Effect | None = None) -> _Base:
         """The present model without `replaced`."""
         kept = np.arange(len(self.model.theta))
@@ -288,7 +293,7 @@ class Search:
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
         candidates = self.candidates()
-        bases: dict[Effect | None, _Base] = {None: self.base()}
+        bases: dict[Effect | None, _Base] = {None: self.present}
         rough: list[tuple[float, Effect, _Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
@@ -331,10 +336,10 @@ class Search:
 
     def _starts(self, effect: Effect) -> Array:
         joint = self.regression.joints.index(effect.joints[0]) if effect.joints else 0
-        left = self.base().residual[joint]
-        clocks = [s.time - s.recording.time[0] + s.motion.time[0] for s in self.regression.stretches]
-        beside = [(t, left[span]) for t, span in zip(clocks, self.regression.spans, strict=True)]
-        return effect.starts_beside(self.longest, beside)
+        left = self.present.residual[joint]
+        stretches = self.regression.stretches
+        beside = [(s.sampled, left[span]) for s, span in zip(stretches, self.regression.spans, strict=True)]
+        return effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)
 
     def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
         shaped = [effect.with_shape(s) if len(s) else effect for s in starts]

@@ -72,6 +72,10 @@ class _AngleError(PeriodicEffect):
         (order,) = self.known_shape()
         return np.sin(order * q)[:, None], np.cos(order * q)[:, None]
 
+    def weights(self, at: JointMotion) -> tuple[Array, ...]:
+        # gravity and ratio turn with the angle alone, the centripetal part also grows with the square of the speed
+        return np.ones_like(at.q), at.v**2
+
     def basis(self, at: JointMotion) -> Array:
         return self.leading(at.motion)[1]
 

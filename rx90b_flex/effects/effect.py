@@ -216,15 +216,17 @@ class Effect(ABC):
         """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
         return np.array([[p.start for _, p in self._flat("shape")]])
 
-    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Array, Array]]) -> Array:
+    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """Shapes to begin from where the residual helps to find them, shape (M, s).
 
         Parameters
         ----------
         motion : Motion
             Of the longest recording.
-        residual : one (time, torque left over) a recording, each (N,)
+        residual : one (motion, torque left over) a recording, N samples each
             Of the first joint that it sits on; uniform in time.
+        cutoff_hz : float or None
+            Of the low-pass that the residual went through.
         """
         return self.shape_starts(motion)
 

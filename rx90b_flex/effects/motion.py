@@ -148,7 +148,7 @@ class Motion:
         """The tree's view of this motion, made once."""
         return self.tree(self)
 
-    def part(self, samples: slice) -> Motion:
+    def part(self, samples: slice | Indices) -> Motion:
         """Some of the samples."""
         q, v, a, time = (x[samples] for x in (self.q, self.v, self.a, self.time))
         return replace(self, q=q, v=v, a=a, time=time)

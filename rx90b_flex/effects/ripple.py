@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from rx90b_flex.effects.effect import OTHER, JointEffect, derived, shape
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 
 
 def sine_and_cosine(amplitude: float | None, phase: float | None) -> Array:
@@ -29,11 +29,19 @@ def amplitude_and_phase(values: Sequence[float] | Array) -> tuple[float | None, 
     return float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
 
 
+def highest_peaks(power: Array, most: int) -> Indices:
+    """Places of the highest local maxima, highest first."""
+    beside = np.concatenate([[-np.inf], power, [-np.inf]])
+    peaks = np.flatnonzero((power >= beside[:-2]) & (power > beside[2:]))
+    return peaks[np.argsort(-power[peaks], kind="stable")][:most]
+
+
 @dataclass(frozen=True, kw_only=True)
 class PeriodicEffect(JointEffect):
     """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
 
     repeats: ClassVar[bool] = True
+    PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins
     HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
@@ -70,6 +78,35 @@ class PeriodicEffect(JointEffect):
         low, high = self.shape_bounds()[:, 0]
         step = np.pi / max(self._range(motion), 1e-2)
         return np.arange(max(low, 2 * step), high, max(step, (high - low) / 600))[:, None]
+
+    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
+        """The highest peaks of the residual's spectrum over the joint's angle, for each weight of the samples."""
+        orders = self.shape_starts(motion)[:, 0]
+        best: list[Indices] = []
+        for power in self._spectra(orders, residual, cutoff_hz):
+            best.append(highest_peaks(power, self.PEAKS))
+        return orders[np.unique(np.concatenate(best))][:, None]
+
+    def weights(self, at: JointMotion) -> tuple[Array, ...]:
+        """How its torque may grow and shrink along a motion, each (N,): the weights of the spectra that a search looks at."""
+        return (np.ones_like(at.q),)
+
+    def _spectra(self, orders: Array, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> list[Array]:
+        """For each weight w: |sum w r exp(-i order q)|^2 over the sum of w^2, where the low-pass lets the order through."""
+        fastest = np.inf if cutoff_hz is None else 2.0 * np.pi * cutoff_hz
+        sums: list[Array] = []
+        own: list[Array] = []
+        for m, left in residual:
+            at = m.joint(self.joint, "drive")
+            heard = np.outer(orders, np.abs(at.v)) < fastest
+            turned = np.exp(-1j * np.outer(orders, at.q)) * heard
+            for i, w in enumerate(self.weights(at)):
+                if i == len(sums):
+                    sums.append(np.zeros(len(orders), dtype=complex))
+                    own.append(np.full(len(orders), 1e-300))
+                sums[i] = sums[i] + turned @ (w * left)
+                own[i] = own[i] + heard @ w**2
+        return [np.abs(s) ** 2 / o for s, o in zip(sums, own, strict=True)]
 
     def shape_spread(self, motion: Motion) -> Array:
         return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])

@@ -12,7 +12,7 @@ from scipy import interpolate
 
 from rx90b_flex.effects.effect import OTHER, Effect, JointEffect, Sites, derived, linear, shape
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.ripple import amplitude_and_phase, sine_and_cosine
+from rx90b_flex.effects.ripple import amplitude_and_phase, highest_peaks, sine_and_cosine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,21 +151,18 @@ class LineInterference(JointEffect):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         raise TypeError(f"{self.type_name()} is no force of the robot")
 
-    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Array, Array]]) -> Array:
+    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """The highest peaks of the residual's spectrum, recordings added with the phases of their clock."""
         low, high = self.shape_bounds()[:, 0]
-        step = min(t[1] - t[0] for t, _ in residual)
+        step = min(m.time[1] - m.time[0] for m, _ in residual)
         # one grid for all recordings, fine enough for phases that turn between recordings far apart
-        size = int(2 ** np.ceil(np.log2(4 * max(len(t) for t, _ in residual))))
+        size = int(2 ** np.ceil(np.log2(4 * max(len(m) for m, _ in residual))))
         hz = np.fft.rfftfreq(size, step)
         total = np.zeros(len(hz), dtype=complex)
-        for t, left in residual:
-            total += np.fft.rfft(left, size) * np.exp(-2j * np.pi * hz * t[0])
-        power = np.where((hz > low) & (hz < high), np.abs(total), 0.0)
-        inner = power[1:-1]
-        peaks = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]))
-        best = peaks[np.argsort(-power[peaks])][: self.PEAKS]
-        return hz[best][:, None] if len(best) else self.shape_starts(motion)
+        for m, left in residual:
+            total += np.fft.rfft(left, size) * np.exp(-2j * np.pi * hz * m.time[0])
+        best = highest_peaks(np.where((hz > low) & (hz < high), np.abs(total), 0.0), self.PEAKS)
+        return hz[best][:, None]
 
     def shape_spread(self, motion: Motion) -> Array:
         return np.array([0.25 / max(float(np.ptp(motion.time)), 1e-3)])

@@ -73,6 +73,11 @@ class Stretch:
             columns = lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
         return columns[:: self.factor][self.kept]
 
+    @cached_property
+    def sampled(self) -> Motion:
+        """The motion at the fit's samples."""
+        return self.motion.part(np.arange(len(self.motion))[:: self.factor][self.kept])
+
     def __len__(self) -> int:
         return len(self.torque)
 
