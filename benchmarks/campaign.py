@@ -44,6 +44,7 @@ def main() -> None:
     arguments.add_argument("--periods", type=int, default=9)
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--method", choices=("nonlinear", "perturbation", "both"), default="both")
+    arguments.add_argument("--crest", choices=("random", "clipping", "lp"), default="lp", help="of the multisine")
     options = arguments.parse_args()
 
     noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
@@ -51,8 +52,9 @@ def main() -> None:
     methods = ("perturbation", "nonlinear") if options.method == "both" else (options.method,)
     for method in methods:
         sizes = {"periods": options.periods, "realisations": max(1, options.runs // 6)}
-        plan = section_662(robot, load_cs8(), noise=noise, method=method, **sizes)
-        short = section_662(robot, load_cs8(), noise=noise, method=method, periods=1, realisations=1)
+        same = {"noise": noise, "method": method, "crest": options.crest}
+        plan = section_662(robot, load_cs8(), **same, **sizes)
+        short = section_662(robot, load_cs8(), **same, periods=1, realisations=1)
         measure(short, options.jobs)
         wall, robot_time = measure(plan, options.jobs)
         peak = max(joblib.Parallel(n_jobs=options.jobs)(joblib.delayed(_peak)(i) for i in range(options.jobs)))
