@@ -36,17 +36,11 @@ def highest_peaks(power: Array, most: int) -> Indices:
     return peaks[np.argsort(-power[peaks], kind="stable")][:most]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PeriodicEffect(JointEffect):
-    """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
+class SineEffect(JointEffect):
+    """A sine of something with an amplitude and a phase, linear in ``amplitude * cos(phase)`` and ``amplitude * sin(phase)``."""
 
-    repeats: ClassVar[bool] = True
-    PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins
-    HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
-
-    order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
-    amplitude: float | None = derived("N m", lower=0.0)
-    phase: float | None = derived("rad")
+    amplitude: float | None
+    phase: float | None
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
@@ -70,8 +64,21 @@ class PeriodicEffect(JointEffect):
         return sine_and_cosine(self.amplitude, self.phase)
 
     def with_coefficients(self, values: Sequence[float] | Array) -> Self:
-        amplitude, phase = amplitude_and_phase(values)
-        return dataclasses.replace(self, amplitude=amplitude, phase=phase)
+        values_of: dict[str, Any] = dict(zip(("amplitude", "phase"), amplitude_and_phase(values), strict=True))
+        return dataclasses.replace(self, **values_of)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicEffect(SineEffect):
+    """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
+
+    repeats: ClassVar[bool] = True
+    PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins
+    HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
+
+    order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
+    amplitude: float | None = derived("N m", lower=0.0)
+    phase: float | None = derived("rad")
 
     def shape_starts(self, motion: Motion) -> Array:
         # two starts a lobe of the periodogram over the range that the joint covers

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -10,9 +9,9 @@ from typing import ClassVar, Self
 import numpy as np
 from scipy import interpolate
 
-from rx90b_flex.effects.effect import OTHER, Effect, JointEffect, Sites, derived, linear, shape
+from rx90b_flex.effects.effect import Effect, JointEffect, Sites, derived, linear, shape
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.ripple import amplitude_and_phase, highest_peaks, sine_and_cosine
+from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +102,7 @@ class MotorSaturation(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineInterference(JointEffect):
+class LineInterference(SineEffect):
     """Mains or another fixed frequency in the torque signal, ``amplitude * sin(2 pi frequency_hz t + phase)``.
 
     The time is the file's, so that recordings of one clock share the phase.
@@ -118,30 +117,6 @@ class LineInterference(JointEffect):
     frequency_hz: float | None = shape("Hz", start=50.0, lower=0.2, upper=2.0e4)
     amplitude: float | None = derived("N m", lower=0.0)
     phase: float | None = derived("rad")
-
-    @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return ("sine", "cosine")
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return ("N m", "N m")
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (OTHER, OTHER)
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.full(2, -np.inf)
-
-    @property
-    def coefficients(self) -> Array:
-        return sine_and_cosine(self.amplitude, self.phase)
-
-    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
-        amplitude, phase = amplitude_and_phase(values)
-        return dataclasses.replace(self, amplitude=amplitude, phase=phase)
 
     def basis(self, at: JointMotion) -> Array:
         (frequency,) = self.known_shape()
