@@ -14,7 +14,7 @@ import numpy as np
 from independent import Arm, Array, Motion
 from scipy import optimize
 
-REVERSAL = 0.01  # rad/s, of tanh: another smoothing of dry friction than the package's
+REVERSAL = 0.001  # rad/s, of tanh: another smoothing of dry friction than the package's
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,10 +34,12 @@ def campaign(folder: Path, kind: str, seed: int) -> Path:
     """Two recordings to identify on, one to validate on; Coulomb and viscous friction declared."""
     rng, arm = np.random.default_rng(seed), ind.ur10()
     joint, values = HIDDEN[kind]
+    # sampled, a step of dry friction shows to the nearest sample only when it came: a delay of less than one needs a smooth torque
+    coulomb = np.zeros(len(JOINTS)) if kind == "torque_delay" else COULOMB
     time = np.arange(round(2 * PERIOD_S * RATE_HZ)) / RATE_HZ
     runs = []
     for role in ("identification", "identification", "validation"):
-        run = log_effects.Experiment.draw(rng, PERIOD_S, 1.5, COULOMB, VISCOUS)
+        run = log_effects.Experiment.draw(rng, PERIOD_S, 1.5, coulomb, VISCOUS)
         position, torque = log_effects.log(kind, arm, run, time, joint, values)
         noise = NOISE * np.sqrt((torque**2).mean(axis=0))
         motion = ind.Motion(time, position + POSITION_NOISE * rng.normal(size=position.shape), position, position)
