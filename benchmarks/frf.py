@@ -3,7 +3,7 @@
 Reads a campaign that is there, or simulates one into the folder. `pyFRF` (H1, H2) and `best-linear-approximation` (Python 3.12
 and up) are used where they can be imported: `pip install --no-deps --target DIR pyfrf tqdm sdypy-sep005`, DIR on PYTHONPATH.
 
-    python benchmarks/frf.py --folder /tmp/campaign_662   # 96 runs of 9 periods
+    python benchmarks/frf.py --folder campaign_662   # 96 runs of 9 periods
 """
 
 from __future__ import annotations
