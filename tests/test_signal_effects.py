@@ -9,6 +9,7 @@ from scipy import integrate, optimize
 from rx90b_flex.effects import Effect, Motion, catalogue
 from rx90b_flex.effects.presliding import hysteresis
 from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.simulate import Trajectory, load_cs8, simulate
 
 RATE = 500.0
 AT = 1  # joint that carries the effect
@@ -171,6 +172,15 @@ def test_presliding_friction_keeps_its_torque_at_rest_and_has_no_memory_without_
     assert hysteresis(q, 8.0 / 900.0)[-1] == pytest.approx(1.0, abs=1e-4)
     state = np.zeros((3, robot.model.nv)), np.full((3, robot.model.nv), -0.3), np.zeros((3, robot.model.nv))
     np.testing.assert_allclose(effect.force(robot.motion(*state))[:, AT], -8.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["torque_delay", "presliding_friction"])
+def test_what_cannot_be_simulated_is_named_before_any_simulation(robot, kind):
+    effect = catalogue()[kind](joint="joint_2")
+    flawed = robot.with_effects([*robot.effects, effect])
+    still = Trajectory("still", robot.joints, 250.0, np.zeros((10, 6)), np.zeros((10, 6)))
+    with pytest.raises(ValueError, match=rf"rx90b_rigid: joint_2\.{kind} cannot be simulated yet"):
+        simulate(flawed, load_cs8(), still)
 
 
 def test_a_delay_may_stand_on_the_robot_or_on_a_joint(tmp_path, robot):

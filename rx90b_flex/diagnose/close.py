@@ -190,7 +190,8 @@ class _Data:
 
     def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
         """Of the torque, from what a model leaves: what does not repeat with the motion, but with a clock, is no noise."""
-        return noise_floor(self.identification, [r.torque - predict(r, model) for r in self.identification], campaign)
+        repeating = [r for r in self.identification if r.recording.period_s is not None]
+        return noise_floor(repeating, [r.torque - predict(r, model) for r in repeating], campaign)
 
     def _errors(self, replays: Sequence[Replay], model: Identification) -> Errors:
         return Errors.of([r.torque for r in replays], [predict(r, model) for r in replays])

@@ -12,8 +12,8 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
 from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.identify.command import possible_coefficients
 from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.identify.physical import possible_coefficients
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import fill_folder
 

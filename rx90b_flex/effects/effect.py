@@ -101,6 +101,7 @@ class Effect(ABC):
     needs_load: ClassVar[bool] = False  # its columns depend on the torque through the transmission
     needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
     in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
+    remembers: ClassVar[bool] = False  # its force depends on the motion before, which a simulation step does not know
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
     needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
@@ -279,6 +280,10 @@ class Effect(ABC):
     def potential(self, motion: Motion) -> Array:
         """Potential energy whose gradient is the force at rest, shape (N,), J; zero for what only dissipates."""
         return np.zeros(len(motion))
+
+    def breakaway_torque(self) -> float:
+        """Dry friction of its joint just before it slides, N m."""
+        return 0.0
 
     def laws(self, motion: Motion) -> tuple[Law, ...] | None:
         """The force as scalar laws, for a compiled simulation; None: that asks for `force` and `derivatives` at each step.

@@ -47,6 +47,9 @@ class CoulombFriction(VelocityFriction):
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
 
+    def breakaway_torque(self) -> float:
+        return float(self.known_coefficients()[0])
+
     def column(self, v: Array) -> Array:
         return reversal(v)
 
@@ -148,6 +151,9 @@ class StribeckFriction(VelocityFriction):
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     velocity: float | None = shape("rad/s", start=0.1, lower=1e-3, upper=20.0)
     power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0)
+
+    def breakaway_torque(self) -> float:
+        return float(self.known_coefficients()[0])
 
     @classmethod
     def shape_bounds(cls) -> Array:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -25,6 +25,8 @@ class PreslidingFriction(JointEffect):
     is what it comes to after sliding: ``torque * sign(v)``.
     """
 
+    remembers: ClassVar[bool] = True
+
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     stiffness: float | None = derived("N m/rad", lower=0.0)
     deflection: float | None = None  # torque over stiffness, rad: the shape that a fit works with
@@ -32,6 +34,9 @@ class PreslidingFriction(JointEffect):
     def __post_init__(self) -> None:
         if self.deflection is None and self.torque and self.stiffness:
             object.__setattr__(self, "deflection", self.torque / self.stiffness)
+
+    def breakaway_torque(self) -> float:
+        return float(self.known_coefficients()[0])
 
     @classmethod
     def shape_names(cls) -> tuple[str, ...]:

@@ -21,17 +21,16 @@ from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale, identify
 from rx90b_flex.identify.physical import (
     Inconsistency,
-    consistent_parameters,
     inconsistencies,
     information_root,
+    possible_coefficients,
 )
 from rx90b_flex.identify.regression import Regression, prepare
-from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
+from rx90b_flex.robot import LINK_UNITS, Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 SCHEMA = 1
 NEGLIGIBLE = 1e-4  # part of a base parameter below which a term is left out of its name
-AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies so near to it
 READ_BACK = 1e-9  # largest relative change of a parameter on its way through the files
 
 Progress = Callable[[str, float], None]
@@ -215,34 +214,6 @@ def _identified(source: Path | Campaign, tell: Progress) -> Identified:
 # ---- parameters that are possible -------------------------------------------------------------------------------
 
 
-def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]]:
-    """Coefficients of a robot that can exist and be loaded, and the names of those held at their bounds.
-
-    What is moved takes the others with it, so that the error grows least.
-    """
-    links = model.link_parameters if model.links_fitted else np.zeros(0)
-    lower = np.concatenate([np.zeros(0), *(e.coefficient_bounds for e in model.effects)])
-    names = [name for name, _ in model.regression.robot.bodies] if model.links_fitted else []
-    theta = model.theta
-    if inconsistencies(links, names) or (theta[len(links) :] < lower).any():
-        declared = model.regression.robot
-        known = np.concatenate([np.zeros(0), *(_declared(declared, e).coefficients for e in model.effects)])
-        rest = np.where(np.isnan(known), theta[len(links) :], known)
-        prior = np.r_[declared.link_parameters[: len(links)], rest]
-        theta = consistent_parameters(theta, model.information, prior, lower=lower).parameters
-    rest, before = theta[len(links) :], model.theta[len(links) :]
-    held = (before < lower) & (rest - lower <= AT_BOUND * np.abs(lower - before))
-    rest = np.where(held, lower, rest)  # the solver ends a little above
-    labels = _names(model)[len(links) :]
-    return np.r_[theta[: len(links)], rest], tuple(label for label, h in zip(labels, held, strict=True) if h)
-
-
-def _declared(robot: Robot, effect: Effect) -> Effect:
-    """The effect as the robot declares it; as it is where it does not."""
-    same = [e for e in robot.effects if type(e) is type(effect) and e.place == effect.place]
-    return same[0] if same else effect
-
-
 def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
     """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
     effects = _effects(model, theta)
@@ -271,7 +242,7 @@ def _consistency(
     if model.links_fitted:
         found = inconsistencies(model.link_parameters, [name for name, _ in model.regression.robot.bodies])
     residual = model.residual - model.columns @ (theta - model.theta)
-    names = {name: i for i, name in enumerate(_names(model))}
+    names = {name: i for i, name in enumerate(model.coefficient_names)}
     moves = [abs(sum(c * (theta - model.theta)[names[name]] for name, c in b.terms)) / b.std for b in base if b.std > 0]
     return Consistency(
         found,
@@ -298,7 +269,7 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
     leading, rest = order[:rank], order[rank:]
     mixed = linalg.solve_triangular(upper[:, :rank], upper[:, rank:])
     mixed = mixed * scale[rest] / scale[leading][:, None]
-    names, units = _names(model), _units(model)
+    names, units = model.coefficient_names, _units(model)
     p = len(model.theta)
     combination = np.zeros((rank, p))
     combination[np.arange(rank), leading] = 1.0
@@ -314,12 +285,6 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
         value = float(combination[row] @ model.theta)
         out.append(BaseParameter(terms, value, float(stds[row]), units[leading[row]]))
     return tuple(out)
-
-
-def _names(model: Identification) -> list[str]:
-    bodies = model.regression.robot.bodies if model.links_fitted else ()
-    links = [f"{link}.{name}" for link, _ in bodies for name in LINK_PARAMETERS]
-    return links + [f"{e.label}.{name}" for e in model.effects for name in e.coefficient_names]
 
 
 def _units(model: Identification) -> list[str]:

@@ -231,6 +231,13 @@ class Identification:
             out.append(effect.with_coefficients(self.theta[first : first + k] + change[at : at + k]))
         return tuple(out)
 
+    @property
+    def coefficient_names(self) -> list[str]:
+        """Names of theta."""
+        bodies = self.regression.robot.bodies if self.links_fitted else ()
+        links = [f"{link}.{name}" for link, _ in bodies for name in LINK_PARAMETERS]
+        return links + [f"{e.label}.{name}" for e in self.effects for name in e.coefficient_names]
+
     def first_column(self, index: int) -> int:
         """Place in theta of the first coefficient of an effect."""
         links = len(self.link_parameters) if self.links_fitted else 0

@@ -24,8 +24,12 @@ from typing import Any
 import numpy as np
 from scipy import linalg, stats
 
+from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.least_squares import RANK_TOLERANCE, column_scale
+from rx90b_flex.identify.least_squares import RANK_TOLERANCE, Identification, column_scale
+from rx90b_flex.robot import Robot
+
+AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies so near to it
 
 # An eigenvalue this far below zero, as a part of the trace, is rounding: point masses and thin rods have zeros.
 ROUNDING = 1e-12
@@ -335,6 +339,34 @@ def consistent_parameters(
     parameters[links:] = np.maximum(parameters[links:], least)  # where the solver was a rounding below
     increase = float(np.sum((root @ (parameters - estimate)) ** 2))
     return ConsistentParameters(parameters, increase, len(root), status)
+
+
+def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]]:
+    """Coefficients of a robot that can exist and be loaded, and the names of those held at their bounds.
+
+    What is moved takes the others with it, so that the error grows least.
+    """
+    links = model.link_parameters if model.links_fitted else np.zeros(0)
+    lower = np.concatenate([np.zeros(0), *(e.coefficient_bounds for e in model.effects)])
+    names = [name for name, _ in model.regression.robot.bodies] if model.links_fitted else []
+    theta = model.theta
+    if inconsistencies(links, names) or (theta[len(links) :] < lower).any():
+        declared = model.regression.robot
+        known = np.concatenate([np.zeros(0), *(_declared(declared, e).coefficients for e in model.effects)])
+        rest = np.where(np.isnan(known), theta[len(links) :], known)
+        prior = np.r_[declared.link_parameters[: len(links)], rest]
+        theta = consistent_parameters(theta, model.information, prior, lower=lower).parameters
+    rest, before = theta[len(links) :], model.theta[len(links) :]
+    held = (before < lower) & (rest - lower <= AT_BOUND * np.abs(lower - before))
+    rest = np.where(held, lower, rest)  # the solver ends a little above
+    labels = model.coefficient_names[len(links) :]
+    return np.r_[theta[: len(links)], rest], tuple(label for label, h in zip(labels, held, strict=True) if h)
+
+
+def _declared(robot: Robot, effect: Effect) -> Effect:
+    """The effect as the robot declares it; as it is where it does not."""
+    same = [e for e in robot.effects if type(e) is type(effect) and e.place == effect.place]
+    return same[0] if same else effect
 
 
 def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:

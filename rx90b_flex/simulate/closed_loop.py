@@ -279,6 +279,11 @@ def _refuse(
         raise ValueError("noise needs a numpy.random.Generator: pass rng")
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; expected 1 or more")
+    for effect in robot.effects:
+        if effect.remembers or not effect.in_dynamics:
+            raise ValueError(
+                f"{robot.name}: {effect.label} cannot be simulated yet; take it out with robot.with_effects, or out of its file"
+            )
     first = trajectories[0]
     for t in trajectories:
         if t.joints != robot.joints:

@@ -224,11 +224,9 @@ def standstill_friction(robot: Robot) -> Array:
     """Dry friction of the model's joints just before they slide, at their torsions, shape (n,), N m."""
     out = np.zeros(robot.model.nv)
     for effect in robot.effects:
-        if effect.type_name() in ("coulomb_friction", "stribeck_friction", "presliding_friction"):
-            place = robot.layout.index(effect.joints[0], "torsion")
-            values = {name: value for name, _, value in effect.public_values()}
-            if place is not None:
-                out[place] += values["torque"]
+        place = robot.layout.index(effect.joints[0], "torsion") if len(effect.joints) == 1 else None
+        if place is not None:
+            out[place] += effect.breakaway_torque()
     return out
 
 
