@@ -10,6 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect, Motion, catalogue, close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.excitation import harmonic_motion
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording, write_campaign
@@ -111,24 +112,8 @@ class _Experiment:
     @staticmethod
     def draw(robot: Robot, rng: np.random.Generator) -> _Experiment:
         """Random harmonics, each joint within its limits of position and speed."""
-        tree = robot.tree
         time = np.arange(round(2 * PERIOD_S * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-        omega = 2 * np.pi / PERIOD_S * np.arange(1, LINES + 1)
-        angle = np.outer(time, omega)
-        # velocities fall off slowly with frequency, so that slow and fast passages alternate
-        weights = rng.normal(size=(2, LINES, tree.nv)) / np.sqrt(omega)[:, None]
-        v = np.cos(angle) @ weights[0] + np.sin(angle) @ weights[1]
-        q = np.sin(angle) @ (weights[0] / omega[:, None]) - np.cos(angle) @ (weights[1] / omega[:, None])
-        a = -np.sin(angle) @ (weights[0] * omega[:, None]) + np.cos(angle) @ (weights[1] * omega[:, None])
-        low, high = tree.lowerPositionLimit, tree.upperPositionLimit
-        by_speed = SPEED * tree.velocityLimit / np.abs(v).max(axis=0)
-        by_range = 0.9 * (high - low) / np.ptp(q, axis=0)
-        scale = np.minimum(by_speed, by_range)
-        q, v, a = q * scale, v * scale, a * scale
-        middle = (q.max(axis=0) + q.min(axis=0)) / 2
-        room = np.maximum((high - low) - np.ptp(q, axis=0), 0.0)
-        centre = (high + low) / 2 + rng.uniform(-0.4, 0.4, tree.nv) * room
-        return _Experiment(q - middle + centre, v, a)
+        return _Experiment(*harmonic_motion(robot.tree, time, rng, period_s=PERIOD_S, lines=LINES, speed=SPEED))
 
     def record(self, robot: Robot, name: str, role: str, rng: np.random.Generator) -> Recording:
         """The log of this motion by a robot, with noise."""

@@ -17,6 +17,7 @@ from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import (
     Trajectory,
     from_recording,
+    harmonics,
     sine_excitation,
     square_wave,
     straight_line,
@@ -35,6 +36,7 @@ __all__ = [
     "design_gains",
     "drive_compliance",
     "from_recording",
+    "harmonics",
     "load_cs8",
     "multisine",
     "perturb_lanes",

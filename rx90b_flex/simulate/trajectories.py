@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.excitation import multisine, smoothed_square
+from rx90b_flex.excitation import harmonic_motion, multisine, smoothed_square
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 
@@ -230,6 +230,30 @@ def sine_excitation(
     feedforward = multisine(list(lines), samples, 1.0, rng, len(robot.joints)) * torque * moves
     once = Trajectory("excitation", robot.joints, rate_hz, position, velocity, feedforward, PERIOD_S)
     return once.repeated(periods)
+
+
+# ---- for any arm ----------------------------------------------------------------------------------------------
+
+
+def harmonics(
+    robot: Robot,
+    rng: np.random.Generator,
+    *,
+    speed: float = 0.5,
+    period_s: float = 10.0,
+    periods: int = 1,
+    rate_hz: float = RATE_HZ,
+) -> Trajectory:
+    """A periodic motion within the limits of any robot: random harmonics of every joint (`harmonic_motion`).
+
+    Parameters
+    ----------
+    speed : float
+        Largest velocity over the joint's limit in the URDF.
+    """
+    time = np.arange(round(period_s * rate_hz)) / rate_hz
+    position, velocity, _ = harmonic_motion(robot.tree, time, rng, period_s=period_s, speed=speed)
+    return Trajectory("harmonics", robot.joints, rate_hz, position, velocity, None, period_s).repeated(periods)
 
 
 # ---- square wave in velocity of section 6.6.2 -----------------------------------------------------------------
