@@ -31,15 +31,8 @@ from rx90b_flex.simulate import CS8, Noise, Simulation, design_cs8, harmonics, r
 
 ARMS = ("ur10", "panda", "kinova", "xarm7", "tiago", "own_file")
 
-
-def slow_but(*cheap: str) -> list[Any]:
-    """All arms, of which only these are in the default tests."""
-    return [pytest.param(name, marks=() if name in cheap else pytest.mark.slow) for name in ARMS]
-
-
 MODES_HZ = 20.0  # of a joint's rigid inertia on its own spring
 CUTOFF_HZ = 20.0
-DEVIATIONS = 4.0
 
 OWN_FILE = """
 name = "own_file"
@@ -58,7 +51,17 @@ damping = 6.0
 type = "viscous_friction"
 joint = "elbow"
 coefficient = 1.5
+[[effects]]
+type = "joint_flexibility"
+joint = "elbow"
+stiffness = [8.0e3, 9.0e3]
+damping = [8.0, 9.0]
 """
+
+
+def slow_but(*cheap: str) -> list[Any]:
+    """All arms, of which only these are in the default tests."""
+    return [pytest.param(name, marks=() if name in cheap else pytest.mark.slow) for name in ARMS]
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +69,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("own")
 
 
+def own_file(folder: Path) -> Robot:
+    """As its file declares it: one drive twists, one joint bends."""
+    (folder / "two_joints.urdf").write_text(TWO_JOINTS)
+    (folder / "own.toml").write_text(OWN_FILE)
+    return load_robot(folder / "own.toml")
+
+
 @cache
 def arm(name: str, folder: Path) -> Robot:
     """A rigid arm without effects: grippers, hands, wheels and heads are held."""
     if name == "own_file":
-        (folder / "two_joints.urdf").write_text(TWO_JOINTS)
-        (folder / "own.toml").write_text(OWN_FILE)
-        return load_robot(folder / "own.toml").with_effects([])
+        return own_file(folder).with_effects([])
     whole = load_robot(f"example-robot-data:{name}")
     if name == "tiago":
         return whole.restricted([j for j in whole.joints if j.startswith("arm_")])
@@ -101,7 +109,9 @@ def drives(robot: Robot) -> list[Effect]:
 
 @cache
 def flexible(name: str, folder: Path) -> Robot:
-    """Every drive twists and every joint bends."""
+    """Every drive twists and every joint bends; of one's own robot, what its file says."""
+    if name == "own_file":
+        return own_file(folder)
     robot = arm(name, folder).with_effects(drives(arm(name, folder)))
     hinges: list[Effect] = []
     for joint, inertia in zip(robot.joints, rigid_inertia(robot, middle(robot)), strict=True):
@@ -130,7 +140,7 @@ def states(robot: Robot, count: int = 4) -> list[tuple[np.ndarray, np.ndarray, n
 @pytest.mark.parametrize("name", ARMS)
 def test_flexified_arm_without_deflection_is_the_rigid_arm(name: str, folder: Path) -> None:
     rigid, robot = arm(name, folder), flexible(name, folder)
-    assert len(robot.coordinates) == 4 * len(rigid.joints)
+    assert len(robot.coordinates) == (5 if name == "own_file" else 4 * len(rigid.joints))
     bare = robot.with_effects([e for e in robot.effects if e.virtual])
     for pose in np.random.default_rng(2).uniform(-1, 1, (3, len(rigid.joints))):
         q = robot.input_matrix @ pose
