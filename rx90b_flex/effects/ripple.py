@@ -106,10 +106,7 @@ class PeriodicEffect(SineEffect):
         for m, left in residual:
             at = m.joint(self.joint, "drive")
             heard = np.outer(orders, np.abs(at.v)) < fastest
-            # orders are evenly spaced: each row is the one before times the same turn
-            rows = np.tile(np.exp(-1j * (orders[1] - orders[0]) * at.q), (len(orders), 1))
-            rows[0] = np.exp(-1j * orders[0] * at.q)
-            turned = np.cumprod(rows, axis=0) * heard
+            turned = np.exp(-1j * np.outer(orders, at.q)) * heard
             for i, w in enumerate(self.weights(at)):
                 if i == len(sums):
                     sums.append(np.zeros(len(orders), dtype=complex))
