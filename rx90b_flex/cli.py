@@ -143,6 +143,8 @@ def frf(
             said = f"{e.value:.4g}" if e.determined else "not determined"
             table.add_row(e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit)
         console.print(table)
+    for remark in result.remarks:
+        console.print(f"Note: {remark}", soft_wrap=True, markup=False, highlight=False)
     for left in result.left_out:
         console.print(f"Left out: {left.stage}: {left.why}", soft_wrap=True, markup=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
