@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -28,16 +28,22 @@ SINGULAR = (
 )
 JUMP = 0.2  # rad; between two samples: another way to reach the point
 GUESSES = (-0.6, -0.2, 0.2, 0.6)  # of half a joint's range; first guesses of the first three joints
-TRIED = 4  # ways to reach the start that are followed
+COARSE = 2e-3  # m along the path, between the samples at which ways to go are compared
+TRIED = 6  # ways to reach the start that are followed
 LONGEST_RANGE = np.pi  # rad either side; of a first guess
 
 
-class Problem(NamedTuple):
-    """What stands in the way, and where along the path, m."""
+Kind = Literal["reach", "limits", "singularity", "speed", "torque"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
+
+class Problem(NamedTuple):
+    """What stands in the way, and where along the path, m; the kinds in the order in which they are looked for."""
+
+    kind: Kind
     begin: float
     end: float
-    why: str
+    why: str = ""
 
     def __str__(self) -> str:
         at = f"at {1e3 * self.begin:.1f} mm"
@@ -123,21 +129,33 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
     starts = arm.starts(point[0], None if frames is None else frames[0])
     if not starts:
         raise ValueError(f"{seam.name}: {arm.out_of_reach(0.0, point[0])}")
-    problems: list[Problem] = []
-    for start in starts[:TRIED]:
+
+    def follow(start: Array, rows: slice) -> Plan | Problem:
         wanted = np.tile(arm.frame(start), (len(point), 1, 1)) if seam.orientation == "keep" else frames
-        followed = arm.follow(start, distance, point, wanted)
+        followed = arm.follow(start, distance[rows], point[rows], None if wanted is None else wanted[rows])
         if isinstance(followed, Problem):
-            problems.append(followed)
-            continue
+            return followed
         position, pull, measure = followed
-        found = Plan(seam, robot, controller.reference_rate_hz, distance, point, tangent, position, pull)
-        problem = _limits(found) or arm.singular(distance, measure, position) or _too_fast(found, controller)
-        if problem is None:
-            return found
-        problems.append(problem)
-    # the way that goes farthest says most
-    raise ValueError(f"{seam.name}: {max(problems, key=lambda problem: problem.begin)}")
+        rate = controller.reference_rate_hz / (rows.step or 1)
+        found = Plan(seam, robot, rate, distance[rows], point[rows], tangent[rows], position, pull)
+        return (
+            _limits(found) or arm.singular(found.distance, measure, position) or _too_fast(found, controller) or found
+        )
+
+    # coarsely, which of several ways it can go, or which fails last: in kind, then in distance
+    stride = max(1, int(COARSE / (seam.speed / controller.reference_rate_hz)))
+    best, fails = starts[0], (-1, -1.0)
+    for start in starts[:TRIED] if len(starts) > 1 else ():
+        found = follow(start, slice(None, None, stride))
+        if isinstance(found, Plan):
+            best = start
+            break
+        if (KINDS.index(found.kind), found.begin) > fails:
+            best, fails = start, (KINDS.index(found.kind), found.begin)
+    found = follow(best, slice(None))
+    if isinstance(found, Problem):
+        raise ValueError(f"{seam.name}: {found}")
+    return found
 
 
 class _Arm:
@@ -212,7 +230,10 @@ class _Arm:
         where = ", ".join(f"{1e3 * x:.1f}" for x in point)
         oriented = "" if self.seam.orientation == "free" else " in its orientation"
         return Problem(
-            distance, distance, f"{self.robot.name} cannot reach ({where}) mm with {self.robot.tip_frame}{oriented}"
+            "reach",
+            distance,
+            distance,
+            f"{self.robot.name} cannot reach ({where}) mm with {self.robot.tip_frame}{oriented}",
         )
 
     def follow(
@@ -238,6 +259,7 @@ class _Arm:
                 joint = self.robot.joints[int(np.abs(position[k] - guess).argmax())]
                 turn = np.rad2deg(np.abs(position[k] - guess).max())
                 return Problem(
+                    "singularity",
                     distance[k - 1],
                     distance[k],
                     f"goes through a singularity: {joint} would jump by {turn:.0f} degrees",
@@ -256,7 +278,7 @@ class _Arm:
             f"passes a singularity: one direction of the tip needs {1.0 / max(measure[worst], 1e-6):.0f} times the joint motion of "
             f"another (limit {1.0 / SINGULAR:.0f}), worst at {1e3 * distance[worst]:.1f} mm with joints at {angles} degrees"
         )
-        return Problem(float(distance[where[0]]), float(distance[where[1]]), why)
+        return Problem("singularity", float(distance[where[0]]), float(distance[where[1]]), why)
 
 
 def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
@@ -268,7 +290,7 @@ def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
     return begin, begin + (len(rest) if rest.all() else int(np.argmin(rest))) - 1
 
 
-def _beyond(plan: Plan, value: Array, low: Array, high: Array) -> tuple[Problem, str, int, int] | None:
+def _beyond(plan: Plan, kind: Kind, value: Array, low: Array, high: Array) -> tuple[Problem, str, int, int] | None:
     """The first joint along the path that leaves its range: where, its name, its place and the sample where it is worst."""
     found = []
     for j, joint in enumerate(plan.robot.joints):
@@ -276,13 +298,15 @@ def _beyond(plan: Plan, value: Array, low: Array, high: Array) -> tuple[Problem,
         where = _first(over > 0.0)
         if where is not None:
             worst = where[0] + int(over[where[0] : where[1] + 1].argmax())
-            found.append((Problem(float(plan.distance[where[0]]), float(plan.distance[where[1]]), ""), joint, j, worst))
+            found.append(
+                (Problem(kind, float(plan.distance[where[0]]), float(plan.distance[where[1]])), joint, j, worst)
+            )
     return min(found, key=lambda x: x[0].begin, default=None)
 
 
 def _limits(plan: Plan) -> Problem | None:
     low, high = (np.asarray(x) for x in (plan.robot.tree.lowerPositionLimit, plan.robot.tree.upperPositionLimit))
-    found = _beyond(plan, plan.position, low, high)
+    found = _beyond(plan, "limits", plan.position, low, high)
     if found is None:
         return None
     where, joint, j, worst = found
@@ -293,7 +317,7 @@ def _limits(plan: Plan) -> Problem | None:
 def _too_fast(plan: Plan, controller: CS8) -> Problem | None:
     limit = np.asarray(plan.robot.tree.upperVelocityLimit, dtype=float)
     velocity = rates(plan.position, plan.rate_hz)
-    found = _beyond(plan, velocity, -limit, limit)
+    found = _beyond(plan, "speed", velocity, -limit, limit)
     if found is not None:
         where, joint, j, worst = found
         return where._replace(
@@ -302,7 +326,7 @@ def _too_fast(plan: Plan, controller: CS8) -> Problem | None:
     rigid = plan.robot.rigid()
     torque = rigid.inverse_dynamics(plan.position, velocity, rates(plan.position, plan.rate_hz, 2))
     most = controller.for_joints(plan.robot.joints).column("torque_limit")
-    found = _beyond(plan, torque, -most, most)
+    found = _beyond(plan, "torque", torque, -most, most)
     if found is None:
         return None
     where, joint, j, worst = found
