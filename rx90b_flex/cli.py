@@ -215,6 +215,60 @@ def simulate_command(
     console.print(f"Recording, tip.csv and figure: {out}", soft_wrap=True)
 
 
+@app.command("check-path")
+def check_path_command(
+    path: Annotated[
+        str,
+        typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
+    tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
+    ] = None,
+    speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
+    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
+    correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
+    contributions: Annotated[
+        bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
+    ] = True,
+    iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
+    jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
+    save_example: Annotated[
+        Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
+    ] = None,
+) -> None:
+    """Check that ROBOT can follow PATH within a tolerance: where it strays, which effect is why, and a corrected path.
+
+    Exit status: 0 within tolerance, as planned or corrected; 1 not within tolerance; 2 bad input, or a path that the robot cannot
+    follow (out of reach, outside limits, through a singularity, too fast), with nothing written.
+    """
+    from rx90b_flex.path.check import Options
+    from rx90b_flex.path.output import Request, run_request, write_check, write_example
+    from rx90b_flex.signals.folders import check_folder
+    from rx90b_flex.view.path_report import write_path_report
+
+    console = Console()
+    if save_example is not None:
+        write_example(path, save_example)
+        console.print(f"Path file: {save_example}", soft_wrap=True)
+        return
+    check_folder(out)
+    options = Options(tolerance_mm, correct, contributions, iterations, jobs)
+    with _progress() as tell:
+        result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
+        tell("writing the report", 0.98)
+        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),))
+    console.print(result.sentence, soft_wrap=True, highlight=False)
+    causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
+    if causes:
+        said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
+        console.print(f"Largest contributions across, RMS, mm: {said}", soft_wrap=True, highlight=False)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+    if result.verdict == "outside_tolerance":
+        raise typer.Exit(1)
+
+
 @app.command()
 def view(
     source: Annotated[

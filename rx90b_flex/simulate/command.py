@@ -90,14 +90,15 @@ def prepare(request: Request) -> Prepared:
     robot = load_robot(request.robot)
     for effect in robot.effects:
         effect.known_coefficients()
-    controller = _controller(robot, request.controller)
+    controller = controller_of(robot, request.controller)
     trajectory = _trajectory(robot, controller, request)
     if request.periods > 1 and trajectory.period_s is None:
         raise ValueError(f"periods is {request.periods}, but {trajectory.name!r} does not repeat")
     return Prepared(request, robot, controller, trajectory)
 
 
-def _controller(robot: Robot, file: Path | None) -> CS8:
+def controller_of(robot: Robot, file: Path | None) -> CS8:
+    """The controller of a file; where none is named, the CS8's for a robot with its joints, else gains designed for the robot."""
     if file is not None:
         return _of_robot(load_cs8(file), robot, str(file))
     own = load_cs8()
