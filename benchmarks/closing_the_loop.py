@@ -83,7 +83,7 @@ def sine(**ranges: tuple[float, float]) -> Callable[[np.random.Generator], dict[
     return lambda rng: {name: float(rng.uniform(*r)) for name, r in ranges.items()} | {"phase": _phase(rng)}
 
 
-def drawn(**ranges: tuple[float, float]) -> Callable[[np.random.Generator], dict[str, float | list[float]]]:
+def uniform(**ranges: tuple[float, float]) -> Callable[[np.random.Generator], dict[str, float | list[float]]]:
     return lambda rng: {name: float(rng.uniform(*r)) for name, r in ranges.items()}
 
 
@@ -97,13 +97,13 @@ KINDS: Mapping[str, Kind] = {
     "torque_offset": Kind(lambda rng: {"torque": float(rng.choice([-1.0, 1.0]))}),
     "coulomb_friction": Kind(one("torque"), absent=("coulomb_friction",)),
     "viscous_friction": Kind(one("coefficient"), absent=("viscous_friction",)),
-    "viscous_power_friction": Kind(one("coefficient"), drawn(power=(0.35, 0.65)), absent=("viscous_friction",)),
-    "stribeck_friction": Kind(one("torque"), drawn(velocity=(0.08, 0.3), power=(0.8, 2.0))),
+    "viscous_power_friction": Kind(one("coefficient"), uniform(power=(0.35, 0.65)), absent=("viscous_friction",)),
+    "stribeck_friction": Kind(one("torque"), uniform(velocity=(0.08, 0.3), power=(0.8, 2.0))),
     "asymmetric_friction": Kind(lambda rng: {"coefficient": float(rng.choice([-1.0, 1.0]))}),
-    "load_friction": Kind(one("coefficient")),
-    "friction_drift": Kind(one("coefficient"), drawn(time_constant=(3.0, 10.0)), start=1.0),
-    "presliding_friction": Kind(one("torque"), drawn(deflection=(0.01, 0.05)), start=1.0),
-    "joint_spring": Kind(one("stiffness"), drawn(rest_angle=(-0.5, 0.5))),
+    "load_friction": Kind(one("coefficient"), most=0.3),
+    "friction_drift": Kind(one("coefficient"), uniform(time_constant=(3.0, 10.0)), start=1.0),
+    "presliding_friction": Kind(one("torque"), uniform(deflection=(0.01, 0.05)), start=1.0),
+    "joint_spring": Kind(one("stiffness"), uniform(rest_angle=(-0.5, 0.5))),
     "base_tilt": Kind(_tilt, on="robot", start=0.02, most=0.1),
     "payload": Kind(
         one("mass"), lambda rng: {"centre": rng.uniform(-0.15, 0.15, 3).tolist()}, on="frame", known_links=True
@@ -123,7 +123,7 @@ KINDS: Mapping[str, Kind] = {
 ADDITIVE = tuple(name for name in KINDS if name not in log_effects.BETWEEN)
 OUTSIDE = ("contact", "angle_dependent_friction", "slipping_encoder")
 OUTSIDE_KINDS: Mapping[str, Kind] = {
-    "contact": Kind(one("stiffness"), drawn(quantile=(0.6, 0.8)), on="frame"),
+    "contact": Kind(one("stiffness"), uniform(quantile=(0.6, 0.8)), on="frame"),
     "angle_dependent_friction": Kind(one("coefficient"), on="pair"),
     "slipping_encoder": Kind(one("slip"), start=3e-4, most=0.1),
 }
@@ -385,16 +385,25 @@ def hide(scene: Scene, name: str, kind: Kind, strength: float, rng: np.random.Ge
         here = scene.without(kind.absent, place[0]) if absent else scene
         robot = declared_robot(scene.subject.name, absent, kind.known_links)
         fixed = kind.start is not None and np.isfinite(kind.start) and kind.start != 1.0
-        start, most = (kind.start, kind.most) if fixed else raw_start(here, hidden, strength)
-        size = sized(here, hidden, robot, strength, float(most), float(start))  # type: ignore[arg-type]
+        start, most = (kind.start, np.inf) if fixed else raw_start(here, hidden, strength)
+        size = sized(here, hidden, robot, strength, min(kind.most, most), float(start))  # type: ignore[arg-type]
         if size is not None:
             return hidden, size, here, absent
     return None
 
 
-def run_case(case: Case) -> dict[str, Any]:
-    """One run: draw, hide, close the loop, and compare."""
-    began = clock.process_time()
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What a run closes the loop on: the robot as declared, its campaign, and what was hidden; `skipped` says why there is none."""
+
+    robot: Robot
+    campaign: Campaign
+    scene: Scene
+    hidden: tuple[tuple[Hidden, float], ...]
+
+
+def draw(case: Case) -> Drawn | str:
+    """The drawn campaign of a run, or what could not be hidden."""
     rng = np.random.default_rng([case.seed, *case.key.rsplit("/", 1)[0].encode()])
     names = [] if case.study == "nothing" else case.name.split("+")
     kinds = {**KINDS, **OUTSIDE_KINDS}
@@ -407,20 +416,33 @@ def run_case(case: Case) -> dict[str, Any]:
         kind = replace(kinds[name], known_links=known_links)
         made = hide(scene, name, kind, case.strength, rng)
         if made is None:
-            return vars(case) | {"robot": robot_name, "skipped": f"{name} shows nowhere at this strength"}
+            return f"{name} shows nowhere on {robot_name} at strength {case.strength:g}"
         new, size, scene, gone = made
         hidden.append((new, size))
         absent += gone
-    robot = declared_robot(robot_name, absent, known_links)
-    recordings = scene.logs(hidden)
-    noise = scene.sensor_noise
     campaign = Campaign(
-        Path(case.key), robot_name, robot_name, RATE_HZ, scene.arm.joints, recordings, CUTOFF_HZ, tuple(noise.tolist())
+        Path(case.key),
+        robot_name,
+        robot_name,
+        RATE_HZ,
+        scene.arm.joints,
+        scene.logs(hidden),
+        CUTOFF_HZ,
+        tuple(scene.sensor_noise.tolist()),
     )
-    result = rf.close_loop(campaign, robot=robot)
-    on_validation = [noise * n for (_, n), role in zip(scene.noise, ROLES, strict=True) if role == "validation"]
-    floor = lowpassed_rms(np.concatenate(on_validation))
-    joints = scene.arm.joints
+    return Drawn(declared_robot(robot_name, absent, known_links), campaign, scene, tuple(hidden))
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """One run: draw, hide, close the loop, and compare."""
+    began = clock.process_time()
+    drawn = draw(case)
+    if isinstance(drawn, str):
+        return vars(case) | {"skipped": drawn}
+    scene, joints = drawn.scene, drawn.scene.arm.joints
+    result = rf.close_loop(drawn.campaign, robot=drawn.robot)
+    on_validation = [n for (_, n), role in zip(scene.noise, ROLES, strict=True) if role == "validation"]
+    floor = lowpassed_rms(scene.sensor_noise * np.concatenate(on_validation))
     found = [
         {
             "type": e.effect.type_name(),
@@ -430,16 +452,18 @@ def run_case(case: Case) -> dict[str, Any]:
         }
         for e in result.effects
     ]
-    after = np.array(result.after.validation.torque_rms)
-    before = np.array(result.before.validation.torque_rms)
+    before, after = (np.array(r.validation.torque_rms) / floor for r in (result.before, result.after))
     return vars(case) | {
-        "robot": robot_name,
-        "hidden": [{"type": h.kind, "joints": [joints[i] for i in h.place], "values": h.values(s)} for h, s in hidden],
+        "robot": scene.subject.name,
+        "hidden": [
+            {"type": h.kind, "joints": [joints[i] for i in h.place], "values": h.values(size)}
+            for h, size in drawn.hidden
+        ],
         "found": found,
         "verdict": result.verdict,
-        "before_over_floor": (before / floor).round(4).tolist(),
-        "after_over_floor": (after / floor).round(4).tolist(),
-        "held_out": float(np.sqrt(np.mean((after / floor) ** 2))),
+        "before_over_floor": before.round(4).tolist(),
+        "after_over_floor": after.round(4).tolist(),
+        "held_out": float(np.sqrt(np.mean(after**2))),
         "unexplained": [[d.joint, d.signal, round(d.score, 3)] for d in result.unexplained.where[:3]],
         "seconds": round(clock.process_time() - began, 2),
     }
