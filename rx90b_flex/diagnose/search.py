@@ -23,7 +23,7 @@ from rx90b_flex.identify.regression import Regression
 
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
 SMALLEST_GAIN = 0.02  # of the squared error of the joints that an effect touches; less is not worth a name
-GAIN_T = 2.0  # held-out gain over its standard error
+GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
@@ -68,10 +68,12 @@ class Trial:
 
     @property
     def gain_t(self) -> float:
-        """Gain over its standard error between blocks."""
-        blocks = len(self.block_gains)
-        spread = self.block_gains.std(ddof=1) * np.sqrt(blocks)
-        return float(self.gain / spread) if spread > 0 else np.inf
+        """Mean over standard error of the blocks' gains, as signed roots: an effect that acts much in one block and
+        little in others, such as a saturation, differs between them without being less sure.
+        """
+        roots = np.sign(self.block_gains) * np.sqrt(np.abs(self.block_gains))
+        error = roots.std(ddof=1) / np.sqrt(len(roots))
+        return float(roots.mean() / error) if error > 0 else np.inf
 
     @property
     def sure_gain(self) -> float:
