@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -148,6 +149,61 @@ def frf(
     for left in result.left_out:
         console.print(f"Left out: {left.stage}: {left.why}", soft_wrap=True, markup=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+@app.command()
+def excite(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    pose: Annotated[list[str] | None, typer.Option(help="Degrees, one a joint: 0,90,0; repeat for more poses.")] = None,
+    joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
+    matrix: Annotated[
+        str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")
+    ] = "ones",
+    peak: Annotated[
+        str | None, typer.Option(help="Largest torque, N m: one, or one a joint; 10 % of the limits otherwise.")
+    ] = None,
+    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 2.5,
+    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
+    period_s: Annotated[float, typer.Option(help="Period; a longer one has finer lines.")] = 4.096,
+    speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s.")] = 0.11,
+    swings: Annotated[int, typer.Option(help="Times to and fro in a period; odd.")] = 1,
+    realisations: Annotated[int, typer.Option(help="Multisines with other phases.")] = 16,
+    periods: Annotated[int, typer.Option(help="Periods of a run; the first is for the transient.")] = 9,
+    one_sign: Annotated[bool, typer.Option("--one-sign", help="Without the runs of opposite sign.")] = False,
+    white: Annotated[
+        bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")
+    ] = False,
+    controller: Annotated[
+        Path | None, typer.Option(help="Controller file (TOML), for --white and --simulate; the CS8's otherwise.")
+    ] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
+) -> None:
+    """Write the references that excite ROBOT for `rx90b-flex frf`, and the campaign file for its logs."""
+    from rx90b_flex.simulate.excite import Request, excite_into
+
+    poses = tuple(tuple(math.radians(x) for x in _numbers("pose", text)) for text in pose or [])
+    request = Request(
+        robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
+        _numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
+        not one_sign, white, controller, seed,
+    )  # fmt: skip
+    with _progress() as tell:
+        said = excite_into(request, out, simulate, tell)
+    console = Console()
+    for text in said:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+    console.print(
+        f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}", soft_wrap=True
+    )
+
+
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}; expected numbers: 0,90,0") from None
 
 
 @app.command()
