@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.path.plan import Plan, rates
+from rx90b_flex.path.plan import HOLD_S, Plan, rates
 from rx90b_flex.simulate.closed_loop import static_start
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 
@@ -23,6 +23,7 @@ BAND_HZ = 20.0  # choice: Q is 1 up to here and falls to 0 at twice this
 REGULARISATION = 1e-2  # r; T is about 1 in the loop's bandwidth
 POSE_EVERY = 0.15  # m along the path, between poses at which T is known; the tip moves by little of the arm's length
 GRID_HZ = 0.25  # of T's frequencies, a quarter of the sharpest resonance's width
+FADE_S = 0.5 * HOLD_S
 PAD_S = 2.0  # over which the end of the deviation is led back to its beginning
 
 
@@ -64,7 +65,11 @@ class Learner:
             learned[used] = np.einsum("fij,fj->fi", at, spectrum[used])
             hat = np.interp(self.plan.distance, self.knots, np.eye(len(self.knots))[knot])
             out += hat[:, None] * np.fft.irfft(learned, len(closed), axis=0)[:count]
-        return out
+        # the robot stands at either end: what the filter brings forward begins after the start, and ends before the end
+        ends = np.minimum(self.plan.time, self.plan.time[::-1]) / FADE_S
+        part = np.clip(ends, 0.0, 1.0)[:, None]
+        rest = np.where(np.arange(count)[:, None] < count // 2, out[0], out[-1])
+        return np.asarray(rest + part**3 * (10.0 - 15.0 * part + 6.0 * part**2) * (out - rest))
 
 
 def _between(hz: Array, grid: Array, values: ComplexArray) -> ComplexArray:

@@ -310,8 +310,10 @@ def _limits(plan: Plan) -> Problem | None:
     if found is None:
         return None
     where, joint, j, worst = found
-    at, low_deg, high_deg = np.rad2deg([plan.position[worst, j], low[j], high[j]])
-    return where._replace(why=f"needs {joint} at {at:.1f} degrees, outside its limits {low_deg:.1f} to {high_deg:.1f}")
+    slides = plan.robot.tree.joints[j + 1].shortname().startswith("JointModelP")
+    unit, scale = ("mm", 1e3) if slides else ("degrees", np.rad2deg(1.0))
+    at, least, most = scale * np.array([plan.position[worst, j], low[j], high[j]])
+    return where._replace(why=f"needs {joint} at {at:.1f} {unit}, outside its limits {least:.1f} to {most:.1f}")
 
 
 def _too_fast(plan: Plan, controller: CS8) -> Problem | None:
