@@ -98,11 +98,11 @@ def _physical(result: MotorIdentification) -> Section | None:
         ),
     ]
     if grey.directions:
-        rows = [
+        vague = tuple(
             (d.words.rsplit(":", 1)[0], f"{100 * d.relative_std:.0f} %") for d in grey.directions[:SHOWN_DIRECTIONS]
-        ]
+        )
         caption = "What the data say least: parameters that change together almost unseen, and how far (one standard deviation)"
-        tables.append(Table(("combination", "std"), tuple(rows), caption))
+        tables.append(Table(("combination", "std"), vague, caption))
     compared = [row for p in result.poses for row in _drive_rows(result, p, grey)]
     if compared:
         head = ("drive", "poles and zeros", "std", "grey box", "std", "unit")
