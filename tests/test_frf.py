@@ -138,7 +138,9 @@ def test_covariances_are_those_of_repeated_campaigns() -> None:
         assert np.all(np.abs(ratio - 1.0) < 4 * 0.035 + 0.02), which
 
 
-@pytest.mark.parametrize("seed", [3, 13, 23])
+@pytest.mark.parametrize(
+    "seed", [3, pytest.param(13, marks=pytest.mark.slow), pytest.param(23, marks=pytest.mark.slow)]
+)
 def test_nonlinear_distortion_is_told_from_noise(seed: int) -> None:
     r = estimate_frequency_response(recordings(np.random.default_rng(seed), 40, 4, noise=0.03, distortion=0.1))
     assert r.noise_covariance is not None and r.distortion_covariance is not None
@@ -151,7 +153,9 @@ def test_nonlinear_distortion_is_told_from_noise(seed: int) -> None:
     assert np.all(share > 0.9)
 
 
-@pytest.mark.parametrize("seed", [4, 14, 24])
+@pytest.mark.parametrize(
+    "seed", [4, pytest.param(14, marks=pytest.mark.slow), pytest.param(24, marks=pytest.mark.slow)]
+)
 def test_bands_hold_the_truth_in_95_percent_of_lines_with_few_realisations(seed: int) -> None:
     """Fisher's quantile makes up for a covariance that five realisations tell: of one line, or of all where they are alike."""
     rng = np.random.default_rng(seed)
@@ -164,7 +168,9 @@ def test_bands_hold_the_truth_in_95_percent_of_lines_with_few_realisations(seed:
     assert np.all(np.abs(np.mean(inside, axis=0) - 0.95) < 3 * 2 * 0.0043)
 
 
-@pytest.mark.parametrize("seed", [5, 15, 25])
+@pytest.mark.parametrize(
+    "seed", [5, pytest.param(15, marks=pytest.mark.slow), pytest.param(25, marks=pytest.mark.slow)]
+)
 def test_in_closed_loop_h1_is_biased_as_theory_says_and_this_estimate_is_not(seed: int) -> None:
     """The loop feeds the angle's noise v back: ``E[(y - P u) u^H] = -c E[v v^H] S^H``, which H1 divides by ``E[u u^H]``."""
     noise, loop = 0.1, 2.0
@@ -199,7 +205,7 @@ def test_realisations_experiments_and_signs_are_told_from_the_feedforward_in_any
 
 def test_without_feedforward_names_tell_and_lines_must_be_given() -> None:
     runs = recordings(np.random.default_rng(6), log_feedforward=False)
-    with pytest.raises(ValueError, match="give the excited lines as `hz`"):
+    with pytest.raises(ValueError, match="or from Python the excited lines as `hz`"):
         estimate_frequency_response(runs)
     np.testing.assert_allclose(estimate_frequency_response(runs, hz=HZ).value, plant(HZ), rtol=1e-8)
     unnamed = recordings(np.random.default_rng(6), log_feedforward=False, names=False)
