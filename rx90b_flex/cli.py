@@ -116,6 +116,10 @@ def frf(
     bending_alike_std: Annotated[
         float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
     ] = 0.1,
+    references: Annotated[
+        Path | None,
+        typer.Option(help="Folder references/ of `rx90b-flex excite`, where the logs lack the feed-forward torque."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
 ) -> None:
     """Identify stiffness, damping and drive inertia from the motor signals of CAMPAIGN alone."""
@@ -130,7 +134,7 @@ def frf(
         raise ValueError(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
         )
-    options = Options((low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed)
+    options = Options((low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references)
     with _progress() as tell:
         result = identify_from_motors(campaign, options, tell)
         tell("writing the report", 0.97)
