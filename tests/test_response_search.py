@@ -96,7 +96,9 @@ def test_what_is_written_loads(tmp_path):
     assert (
         found["after"]["identification"][0]["weighted_error"] < found["before"]["identification"][0]["weighted_error"]
     )
-    drive = next(e for e in load_robot(tmp_path / "out" / "robot.toml").effects if e.label == "joint_3.drive_flexibility")
+    drive = next(
+        e for e in load_robot(tmp_path / "out" / "robot.toml").effects if e.label == "joint_3.drive_flexibility"
+    )
     (added,) = loop.found
     assert drive.stiffness == pytest.approx(added.values[0], rel=1e-12)
     assert abs(added.values[0] - 1.0e5) < 3 * added.stds[0]

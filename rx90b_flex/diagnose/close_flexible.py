@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import os
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +39,8 @@ from rx90b_flex.diagnose.modal import (
     rms,
 )
 from rx90b_flex.diagnose.response import MODEL_ERROR as RESPONSE_ERROR
-from rx90b_flex.diagnose.response import ResponseResidual, thinned
+from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_response, thinned
+from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot, load_robot
@@ -177,6 +180,7 @@ def close_modal(
     *,
     model_error: float = MODEL_ERROR,
     new_std: float = NEW_STD,
+    only: Sequence[str] = (),
     most: int = MOST_CHANGES,
     progress: Progress | None = None,
 ) -> ModalLoop:
@@ -190,6 +194,8 @@ def close_modal(
         Relative error of every frequency that is allowed for beside the stated standard deviations.
     new_std : float
         Prior standard deviation of the logarithm of a new stiffness about those declared of its kind.
+    only : sequence of str
+        Labels of changes to try (``base.base_flexibility``, ``joint_2.drive_stiffness``); all where empty.
     most : int
         Changes at the most.
     progress : callable, optional
@@ -213,6 +219,13 @@ def close_modal(
         return ModalResidual(structure, poses, read.band_hz, model_error)
 
     data = residual(fitted)
+    if only:
+        labels = [c.label for c in data.structure.changes]
+        for label in only:
+            if label not in labels:
+                raise ValueError(f"only: no change {label!r} of {source.name}; {close_match(label, labels)}")
+        kept = tuple(c for c in data.structure.changes if c.label in only)
+        data.structure = dataclasses.replace(data.structure, changes=kept)
     result = search(data, progress, most)
     held_out = read.role("validation")
     other = residual(held_out) if held_out else None
@@ -538,6 +551,33 @@ def write_loop(
 
     fill_folder(folder, fill)
     return folder
+
+
+def speaks_of_frequency(source: str | os.PathLike[str]) -> bool:
+    """Whether a file or folder is a modal table or a result of ``rx90b-flex frf``, not a campaign of recordings."""
+    path = Path(source)
+    if path.is_dir():
+        return (path / "frf.json").is_file()
+    try:
+        return path.suffix == ".toml" and "pose" in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False  # the campaign's reader says what is wrong with it
+
+
+def close_over_frequency(
+    source: str | os.PathLike[str],
+    robot: str | None = None,
+    model_error: float | None = None,
+    progress: Progress | None = None,
+) -> ModalLoop | ResponseLoop:
+    """Close the loop on a modal table or on a folder of ``rx90b-flex frf``: `close_modal` or `close_response`.
+
+    A folder's robot is the one of that name, unless another is given.
+    """
+    if Path(source).is_dir():
+        response, name = load_frequency_response(source)
+        return close_response(response, robot or name, model_error=model_error or RESPONSE_ERROR, progress=progress)
+    return close_modal(source, robot, model_error=model_error or MODEL_ERROR, progress=progress)
 
 
 def change_words(found: Found) -> str:
