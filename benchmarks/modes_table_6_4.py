@@ -2,8 +2,8 @@
 
     python benchmarks/modes_table_6_4.py [--figure modes.png] [--quick]
 
-Prints the search with everything allowed, mode by mode; the same with new hinges about as stiff as the declared ones; with the changes
-that come to mind alone (drives 4 to 6, floor, softer joints); with a wrist three times as heavy; and, for each list of modes in turn,
+Prints the search with everything allowed, mode by mode; the same with new hinges about as stiff as the declared ones; with the
+changes that come to mind alone (drives 5 and 6, floor, softer joints); with a wrist three times as heavy; and, for each list in turn,
 what a search without it finds and how well that predicts it. Two minutes on one core; --quick leaves out all but the first.
 """
 
@@ -12,8 +12,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-
-import numpy as np
 
 from rx90b_flex.diagnose.close_flexible import ModalLoop, alone, change_words, close_modal, error_rms, in_order_rms
 from rx90b_flex.diagnose.modal import ModalTable, load_modal_table
@@ -108,11 +106,10 @@ def main() -> None:
         before, after = (100 * error_rms(c) for c in (left.validation_before, left.validation_after))
         unpaired = alone(left.validation_before), alone(left.validation_after)
         print(
-            f"  {name}: {before:.1f} % before, {after:.1f} % after (without a partner {unpaired}); {labels} ({seconds:.0f} s)",
-            flush=True,
+            f"  {name}: {before:.1f} % before, {after:.1f} % after, without a partner {unpaired[0]} and {unpaired[1]}"
         )
+        print(f"    found: {labels} ({seconds:.0f} s)", flush=True)
 
 
 if __name__ == "__main__":
-    np.set_printoptions(precision=1)
     main()

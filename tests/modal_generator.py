@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from xml.etree import ElementTree
 
 import numpy as np
 from mujoco_engine import Engine
@@ -159,4 +160,19 @@ CAUSES = {
         PLAIN.with_effects([*PLAIN.effects, BaseFlexibility(stiffness=(2e6, 8e6), damping=(2e3, 8e3))]),
         ["base.base_flexibility"],
     ),
+}
+
+
+def heavier(urdf: str, link: str, factor: float) -> str:
+    """A URDF in which one link has `factor` times the mass; its centre and its inertia about that stay."""
+    root = ElementTree.fromstring(urdf)
+    (mass,) = (m for x in root.findall("link") if x.get("name") == link for m in x.iter("mass"))
+    mass.set("value", repr(factor * float(mass.get("value", ""))))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+# what no change of the search can be
+OUTSIDE = {
+    "coupled drives": dataclasses.replace(truth_of(PLAIN), coupling=("joint_2:drive", "joint_3:drive", 0.6)),
+    "heavier forearm": dataclasses.replace(truth_of(PLAIN), urdf=heavier(PLAIN.urdf, "link_3", 1.15)),
 }

@@ -14,7 +14,7 @@ import re
 
 import numpy as np
 import pytest
-from modal_generator import BAND, BENT, CAUSES, MEASURED, PLAIN, STRETCHED, measured, truth_of
+from modal_generator import BAND, BENT, CAUSES, MEASURED, OUTSIDE, PLAIN, STRETCHED, measured, truth_of
 from scipy import stats
 
 from rx90b_flex.diagnose.close_flexible import close_modal, in_order_rms, write_loop
@@ -149,6 +149,14 @@ def test_hidden_causes_are_named_whatever_the_noise():
 @pytest.mark.slow
 def test_where_nothing_is_hidden_nothing_is_added():
     assert sum(closed("nothing", 200 + seed).verdict == "nothing_missing" for seed in range(60)) >= 57
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", OUTSIDE)
+def test_a_cause_outside_the_catalogue_is_not_called_explained(cause):
+    for seed in range(3):
+        table = measured(OUTSIDE[cause], np.random.default_rng(300 + seed), NOISE, (STRETCHED, BENT))
+        assert close_modal(table, PLAIN, model_error=EXACT).verdict in ("partly_explained", "unexplained")
 
 
 # ---- files ----------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from modal_generator import BENT, CAUSES, MEASURED, PLAIN, STRETCHED, measured_response, truth_of
+from modal_generator import BENT, CAUSES, MEASURED, OUTSIDE, PLAIN, STRETCHED, measured_response, truth_of
 
 from rx90b_flex.diagnose.close_flexible import close_response, write_loop
 from rx90b_flex.diagnose.flexible import Structure
@@ -85,6 +85,15 @@ def test_hidden_causes_are_named_whatever_the_noise():
 @pytest.mark.slow
 def test_where_nothing_is_hidden_nothing_is_added():
     assert sum(closed("nothing", 200 + seed).verdict == "nothing_missing" for seed in range(60)) >= 57
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", OUTSIDE)
+def test_a_cause_outside_the_catalogue_is_not_called_explained(cause):
+    for seed in range(3):
+        rng = np.random.default_rng(300 + seed)
+        response = measured_response(OUTSIDE[cause], rng, NOISE, STRETCHED, PLAIN.joints)
+        assert close_response(response, PLAIN, model_error=EXACT).verdict in ("partly_explained", "unexplained")
 
 
 def test_what_is_written_loads(tmp_path):
