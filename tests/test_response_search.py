@@ -12,7 +12,7 @@ from modal_generator import BENT, CAUSES, MEASURED, OUTSIDE, PLAIN, STRETCHED, m
 
 from rx90b_flex.diagnose.close_flexible import close_response, write_loop
 from rx90b_flex.diagnose.flexible import Structure
-from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_response, response_of
+from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, response_of
 from rx90b_flex.robot import load_robot
 
 NOISE = 0.03  # relative, of each entry: as in the trial that PHYSICS.md tells of
@@ -126,14 +126,18 @@ def test_a_result_of_the_frf_command_is_read(tmp_path):
         },
     }  # fmt: skip
     (tmp_path / "frf.json").write_text(json.dumps(table))
-    read, robot = load_frequency_response(tmp_path)
+    (read,), robot = load_frequency_responses(tmp_path)
     assert robot == "rx90b" and read.degrees_of_freedom == 15.0
     np.testing.assert_array_equal(read.value, response.value)
     np.testing.assert_allclose(read.std(), std)
+    one = {key: table.pop(key) for key in ("pose_rad", "frequency_response")}
+    (tmp_path / "frf.json").write_text(json.dumps({**table, "poses": [one, one]}))
+    assert len(load_frequency_responses(tmp_path)[0]) == 2
+    table = {**table, **one}
     del table["frequency_response"]["std"]
     (tmp_path / "frf.json").write_text(json.dumps(table))
     with pytest.raises(ValueError, match=r"frf\.json: key 'std' is missing"):
-        load_frequency_response(tmp_path)
+        load_frequency_responses(tmp_path)
 
 
 def test_responses_of_other_joints_are_refused():

@@ -39,7 +39,7 @@ from rx90b_flex.diagnose.modal import (
     rms,
 )
 from rx90b_flex.diagnose.response import MODEL_ERROR as RESPONSE_ERROR
-from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_response, thinned
+from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, thinned
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
@@ -131,6 +131,12 @@ class FlexibleLoop:
         per = self.residual.size / max(len(after.x), 1)
         if len(after.x) and per < FEW_MODES:
             out.append(f"{self.residual.size:.0f} independent numbers for {len(after.x)} parameters.")
+        distinct = self._distinct()
+        if self.found and distinct is not None and distinct < 0.7 * self.residual.size:
+            out.append(
+                f"The {self.residual.size:.0f} modes lie at {distinct} frequencies, apart by more than the scatter that is left: "
+                "a resonance and the antiresonances beside it share their error, and the chances given here take them as independent."
+            )
         for found in self.found:
             factor = float(np.exp(np.log(found.values) - found.change.usual).mean())
             hinge = found.change.adds and any(
@@ -146,6 +152,10 @@ class FlexibleLoop:
                 others = ", ".join(t.change.words for t in found.alternatives)
                 out.append(f"Instead of {found.change.words} the data allow: {others}.")
         return out
+
+    def _distinct(self) -> int | None:
+        """How many groups of modes the data hold, apart by more than the scatter; None where it is no list of modes."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +182,13 @@ class ModalLoop(FlexibleLoop):
     left_out_before: float
     left_out_after: float
     separations: Mapping[tuple[str, str], Separation]
+
+    def _distinct(self) -> int | None:
+        groups = 0
+        for pose in {c.pose for c in self.after}:
+            logs = np.sort(np.concatenate([c.measured.log for c in self.after if c.pose == pose]))
+            groups += 1 + int((np.diff(logs) > self.result.after.model_error).sum())
+        return groups
 
 
 def close_modal(
@@ -575,8 +592,8 @@ def close_over_frequency(
     A folder's robot is the one of that name, unless another is given.
     """
     if Path(source).is_dir():
-        response, name = load_frequency_response(source)
-        return close_response(response, robot or name, model_error=model_error or RESPONSE_ERROR, progress=progress)
+        responses, name = load_frequency_responses(source)
+        return close_response(responses, robot or name, model_error=model_error or RESPONSE_ERROR, progress=progress)
     return close_modal(source, robot, model_error=model_error or MODEL_ERROR, progress=progress)
 
 
