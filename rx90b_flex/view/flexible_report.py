@@ -39,20 +39,24 @@ def write_flexible_report(loop: ModalLoop | ResponseLoop, path: Path) -> None:
 def headline(loop: ModalLoop | ResponseLoop) -> str:
     """Errors before and after, in a sentence."""
     if isinstance(loop, ModalLoop):
-        before, after = error_rms(loop.before), error_rms(loop.after)
+        before, after = (_share(error_rms(c)) for c in (loop.before, loop.after))
         left = alone(loop.before), alone(loop.after)
         said = (
-            f"Root mean square error of the frequencies: {percent(before)} before, {percent(after)} after; measured modes without a "
+            f"Root mean square error of the frequencies: {before} before, {after} after; measured modes without a "
             f"partner: {left[0]} before, {left[1]} after."
         )
         if loop.validation_before:
-            old, new = (percent(error_rms(c)) for c in (loop.validation_before, loop.validation_after))
+            old, new = (_share(error_rms(c)) for c in (loop.validation_before, loop.validation_after))
             said += f" At poses that were not fitted: {old} before, {new} after."
         return said
     pairs = zip(loop.held_out_before or loop.errors_before, loop.held_out_after or loop.errors_after, strict=True)
     held = "what was not fitted" if loop.held_out_before else "the fitted lines"
     both = ", ".join(f"{percent(b.relative)} before, {percent(a.relative)} after" for b, a in pairs)
     return f"Error of the frequency response on {held}: {both}."
+
+
+def _share(value: float) -> str:
+    return percent(value) if np.isfinite(value) else "no pair"
 
 
 def _lead(loop: ModalLoop | ResponseLoop) -> list[str]:
@@ -115,9 +119,9 @@ def _modes(loop: ModalLoop) -> Section:
             )
         )
     text = (
-        f"With the n-th measured mode as the model's n-th: {percent(in_order_rms(loop.before))} before, "
-        f"{percent(in_order_rms(loop.after))} after. Each mode predicted from the others (to first order): "
-        f"{percent(loop.left_out_before)} before, {percent(loop.left_out_after)} after."
+        f"With the n-th measured mode as the model's n-th: {_share(in_order_rms(loop.before))} before, "
+        f"{_share(in_order_rms(loop.after))} after. Each mode predicted from the others (to first order): "
+        f"{_share(loop.left_out_before)} before, {_share(loop.left_out_after)} after."
     )
     return Section(
         "Modes, before and after", (text,), (Table(head, tuple(rows), "Partners", tuple(range(1, 8))),), tuple(figures)
