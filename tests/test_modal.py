@@ -211,6 +211,14 @@ def test_a_pose_of_a_joint_that_the_robot_does_not_have_is_refused(tmp_path):
         close_modal(path, "rx90b")
 
 
+def test_a_change_that_cannot_be_tried_is_refused_by_name():
+    table = robots_folder() / "rx90b_table_6_4.toml"
+    with pytest.raises(
+        ValueError, match=r"no change 'base\.flexibility' of rx90b; did you mean 'base\.base_flexibility'\?"
+    ):
+        close_modal(table, only=["base.flexibility"])
+
+
 def test_what_is_written_loads_and_has_the_modes(tmp_path):
     table = measured(truth_of(CAUSES["softer drive"][1]), np.random.default_rng(3), NOISE, (STRETCHED, BENT))
     table = dataclasses.replace(table, poses=(table.poses[0], dataclasses.replace(table.poses[1], role="validation")))

@@ -478,6 +478,7 @@ def _found_json(found: Found) -> dict[str, Any]:
             for name, unit, v, s in zip(change.names, change.units, found.values, found.stds, strict=True)
         },
         "deviance_gain": found.gain,
+        "criterion": found.criterion,
         "p_value": found.p_value,
         "alternatives": [_trial_json(t) for t in found.alternatives],
     }

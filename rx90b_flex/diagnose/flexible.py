@@ -557,6 +557,8 @@ class Found:
         Against the final model without it.
     before, after : Fit
         Of the round in which it was added.
+    criterion : float
+        Extended BIC of the final model.
     alternatives : tuple of Trial
         Changes that in its stead do nearly as well: the data cannot tell them apart.
     """
@@ -568,6 +570,7 @@ class Found:
     p_value: float
     before: Fit
     after: Fit
+    criterion: float
     alternatives: tuple[Trial, ...]
 
 
@@ -717,7 +720,7 @@ class _Search:
         own = slice(at, at + change.size)
         value = np.exp(present.x[own])
         std = value * np.sqrt(np.diag(present.covariance)[own])
-        return Found(change, value, std, trial.gain, trial.p_value, *rounds[change], tuple(near))
+        return Found(change, value, std, trial.gain, trial.p_value, *rounds[change], trial.criterion, tuple(near))
 
 
 def _verdict(found: bool, chance: float) -> str:

@@ -99,10 +99,10 @@ def _modes(loop: ModalLoop) -> Section:
             model = [p.get(i) for p in partners]
             errors = ["–" if m is None else f"{100 * (hz / m - 1):+.1f}" for m in model]
             shown = ["–" if m is None else f"{m:.1f}" for m in model]
-            name = b.measured.name.replace("_", " ")
+            name = "resonance" if b.measured.locked is None else b.measured.locked.replace("_", " ")
             rows.append((name, str(b.pose + 1), f"{hz:.1f}", f"{std:.2f}", shown[0], errors[0], shown[1], errors[1]))
     head = (
-        "list", "pose", "measured, Hz", "std, Hz", "declared, Hz", "measured over it, %", "found, Hz", "measured over it, %"
+        "list", "pose", "measured, Hz", "std, Hz", "declared, Hz", "error, %", "found, Hz", "error, %"
     )  # fmt: skip
     figures = []
     for pose in range(len(loop.residual.structure.poses)):
@@ -118,13 +118,24 @@ def _modes(loop: ModalLoop) -> Section:
                 f"pose {pose + 1}",
             )
         )
+    caption = "Partners; beside a joint: its antiresonances. Errors: measured over model"
     text = (
         f"With the n-th measured mode as the model's n-th: {_share(in_order_rms(loop.before))} before, "
         f"{_share(in_order_rms(loop.after))} after. Each mode predicted from the others (to first order): "
         f"{_share(loop.left_out_before)} before, {_share(loop.left_out_after)} after."
     )
     return Section(
-        "Modes, before and after", (text,), (Table(head, tuple(rows), "Partners", tuple(range(1, 8))),), tuple(figures)
+        "Modes, before and after",
+        (text,),
+        (
+            Table(
+                head,
+                tuple(rows),
+                caption,
+                tuple(range(1, 8)),
+            ),
+        ),
+        tuple(figures),
     )
 
 
@@ -152,20 +163,16 @@ def _responses(loop: ResponseLoop) -> Section:
 def _alternatives(loop: FlexibleLoop) -> Section | None:
     rows = []
     for found in loop.found:
-        best = min((t.criterion for t in found.alternatives), default=0.0)
         for t in found.alternatives:
             apart = ""
             if isinstance(loop, ModalLoop) and (found.change.label, t.change.label) in loop.separations:
                 apart = loop.separations[found.change.label, t.change.label].words
-            rows.append((found.change.words, t.change.words, f"{t.criterion - best:.1f}", apart))
+            rows.append((found.change.words, t.change.words, f"{t.criterion - found.criterion:.1f}", apart))
     if not rows:
         return None
-    table = Table(
-        ("found", "instead", "worse than the best of these by", "what would tell them apart"), tuple(rows), "", (2,)
-    )
-    return Section(
-        "Alternatives", ("The data cannot tell these from what was found (odds better than 1 to 20).",), (table,)
-    )
+    text = "The data cannot tell these from what was found: odds better than 1 to 20. Worse by: of the information criterion."
+    table = Table(("found", "instead", "worse by", "what would tell them apart"), tuple(rows), "", (2,))
+    return Section("Alternatives", (text,), (table,))
 
 
 def _refused(loop: FlexibleLoop) -> Section | None:
