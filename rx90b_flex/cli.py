@@ -45,11 +45,25 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
 
 @app.command("close-loop")
 def close_loop_command(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    campaign: Annotated[
+        Path, typer.Argument(help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`.")
+    ],
     out: Out,
     seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
+    robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
+    model_error: Annotated[
+        float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
+    ] = None,
 ) -> None:
-    """Find what the recordings of CAMPAIGN hold that its declared robot does not, and add it to the model."""
+    """Find what the data of CAMPAIGN hold that its declared robot does not, and add it to the model."""
+    from rx90b_flex.diagnose.close_flexible import speaks_of_frequency
+
+    if speaks_of_frequency(campaign):
+        _close_over_frequency(campaign, out, robot, model_error)
+        return
+    for name, value in (("--robot", robot), ("--model-error", model_error)):
+        if value is not None:
+            raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.output import write_result
     from rx90b_flex.signals.folders import check_folder
@@ -62,6 +76,23 @@ def close_loop_command(
         write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html")])
     console = Console()
     _print_result(console, result)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+def _close_over_frequency(source: Path, out: Path, robot: str | None, model_error: float | None) -> None:
+    from rx90b_flex.diagnose.close_flexible import change_words, close_over_frequency, write_loop
+    from rx90b_flex.signals.folders import check_folder
+    from rx90b_flex.view.flexible_report import headline, write_flexible_report
+
+    check_folder(out)
+    with _progress() as tell:
+        loop = close_over_frequency(source, robot, model_error, tell)
+        tell("writing the report", 0.98)
+        write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")])
+    console = Console()
+    console.print(f"[bold]{loop.source.name}: {loop.verdict.replace('_', ' ')}[/bold]")
+    for text in (*(change_words(f) for f in loop.found), headline(loop), *loop.doubts()):
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
 
 
