@@ -319,7 +319,7 @@ def test_a_correction_that_does_not_reach_the_tolerance_says_so() -> None:
     options = Options(tolerance_mm=1e-4, contributions=False, iterations=1)
     check = check_path(SHORT, robot(), controller_of(robot(), None), options)
     assert check.verdict == "outside_tolerance"
-    assert "and no further" in check.sentence and "millimetres stay over 0.0001 mm" in check.sentence
+    assert "correction in 1 steps brings" in check.sentence and "millimetres stay over 0.0001 mm" in check.sentence
 
 
 @pytest.mark.slow

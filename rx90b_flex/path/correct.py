@@ -36,9 +36,10 @@ class Learner:
         self.knots = np.linspace(0.0, total, max(2, round(total / POSE_EVERY) + 1))
         self.hz = np.arange(0.0, 2.0 * BAND_HZ + GRID_HZ, GRID_HZ)
         velocity = rates(plan.position, plan.rate_hz)
-        # a little away from the ends, where the robot stands and friction would hold it
-        wanted = np.clip(self.knots, 0.02 * total, 0.98 * total)
-        places = np.searchsorted(plan.distance, wanted)
+        # where it moves: at a stop friction's slope would hold the drives
+        speed = np.gradient(plan.distance)
+        moving = np.flatnonzero(speed > 0.5 * speed.max())
+        places = [moving[np.abs(plan.distance[moving] - knot).argmin()] for knot in self.knots]
         self.inverse = np.stack(
             [self._inverse(tip_response(plan, controller, k, velocity[k], self.hz)) for k in places]
         )
