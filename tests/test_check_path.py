@@ -322,8 +322,7 @@ def test_a_correction_that_does_not_reach_the_tolerance_says_so() -> None:
     assert "correction in 1 steps brings" in check.sentence and "millimetres stay over 0.0001 mm" in check.sentence
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["ur10", "panda"])
+@pytest.mark.parametrize("name", ["ur10", pytest.param("panda", marks=pytest.mark.slow)])
 def test_another_robot_with_elastic_drives_is_corrected_too(name: str) -> None:
     rigid = robot(f"example-robot-data:{name}")
     effects: list[Effect] = [DriveInertia(joint=j, inertia=0.5) for j in rigid.joints]

@@ -21,6 +21,7 @@ ComplexArray = NDArray[np.complex128]
 
 BAND_HZ = 20.0  # choice: Q is 1 up to here and falls to 0 at twice this
 REGULARISATION = 1e-2  # r; T is about 1 in the loop's bandwidth
+SLIDING = 0.05  # rad/s; choice: slowest speed at which friction is linearised
 POSE_EVERY = 0.15  # m along the path, between poses at which T is known; the tip moves by little of the arm's length
 GRID_HZ = 0.25  # of T's frequencies, a quarter of the sharpest resonance's width
 FADE_S = 0.5 * HOLD_S
@@ -35,11 +36,10 @@ class Learner:
         self.plan = plan
         self.knots = np.linspace(0.0, total, max(2, round(total / POSE_EVERY) + 1))
         self.hz = np.arange(0.0, 2.0 * BAND_HZ + GRID_HZ, GRID_HZ)
+        # friction's slope at standstill would hold the drives, but they slide as soon as a correction moves them
         velocity = rates(plan.position, plan.rate_hz)
-        # where it moves: at a stop friction's slope would hold the drives
-        speed = np.gradient(plan.distance)
-        moving = np.flatnonzero(speed > 0.5 * speed.max())
-        places = [moving[np.abs(plan.distance[moving] - knot).argmin()] for knot in self.knots]
+        velocity = np.where(velocity < 0.0, -1.0, 1.0) * np.maximum(np.abs(velocity), SLIDING)
+        places = np.searchsorted(plan.distance, self.knots)
         self.inverse = np.stack(
             [self._inverse(tip_response(plan, controller, k, velocity[k], self.hz)) for k in places]
         )
