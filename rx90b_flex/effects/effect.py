@@ -304,6 +304,10 @@ class Effect(ABC):
         """How far `noted` looks back, s."""
         return 0.0
 
+    def links_at(self, motion: Motion) -> Array:
+        """Coordinates (N, n) that put the links where they are, where the robot's own do not."""
+        return motion.q
+
     def memory(self, motion: Motion) -> Array:
         """What an effect that remembers knows at rest before a motion, shape (N, m)."""
         raise TypeError(f"{self.type_name()} remembers nothing")

@@ -141,7 +141,10 @@ class Simulation:
     @cached_property
     def tip(self) -> Array:
         """Pose of the tip frame, shape (N, 4, 4), in the base frame, m."""
-        return _tip_poses(self.robot.model, self.robot.tip_frame, self.q)
+        motion = self.robot.motion(self.q, self.v, np.zeros_like(self.v), self.time)
+        for effect in self.robot.effects:
+            motion = dataclasses.replace(motion, q=effect.links_at(motion))
+        return _tip_poses(self.robot.model, self.robot.tip_frame, motion.q)
 
     @cached_property
     def reference_tip(self) -> Array:
