@@ -87,7 +87,7 @@ def test_the_jacobian_is_the_derivative(motion):
 
     given = (response(true, STRETCHED, 0.03),)
     problem = _problem(true, given, (8.0, 80.0), 0.02, (), along, feedback, torques, 0.1)
-    problem = problem.with_bias(problem.declared, 0.01, 0.5)
+    problem = problem.with_bias(problem.declared, (0.01, 0.5))
     x = problem.declared + 0.1 * rng.standard_normal(len(problem.declared))
     jacobian = problem.jacobian(x[problem.free])
     direction = rng.standard_normal(len(x))
