@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
 from rx90b_flex.identify.grey_box import response_derivatives
 from rx90b_flex.identify.replay import (
@@ -19,6 +21,7 @@ from rx90b_flex.identify.replay import (
     _with_friction,
     linear_response,
 )
+from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
@@ -132,3 +135,49 @@ def test_what_cannot_be_replayed_is_named(recordings: tuple[Recording, ...], mea
     other = [recordings[0], dataclasses.replace(recordings[1], reference_position=reference + 0.1), *recordings[2:]]
     with pytest.raises(ValueError, match=r"run_000_1_plus.*differ in their references"):
         Replay.of(other, measured, load_cs8())
+
+
+# ---- signals between robot and log -------------------------------------------------------------------------------------
+
+
+def changed(recordings: tuple[Recording, ...], torque: Callable[[int, Recording], np.ndarray]) -> FrequencyResponse:
+    """Response of the recordings with other logged torques; more neighbours, for three realisations are few."""
+    logged = [dataclasses.replace(r, torque=torque(i, r)) for i, r in enumerate(recordings)]
+    return estimate_frequency_response(logged, band_hz=BAND_HZ, neighbours=6)
+
+
+def test_a_delay_put_into_the_logged_torques_comes_back(recordings: tuple[Recording, ...]) -> None:
+    delay = np.array([0.0, 1.0e-3, 2.5e-3])  # of the robot against the log
+
+    def ahead(_: int, r: Recording) -> np.ndarray:
+        spectrum = np.fft.rfft(r.torque, axis=0)
+        hz = np.fft.rfftfreq(r.samples, 1.0 / r.sample_rate_hz)
+        return np.fft.irfft(spectrum * np.exp(2j * np.pi * hz[:, None] * delay), n=r.samples, axis=0)
+
+    plain = fit_transfer_functions(changed(recordings, lambda _, r: r.torque), 4, delays="each")
+    late = fit_transfer_functions(changed(recordings, ahead), start=plain.model, delays="each")
+    std = np.sqrt(np.diag(late.covariance)[-3:])
+    # both climbs stop a tenth of a standard deviation from their tops; friction's distortion is in both alike
+    assert (np.abs(late.model.delay - plain.model.delay - delay) < 0.5 * std + 1e-5).all()
+    zeros = late.model.complex_zeros(2)
+    assert (zeros.real < 0).all()  # a drive point has none in the right half plane, and the delay has not become one
+
+
+def test_a_fixed_frequency_in_the_torque_signal_costs_its_line_and_no_more(recordings: tuple[Recording, ...]) -> None:
+    rng = np.random.default_rng(9)
+    line_hz = 205 / 4.096  # one of the multisine's; what is no whole number of cycles leaks into its neighbours
+    phases = rng.uniform(0.0, 2.0 * np.pi, (len(recordings), 3))
+
+    def hum(i: int, r: Recording) -> np.ndarray:
+        return r.torque + 0.5 * np.sin(2.0 * np.pi * line_hz * r.time[:, None] + phases[i])
+
+    clean, struck = changed(recordings, lambda _, r: r.torque), changed(recordings, hum)
+    place = int(np.argmin(np.abs(clean.hz - line_hz)))
+    moved = np.abs(struck.value - clean.value) / clean.std()
+    assert np.median(moved[place]) > 5.0 * np.median(moved)
+    left_out = [(line_hz, 0.1)]
+    before = fit_transfer_functions(clean, 4, leave_out_hz=left_out)
+    after = fit_transfer_functions(struck, start=before.model, leave_out_hz=left_out)
+    seen = before.in_band(before.resonances_hz)
+    shift = np.abs(after.resonances_hz - before.resonances_hz)[seen]
+    assert (shift < np.maximum(before.resonances_std_hz(), after.resonances_std_hz())[seen]).all()

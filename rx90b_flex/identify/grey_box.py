@@ -31,10 +31,11 @@ NAMED = 0.4  # entries of a direction that are named, over its largest
 SMOOTHED = 8  # degrees of freedom that a line's covariance is given by its neighbours, per entry of the response
 OWN = 3.0  # a line whose variance exceeds its neighbours' mean by this keeps its own: an interfering line
 COARSE = 0.3  # part of |P| taken as an additional error where the search from many starts begins
-MODEL_ERROR = 0.01  # of |P|: where the search for the size of the model's error begins (see `grey_box`)
-FRICTION_ERROR = (
-    0.5  # of a friction slope: the same, for what separates sliding friction with reversals from a viscous one
-)
+# Of |P|, what separates the response of a moving robot from the model after all that is averaged: with viscous friction, 0.3 % at the
+# drive points and up to 1.2 % elsewhere (RMS over the lines of section 6.6.2's campaign).
+MODEL_ERROR = 0.005
+# Of a friction slope, what separates friction with reversals from a viscous one: it locks a joint for a part of the time.
+FRICTION_ERROR = 0.5
 ERROR_RANGE = (1e-3, 10.0)  # over these two: smaller errors are seen by no data, larger ones by every eye
 REACH_HZ = 5.0  # over which these errors stay alike
 KINDS = {
@@ -201,6 +202,12 @@ def _parameters(robot: Robot, joints: Sequence[str], experiments: int, link_mass
     if link_mass_std > 0.0:
         out += [GreyParameter(f"{link}.{MASS}", "-", 1.0, link_mass_std) for link, _ in robot.bodies]
     return out
+
+
+def declared_parameters(robot: Robot) -> dict[str, float]:
+    """Drive and flexibility parameters of a robot by the grey box's names, as they stand in `start` and `fixed`."""
+    parts = [e for e in robot.effects if e.part in ("drives", "flexibility")]
+    return {name: float(value) for e in parts for name, value in zip(_names(e), e.coefficients, strict=True)}
 
 
 def _names(effect: Effect) -> list[str]:
@@ -700,8 +707,8 @@ def grey_box(
     along: Sequence[Array] | None = None,
     feedback: Feedback | None = None,
     torques: Sequence[ComplexArray] | None = None,
-    model_error: float | None = None,
-    friction_error: float | None = None,
+    model_error: float | None = MODEL_ERROR,
+    friction_error: float | None = FRICTION_ERROR,
     progress: Progress | None = None,
 ) -> GreyBox:
     """Fit drive and joint stiffness, damping, drive inertia and friction slope to frequency responses, by maximum likelihood.
@@ -737,10 +744,11 @@ def grey_box(
     torques : sequence of complex array, shape (F, joints, experiments), optional
         Of each response, the torques of its experiments at one phase realisation. Friction with reversals is steeper where a joint
         vibrates less, and so differs between experiments; with their torques each has its own slopes (``joint_3.friction_slope_2``).
-    model_error, friction_error : float, optional
+    model_error, friction_error : float or None
         Bias that is left, as random functions of frequency that stay alike over `REACH_HZ`: of each entry, over its magnitude, and of
-        each friction slope, over the slope. It weighs the lines and widens the intervals. 0: the model is exact. By default
-        estimated from what the fit cannot explain, by restricted maximum likelihood.
+        each friction slope in each column, over the slope. It weighs the lines and widens the intervals. 0: the model is exact. None:
+        estimated from what the fit cannot explain, by restricted maximum likelihood. That sees no bias which parameters can take
+        up: with dry friction its intervals are too short, and those of the stated default are not.
     progress : callable, optional
 
     Raises

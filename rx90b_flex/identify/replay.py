@@ -249,6 +249,8 @@ def grey_box_by_replay(
             starts=0,
             link_mass_std=link_mass_std,
             bending_alike_std=bending_alike_std,
+            model_error=None,
+            friction_error=None,
         )
     names = [
         (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
