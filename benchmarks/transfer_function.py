@@ -1,7 +1,7 @@
 """Time and errors of the parametric identification: python benchmarks/transfer_function.py [--folder DIR --seeds 0 1 2]
 
-With a folder, from campaigns of section 6.6.2 on rx90b_3dof, one a seed, simulated where they are not there (`--method nonlinear` takes
-minutes each; `benchmarks/grey_box.py` uses the same ones). Without it, from the linearised arm with independent noise of 1 %.
+With a folder, from campaigns of section 6.6.2 on rx90b_3dof, one a seed, simulated where they are not there (`--method nonlinear`
+takes minutes each; `benchmarks/grey_box.py` uses the same ones). Without it, from the linearised arm with independent noise of 1 %.
 Tables: resonances and antiresonances between 8 and 80 Hz beside the truth, linearised at the mean pose and moving at 0.11 rad/s;
 drive parameters beside what the true modes would give when cut at the same number; the tests of the fit.
 """
