@@ -256,6 +256,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
         form |= {"joints": [str, 2]} if on_two else {}
         form |= {"parameters": dict.fromkeys(names, parameter)}
         form |= {"validation_relative_error_before": float, "validation_relative_error_after": float, "p_value": float}
+        form |= {"alternatives": [dict, len(entry["alternatives"])]}
         assert_form(entry, form, entry["type"])
     (pair,) = (e for e in effects if e["type"] == "joint_coupling")
     assert pair["joints"] == ["wrist_2_joint", "wrist_3_joint"]

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
+from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.identify.physical import possible_coefficients
@@ -44,17 +46,34 @@ def _roles(errors: RoleErrors) -> dict[str, Any]:
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:
-    joints = found.effect.joints
-    out: dict[str, Any] = {"type": found.effect.type_name(), "joint": joints[0] if len(joints) == 1 else None}
-    if len(joints) > 1:
-        out["joints"] = list(joints)
-    if found.effect.on == "frame":
-        out["frame"] = found.effect.place[0]
-    return out | {
+    return _named(found.effect) | {
         "parameters": {p.name: _estimate(p) for p in found.parameters},
         "validation_relative_error_before": found.before.relative_error,
         "validation_relative_error_after": found.after.relative_error,
         "p_value": found.p_value,
+        "alternatives": [_alternative(a) for a in found.alternatives],
+    }
+
+
+def _named(effect: Effect) -> dict[str, Any]:
+    joints = effect.joints
+    out: dict[str, Any] = {"type": effect.type_name(), "joint": joints[0] if len(joints) == 1 else None}
+    if len(joints) > 1:
+        out["joints"] = list(joints)
+    if effect.on == "frame":
+        out["frame"] = effect.place[0]
+    return out
+
+
+def _alternative(other: Alternative) -> dict[str, Any]:
+    return _named(other.effect) | {
+        "parameters": {
+            name: {"value": None if np.isnan(value) else float(value), "unit": unit}
+            for name, unit, value in other.effect.public_values()
+        },
+        "gain_share": other.share,
+        "standard_errors_behind": other.behind,
+        "experiment": other.advice,
     }
 
 

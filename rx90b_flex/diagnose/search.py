@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -107,7 +108,7 @@ class _Shared:
 
 
 @dataclass(frozen=True, eq=False)
-class _Base:
+class Base:
     """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
 
     shared: _Shared
@@ -270,18 +271,24 @@ class Search:
         return _Shared(columns, np.ascontiguousarray(self.target.T), self.model.solution.sigma**-2.0, self.blocks)
 
     @cached_property
-    def present(self) -> _Base:
+    def present(self) -> Base:
         """The present model as it is."""
         return self.base()
 
-    def base(self, replaced: Effect | None = None) -> _Base:
-        """The present model without `replaced`."""
+    def base(self, replaced: Effect | None = None, restored: Sequence[Effect] = ()) -> Base:
+        """The present model without `replaced`, and with effects beside it that are not in it."""
         kept = np.arange(len(self.model.theta))
         if replaced is not None:
             index = self.model.effects.index(replaced)
             first = self.model.first_column(index)
             kept = np.delete(kept, np.arange(first, first + len(replaced.coefficients)))
-        return _Base(self.shared, kept, self.model.theta[kept])
+        if not restored:
+            return Base(self.shared, kept, self.model.theta[kept])
+        more = [self.regression.columns(e).transpose(1, 0, 2) for e in restored]
+        columns = np.concatenate([self.shared.columns[:, :, kept], *more], axis=2)
+        shared = dataclasses.replace(self.shared, columns=np.ascontiguousarray(columns))
+        prior = np.concatenate([self.model.theta[kept], np.zeros(columns.shape[2] - len(kept))])
+        return Base(shared, np.arange(columns.shape[2]), prior)
 
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
         """Effects to try, each with the declared effect that it would replace."""
@@ -310,8 +317,8 @@ class Search:
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
         candidates = self.candidates()
-        bases: dict[Effect | None, _Base] = {None: self.present}
-        rough: list[tuple[float, Effect, _Base]] = []
+        bases: dict[Effect | None, Base] = {None: self.present}
+        rough: list[tuple[float, Effect, Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
             starts = self._starts(effect) if effect.shape_names() else np.zeros((1, 0))
@@ -327,13 +334,13 @@ class Search:
             sure = max((t.sure_gain for t in trials if t.accepted), default=0.0)
             if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
                 break  # neither this one nor those behind it can win
-            trials.append(self._trial(effect, base, bases[None], self.tests))
+            trials.append(self.trial(effect, base, bases[None], self.tests))
         return sorted(trials, key=lambda t: -t.gain)
 
     def without(self, effect: Effect) -> Trial:
         """What an effect of the present model is worth: the trial of adding it to the model without it."""
         base = self.base(effect)
-        return self._trial(effect, base, base, self.tests)
+        return self.trial(effect, base, base, self.tests)
 
     @cached_property
     def longest(self) -> Motion:
@@ -363,7 +370,7 @@ class Search:
         beside = [(s.sampled, left[span]) for s, span in zip(stretches, self.regression.spans, strict=True)]
         return effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)
 
-    def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
+    def _over_shapes(self, effect: Effect, starts: Array, base: Base) -> Iterable[tuple[float, Effect]]:
         shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
         per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches)
@@ -376,7 +383,7 @@ class Search:
                 continue
             yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
 
-    def _refined(self, effect: Effect, base: _Base) -> Effect:
+    def _refined(self, effect: Effect, base: Base) -> Effect:
         """The shapes that gain most: Gauss-Newton steps with everything linear projected out (variable projection)."""
         if not effect.shape_names():
             return effect
@@ -405,7 +412,8 @@ class Search:
                 break
         return effect.with_shape(np.clip(back(x), *bounds))
 
-    def _trial(self, effect: Effect, base: _Base, present: _Base, tests: int) -> Trial:
+    def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> Trial:
+        """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
         effect = self._refined(effect, base)
         k, s = len(effect.coefficients), len(effect.shape)
         rows, beside = self.regression.compact([effect, *_neighbours(effect)])
@@ -432,7 +440,13 @@ class Search:
             lawful,
         )
 
-    def _held_out(self, base: _Base, b: Array, y: Array, d: Array) -> Array:
+    def left_with(self, effect: Effect, base: Base) -> Array:
+        """What a base and an effect, its shape as it is, leave together; shape (joints, N)."""
+        rows, columns = self.regression.compact([effect])
+        left, own, score = base.projected(rows, columns)
+        return base.residual - base.apart(rows, columns) @ _solve(left, own, score)
+
+    def _held_out(self, base: Base, b: Array, y: Array, d: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
         out = np.empty(len(self.blocks))
         for i, (theta, inverse) in enumerate(base.without):
@@ -448,7 +462,7 @@ class Search:
             )
         return out
 
-    def _evidence(self, effect: Effect, base: _Base, rows: Indices, beside: Array, beta: Array) -> tuple[float, bool]:
+    def _evidence(self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array) -> tuple[float, bool]:
         """Wald test of the coefficients under coloured residuals, and whether they can be what they claim to be.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
@@ -507,7 +521,7 @@ class _Look:
     score: Array  # (s,)
 
     @staticmethod
-    def at(base: _Base, rows: Indices, columns: Array, k: int, steps: Array) -> _Look:
+    def at(base: Base, rows: Indices, columns: Array, k: int, steps: Array) -> _Look:
         """From columns (N, rows, (1 + s) k): at the shape, and a step further in each of its parameters."""
         if len(rows) == 0:
             return _Look(0.0, np.eye(len(steps)), np.zeros(len(steps)))

@@ -9,7 +9,6 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop
 from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, signals
-from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate
@@ -86,15 +85,6 @@ def standstill(result: ClosedLoop) -> Standstill:
         tuple((at_rest / np.maximum(whole, 1e-300)).tolist()),
         tuple(np.sqrt(np.maximum(moving, 0.0)).tolist()),
         float(at_rest.sum() / max(whole.sum(), 1e-300)),
-    )
-
-
-def alternatives(winner: Trial, rivals: Sequence[Trial]) -> tuple[Trial, ...]:
-    """Rivals that could be the winner by another name: accepted, on a joint of its, and no worse on held-out blocks."""
-    return tuple(
-        t
-        for t in rivals
-        if t.accepted and set(t.effect.joints) & set(winner.effect.joints) and winner.no_better_than(t)
     )
 
 
@@ -239,13 +229,10 @@ def _experiment(dependence: Dependence) -> str:
 
 
 def _alternatives(result: ClosedLoop) -> Iterator[Advice]:
-    for effect in result.effects:
-        same = alternatives(effect.trial, effect.rivals)
-        if same:
-            others = joined([effect_words(t.effect) for t in same])
+    for found in result.effects:
+        for other in found.alternatives:
             yield Advice(
-                f"The data cannot tell {effect_words(effect.effect)} from {others}.",
-                "Record a motion in which the two differ: other speeds, loads and positions than now.",
+                f"This data cannot tell {effect_words(found.effect)} from {effect_words(other.effect)}.", other.advice
             )
 
 

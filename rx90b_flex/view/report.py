@@ -20,7 +20,6 @@ from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.view import plots
 from rx90b_flex.view.advice import (
     MOSTLY,
-    alternatives,
     dependence_words,
     effect_estimates,
     effect_words,
@@ -294,11 +293,11 @@ class Round:
 def _rounds(result: ClosedLoop) -> list[Round]:
     out = []
     for i, found in enumerate(result.effects):
-        same = alternatives(found.trial, found.rivals)
+        same = [a.effect.label for a in found.alternatives]
         gain = found.trial.gain
         rows = [TrialRow(found.trial, 1.0, "added", True)]
         for t in found.rivals:
-            outcome = "cannot be told from the winner" if t in same else _outcome(t, result.effects, i)
+            outcome = "cannot be told from the winner" if t.effect.label in same else _outcome(t, result.effects, i)
             rows.append(TrialRow(t, t.gain / gain if gain > 0 else None, outcome, False))
         out.append(Round(f"{i + 1}: {effect_words(found.effect)}", tuple(rows), ""))
     trials = result.last_round.trials
