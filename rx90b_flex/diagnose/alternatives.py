@@ -254,7 +254,7 @@ def _joined(columns: Sequence[Array], rival: Effect) -> Array:
 def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
     """Motions of one joint, each as a sentence and as samples; the others rest where they were on average.
 
-    Positions and speeds stay within those of the data, but for the one that says so.
+    Positions and speeds stay within those of the data, but for the last, which says so.
     """
     regression = search.regression
     robot, column = regression.robot, regression.robot.layout.index(joint)
@@ -321,10 +321,13 @@ def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
     bottom, top = (float(x[column]) for x in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit))
     if np.isfinite(top - bottom) and 0.9 * (top - bottom) > WIDER * (high - low):
         middle, reach = (bottom + top) / 2, 0.45 * (top - bottom)
+        # there and back once, unless the joint is not that fast
+        limit = 0.5 * float(robot.model.velocityLimit[column])
+        speed = max(medium, min(4 * reach / SECONDS, limit if limit > 0 else np.inf))
         yield (
-            f"Turn {joint} at {medium:.2g} rad/s through more of its range than so far, {middle - reach:.2f} to "
+            f"Turn {joint} at {speed:.2g} rad/s through more of its range than so far, {middle - reach:.2f} to "
             f"{middle + reach:.2f} rad if nothing is in the way, the other joints at rest",
-            motion(to_and_fro(medium, middle - reach, middle + reach)),
+            motion(to_and_fro(speed, middle - reach, middle + reach)),
         )
 
 

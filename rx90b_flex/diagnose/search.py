@@ -322,6 +322,8 @@ class Search:
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
             starts = self._starts(effect) if effect.shape_names() else np.zeros((1, 0))
+            if len(starts) == 0:
+                continue  # this motion is too small for any of its shapes to show
             best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
             # an effect that replaces another starts from a worse base: count only what it adds to the present model
             lost = float(base.squares.sum() - bases[None].squares.sum())
