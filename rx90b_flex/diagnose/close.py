@@ -237,7 +237,19 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _closed(source, robot, seed, progress or (lambda _text, _part: None))
+        return _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)))
+
+
+def _rising(tell: Progress) -> Progress:
+    """Fractions that never go back: how many rounds there will be is not known before."""
+    highest = 0.0
+
+    def told(text: str, part: float) -> None:
+        nonlocal highest
+        highest = max(highest, part)
+        tell(text, highest)
+
+    return told
 
 
 def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress) -> ClosedLoop:
@@ -411,7 +423,7 @@ class _Rounds:
             effect = _find(model.effects, step.trial.effect)
             if effect.replaces or Search(model, self.sites).without(effect).accepted:
                 continue
-            self.tell(f"taking out {effect.label}", 0.9)
+            self.tell(f"taking out {effect.label}", 0.1 + 0.8 * (1.0 - 0.8 ** len(outcome.steps)))
             model = self._identified([e for e in model.effects if e is not effect], model)
             errors = self.data.errors(model)
             kept = [s for s in outcome.steps if s is not step]

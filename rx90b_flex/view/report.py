@@ -30,6 +30,7 @@ from rx90b_flex.view.advice import (
 )
 from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
 
+MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
 SHOWN_DEPENDENCES = 4  # plots of what remains; the table holds all
 
 VERDICTS = {
@@ -85,6 +86,8 @@ def report_html(result: ClosedLoop) -> str:
         advice=next_measurements(result),
         parameters=_parameters(result),
         links=_links(result),
+        moved_links=_moved_links(result),
+        moved_from=MOVED,
         link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
         facts=_facts(result),
         version=package_version(),
@@ -329,11 +332,12 @@ def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One identified parameter of the final model, and its value in the declared one."""
+    """One identified parameter of the final model, its value in the declared one, and what the robot file gives."""
 
     effect: Effect
     estimate: Estimate
     earlier: Estimate | None
+    given: float | None
     added: bool
 
 
@@ -341,14 +345,51 @@ def _parameters(result: ClosedLoop) -> list[ParameterRow]:
     declared: dict[tuple[str, tuple[str, ...], str], Estimate] = {}
     for i, effect in enumerate(result.declared.effects):
         declared |= {(effect.type_name(), effect.place, e.name): e for e in result.declared.estimates(i)}
+    given: dict[tuple[str, tuple[str, ...], str], float] = {}
+    for effect in result.source.effects:
+        values = ((name, value) for name, _, value in effect.public_values() if not np.isnan(value))
+        given |= {(effect.type_name(), effect.place, name): value for name, value in values}
     new = [e.effect for e in result.effects]
     rows = []
     for effect, estimates in effect_estimates(result):
         added = any(effect is e for e in new)
         for estimate in estimates:
-            earlier = declared.get((effect.type_name(), effect.place, estimate.name))
-            rows.append(ParameterRow(effect, estimate, earlier, added))
+            key = (effect.type_name(), effect.place, estimate.name)
+            rows.append(ParameterRow(effect, estimate, declared.get(key), given.get(key), added))
     return rows
+
+
+@dataclass(frozen=True)
+class LinkRow:
+    """A link parameter that the data determines: in the URDF, identified before anything was added, and in the end."""
+
+    link: str
+    name: str
+    unit: str
+    given: float
+    before: Estimate
+    after: Estimate
+
+    @property
+    def moved(self) -> float | None:
+        """From before to after, in standard deviations of before."""
+        if self.before.value is None or self.after.value is None or not self.before.std:
+            return None
+        return (self.after.value - self.before.value) / self.before.std
+
+
+def _moved_links(result: ClosedLoop) -> list[LinkRow]:
+    """Link parameters that what was added moved by more than `MOVED` standard deviations."""
+    if not (result.effects and result.model.links_fitted):
+        return []
+    robot = result.model.regression.robot
+    names = [
+        (link, name, unit) for link, _ in robot.bodies for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True)
+    ]
+    before, after = result.declared.link_estimates(), result.model.link_estimates()
+    given = result.source.rigid().restricted(result.joints).link_parameters
+    rows = [LinkRow(*n, float(g), b, a) for n, g, b, a in zip(names, given, before, after, strict=True)]
+    return [r for r in rows if r.moved is not None and abs(r.moved) > MOVED]
 
 
 def _links(result: ClosedLoop) -> list[tuple[str, Sequence[Estimate]]]:
