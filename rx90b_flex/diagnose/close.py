@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
-from rx90b_flex.diagnose.evidence import Dependence, dependences
+from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.residual import Errors, Replay, noise_floor
 from rx90b_flex.diagnose.search import Search, Trial, added, choose
 from rx90b_flex.effects import Effect, Sites
@@ -99,11 +99,14 @@ class Unexplained:
         What it depends on, strongest first.
     data : tuple of (Regression, array of shape (N, joints))
         Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m.
+    bands : tuple of Band
+        Frequencies in which it repeats with the motion, strongest first; empty where no recording repeats.
     """
 
     relative_error: float
     where: tuple[Dependence, ...]
     data: tuple[tuple[Regression, Array], ...]
+    bands: tuple[Band, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -301,7 +304,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         None if floor is None else tuple(float(x) for x in floor),
         _found(outcome.steps, search, before),
         verdict,
-        Unexplained(after.validation.relative_error, where, left),
+        Unexplained(after.validation.relative_error, where, left, bands(left)),
         model,
         declared,
         predictions,

@@ -34,6 +34,10 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
         "unexplained": {
             "relative_error": result.unexplained.relative_error,
             "where": [{"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where],
+            "bands": [
+                {"joint": b.joint, "low_hz": b.low_hz, "high_hz": b.high_hz, "score": b.score}
+                for b in result.unexplained.bands
+            ],
         },
     }
 

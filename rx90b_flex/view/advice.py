@@ -92,6 +92,9 @@ def dependence_words(dependence: Dependence) -> str:
     """What is left of a joint and on what it depends, as a sentence goes on after "what is left"."""
     if dependence.signal == STANDSTILL:
         return f"of {dependence.joint} is larger while the robot stands still"
+    joint, _, order = dependence.signal.partition(" order ")
+    if order:
+        return f"of {dependence.joint} still repeats {order} times a turn of {joint}"
     return f"of {dependence.joint} still depends on {dependence.signal}"
 
 
@@ -210,6 +213,12 @@ def _remaining(result: ClosedLoop) -> Iterator[Advice]:
 
 def _experiment(dependence: Dependence) -> str:
     joint, _, kind = dependence.signal.rpartition(" ")
+    if joint.endswith(" order"):
+        joint = joint.removesuffix(" order")
+        return (
+            f"Turn {joint} slowly at two constant speeds over its range, both ways: what comes {kind} times a turn at both "
+            "sits on its gears, its motor or its resolver; count teeth, poles and ratios for that number."
+        )
     if dependence.signal == "time":
         return "Repeat one motion over and over from a cold start to a warm robot: drift then stands apart."
     alone = f"with {dependence.joint} at rest" if joint != dependence.joint else "with the other joints at rest"
