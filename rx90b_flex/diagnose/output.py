@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.physical import possible_coefficients
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import fill_folder
@@ -91,10 +91,14 @@ def closed_loop_robot(result: ClosedLoop) -> Robot:
     Fitted links that no body could have, and coefficients below their bounds, are replaced by the nearest that are possible,
     in the metric of the data's own information (see `rx90b_flex.identify.physical`).
     """
-    source, model = result.source, result.model
+    return identified_robot(result.source, result.model, result.joints)
+
+
+def identified_robot(source: Robot, model: Identification, joints: Sequence[str]) -> Robot:
+    """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
     flexible = [e for e in source.effects if e.virtual]
     if not model.links_fitted:
-        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(result.joints)]
+        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(joints)]
         return source.with_effects([*flexible, *held, *model.effects])
     links = len(model.link_parameters)
     theta, _ = possible_coefficients(model)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.diagnose import evidence, search
 from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop, FoundEffect
+from rx90b_flex.diagnose.motion import MotionErrors
 from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.identify.least_squares import Estimate
@@ -41,7 +42,7 @@ VERDICTS = {
 }
 
 
-def write_report(result: ClosedLoop, path: Path) -> None:
+def write_report(result: ClosedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
     """Write the report of a result as one HTML file; it appears whole or not at all.
 
     Parameters
@@ -49,13 +50,15 @@ def write_report(result: ClosedLoop, path: Path) -> None:
     result : ClosedLoop
     path : Path
         The file; its folder exists.
+    motion : MotionErrors or str, optional
+        What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
     """
-    html = report_html(result)
+    html = report_html(result, motion)
     write_whole(Path(path), lambda temporary: write_text(temporary, html))
 
 
-def report_html(result: ClosedLoop) -> str:
-    """The report as the text of an HTML page with all figures in it."""
+def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) -> str:
+    """The report as the text of an HTML page with all figures in it; `motion` as in `write_report`."""
     page = template(
         "report.html",
         number=number,
@@ -80,6 +83,8 @@ def report_html(result: ClosedLoop) -> str:
         standstill=standstill(result),
         step_note=step_note(result),
         floor=_floor_words(result),
+        motion=motion,
+        motion_is_known=isinstance(motion, MotionErrors),
         joint_figures=[_joint_figures(result, joint) for joint in result.joints],
         rounds=_rounds(result),
         dependence_figures=_dependence_figures(result),
