@@ -10,7 +10,6 @@ from scipy import stats
 
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.regression import Regression, Stretch
-from rx90b_flex.signals import periods
 
 BINS = 12
 SHUFFLES = 200
@@ -25,6 +24,7 @@ FEWEST_CYCLES = 4.0  # over a joint's range, from which a curve of `BINS` bins n
 HIGHEST_ORDER = 240.0  # as effects that are periodic in an angle have it
 ORDER_SHUFFLES = 40
 BANDS = 10  # of equal width up to the low-pass
+FREE_LINES = 0.5  # part of a spectrum's lines that are independent under Hann's window
 
 
 @dataclass(frozen=True)
@@ -165,18 +165,24 @@ def bands(data: Sequence[tuple[Regression, Array]]) -> tuple[Band, ...]:
     above, below = np.zeros(BANDS), np.zeros(BANDS)  # degrees of freedom
     for stretch, left in zip(stretches, residuals, strict=True):
         samples = _period_samples(stretch)
-        if samples is None or len(left) < 2 * samples:
+        if samples is None:
             continue
-        spectra = np.fft.rfft(periods(left, samples), axis=1)
-        count, mean = len(spectra), spectra.mean(axis=0)
-        band = np.digitize(np.fft.rfftfreq(samples, 1 / stretch.rate_hz), edges) - 1
+        # a fit leaves out both ends, so the last period is seldom whole
+        count = max(2, len(left) // samples)
+        long = min(samples, len(left) - (count - 1) * samples)
+        if long < samples / 2:
+            continue
+        parts = np.stack([left[k * samples : k * samples + long] for k in range(count)])
+        spectra = np.fft.rfft(parts * np.hanning(long)[:, None], axis=1)
+        mean = spectra.mean(axis=0)
+        band = np.digitize(np.fft.rfftfreq(long, 1 / stretch.rate_hz), edges) - 1
         for b in range(BANDS):
             at = (band == b) & (np.arange(len(band)) > 0)
             repeated[b] += count * (np.abs(mean[at]) ** 2).sum(axis=0)
             noise[b] += (np.abs(spectra[:, at] - mean[at]) ** 2).sum(axis=(0, 1)) / (count - 1)
             whole[b] += (np.abs(spectra[:, at]) ** 2).sum(axis=(0, 1))
-            above[b] += 2 * at.sum()
-            below[b] += 2 * at.sum() * (count - 1)
+            above[b] += FREE_LINES * 2 * at.sum()
+            below[b] += FREE_LINES * 2 * at.sum() * (count - 1)
     out: list[Band] = []
     for j, joint in enumerate(joints):
         p = stats.f.sf(repeated[:, j] / np.maximum(noise[:, j], 1e-300), np.maximum(above, 1), np.maximum(below, 1))

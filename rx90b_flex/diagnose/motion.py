@@ -8,6 +8,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.output import identified_robot
+from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
@@ -35,6 +36,8 @@ class MotionErrors:
         Distance of the tip from where the measured link angles put it, hinges straight; root mean square.
     tip_apart_mm : float
         Distance between the tips of the two simulations, root mean square.
+    left_out : tuple of str
+        Effects that take no part in the simulation: between robot and log, or with a memory.
     """
 
     recording: str
@@ -46,6 +49,7 @@ class MotionErrors:
     tip_before_mm: float | None
     tip_after_mm: float | None
     tip_apart_mm: float
+    left_out: tuple[str, ...]
 
 
 def motion_errors(result: ClosedLoop) -> MotionErrors | str:
@@ -68,17 +72,23 @@ def motion_errors(result: ClosedLoop) -> MotionErrors | str:
     for run, which in ((before, "before"), (after, "after")):
         if run.ended is not None:
             return f"The simulation {which} ended early: {run.ended}."
-    return _compared(before, after, recording)
+    left_out = tuple(e.label for e in robots[1].effects if not _simulable(e))
+    return _compared(before, after, recording, left_out)
+
+
+def _simulable(effect: Effect) -> bool:
+    return effect.in_dynamics and not effect.remembers
 
 
 def _simulated(robot: Robot, controller: CS8, recording: Recording) -> Simulation:
     trajectory = from_recording(recording)
     if trajectory.duration_s > LONGEST_S:
         trajectory = trajectory.part(0.0, LONGEST_S)
+    robot = robot.with_effects([e for e in robot.effects if _simulable(e)])
     return simulate(robot, controller.for_joints(robot.joints), trajectory)
 
 
-def _compared(before: Simulation, after: Simulation, recording: Recording) -> MotionErrors:
+def _compared(before: Simulation, after: Simulation, recording: Recording, left_out: tuple[str, ...]) -> MotionErrors:
     count = min(len(before.time), len(after.time), recording.samples)
     robot = after.robot
 
@@ -105,6 +115,7 @@ def _compared(before: Simulation, after: Simulation, recording: Recording) -> Mo
         tip_off(before),
         tip_off(after),
         _distance_mm(before.tip[:count], after.tip[:count]),
+        left_out,
     )
 
 

@@ -34,6 +34,8 @@ UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the
 REFINEMENTS = 15  # steps of a refinement
 SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
+BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
+STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
 BATCH_BYTES = 64e6
 
@@ -430,6 +432,7 @@ class Search:
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
         p_value, lawful = self._evidence(effect, base, rows, beside, beta)
+        lawful = lawful and not (effect.by_clock and self._follows_motion(base.residual[rows], effect))
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
         return Trial(
@@ -441,6 +444,26 @@ class Search:
             gain / touched if touched > 0 else 0.0,
             lawful,
         )
+
+    def _follows_motion(self, residual: Array, effect: Effect) -> bool:
+        """Whether a line sits among the harmonics of a motion that repeats, and does not stand out of those beside it.
+
+        What the model lacks repeats with the motion, so it has all of these harmonics; a clock of its own has one line.
+        Near the motion's own frequencies no data of that motion can tell one from the other.
+        """
+        (hz,) = effect.shape
+        for stretch, span in zip(self.regression.stretches, self.regression.spans, strict=True):
+            if stretch.recording.period_s is None:
+                continue
+            left = residual[:, span]
+            harmonics = round(hz * stretch.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
+            harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * stretch.recording.period_s))]
+            lines = np.append(harmonics / stretch.recording.period_s, hz)
+            turned = np.exp(-2j * np.pi * np.outer(stretch.time, lines)) * np.hanning(len(stretch.time))[:, None]
+            power = (np.abs(left @ turned) ** 2).sum(axis=0)
+            if power[-1] < STANDS_OUT * np.median(power[:-1]):
+                return True
+        return False
 
     def left_with(self, effect: Effect, base: Base) -> Array:
         """What a base and an effect, its shape as it is, leave together; shape (joints, N)."""

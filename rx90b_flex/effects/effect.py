@@ -102,6 +102,7 @@ class Effect(ABC):
     needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
     in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
     remembers: ClassVar[bool] = False  # its force depends on the motion before, which a simulation step does not know
+    by_clock: ClassVar[bool] = False  # its torque is a line at a frequency of its own, whatever the robot does
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
     needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
