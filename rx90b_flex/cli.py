@@ -65,6 +65,7 @@ def close_loop_command(
         if value is not None:
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
     from rx90b_flex.diagnose.close import close_loop
+    from rx90b_flex.diagnose.motion import motion_errors
     from rx90b_flex.diagnose.output import write_result
     from rx90b_flex.signals.folders import check_folder
     from rx90b_flex.view.report import write_report
@@ -72,8 +73,9 @@ def close_loop_command(
     check_folder(out)
     with _progress() as tell:
         result = close_loop(campaign, seed=seed, progress=tell)
-        tell("writing the report", 0.98)
-        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html")])
+        tell("simulating the closed loop and writing the report", 1.0)
+        motion = motion_errors(result)
+        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)])
     console = Console()
     _print_result(console, result)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)

@@ -147,6 +147,7 @@ class LineInterference(SineEffect):
     """
 
     acts_on: ClassVar[str] = "signals"
+    by_clock: ClassVar[bool] = True
     in_dynamics: ClassVar[bool] = False
     side: ClassVar[str] = "drive"
     repeats: ClassVar[bool] = True
