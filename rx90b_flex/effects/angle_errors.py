@@ -152,8 +152,8 @@ class Backlash(JointEffect):
 
     Neighbours
     ----------
-    Dry and presliding friction act where the velocity changes sign. A joint that always carries weight one way
-    shows no backlash: the motion must unload it.
+    `coulomb_friction` and `presliding_friction` act where the velocity changes sign. A joint that always carries weight
+    one way shows no backlash: the motion must unload it.
 
     Source
     ------

@@ -33,7 +33,7 @@ class BaseTilt(Effect):
 
     Source
     ------
-    Not in Hardeman 2008; the first-order term of gravity (equation 3.48) in a turned base.
+    Not in Hardeman 2008; gravity of the links (equation 3.47) in a turned base, to first order.
     """
 
     on: ClassVar[str] = "robot"

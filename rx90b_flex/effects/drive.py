@@ -14,7 +14,7 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 @dataclass(frozen=True, kw_only=True)
 class DriveInertia(JointEffect):
-    """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.1, after Spong).
+    """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.2, after Spong).
 
     Signature
     ---------
@@ -29,7 +29,7 @@ class DriveInertia(JointEffect):
 
     Source
     ------
-    Hardeman 2008, section 3.3.1 and equation 3.83; M. W. Spong, ASME Journal of Dynamic Systems, Measurement, and
+    Hardeman 2008, section 2.1.2 and equation 3.55; M. W. Spong, ASME Journal of Dynamic Systems, Measurement, and
     Control 109(4), 1987.
     """
 

@@ -30,8 +30,9 @@ class GravitySpring(JointEffect):
 
     Neighbours
     ----------
-    Gravity depends on how the link lies in space, the spring only on its own joint's angle: tilt the link by a
-    joint before it. About the upper arm's joint of an upright robot the two coincide where nothing else tilts it.
+    `joint_spring` is a straight line. Gravity depends on how the link lies in space, the spring only on its own joint's
+    angle: tilt the link by a joint before it. Where nothing else tilts it, as the upper arm of an upright robot, a
+    fitted link takes the spring up.
 
     Source
     ------
