@@ -25,7 +25,7 @@ myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # shapes and units stand in the text
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 napoleon_google_docstring = False
 # types are words, such as "array, shape (N, joints)": as fields they would be looked up as names of Python objects
 napoleon_use_param = False
@@ -37,8 +37,10 @@ html_title = "rx90b_flex"
 html_show_sourcelink = False
 
 
-def escape_bars(app: Any, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Docstrings are plain text first: |v| outside a literal is a size, no substitution."""
+def plain_text(app: Any, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Docstrings are plain text first: |v| outside a literal is a size, no substitution; a property's text is no type."""
+    if what in ("property", "attribute"):
+        lines.insert(0, "")
     for i, line in enumerate(lines):
         parts = re.split(r"(``.*?``)", line)
         parts[::2] = (re.sub(r"\|([^|]+)\|", r"\\|\1\\|", part) for part in parts[::2])
@@ -48,4 +50,4 @@ def escape_bars(app: Any, what: str, name: str, obj: object, options: object, li
 def setup(app: Any) -> None:
     """Write the catalogue before Sphinx looks for pages."""
     write_pages(HERE / "effects")
-    app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("autodoc-process-docstring", plain_text, priority=400)  # before napoleon
