@@ -1,15 +1,18 @@
 """The nonparametric frequency response of section 6.6.2's campaign: time, accuracy, bands, beside public estimators.
 
-Reads a campaign that is there, or simulates one into the folder. `pyFRF` (H1, H2) and `best-linear-approximation` (Python 3.12
-and up) are used where they can be imported: `pip install --no-deps --target DIR pyfrf tqdm sdypy-sep005`, DIR on PYTHONPATH.
+Reads a campaign that is there, or simulates one into the folder. `pyFRF` (H1, H2) is used where it can be imported
+(`pip install --no-deps --target DIR pyfrf tqdm sdypy-sep005`, DIR on PYTHONPATH), `best-linear-approximation` where an interpreter of
+Python 3.12 or later is given that has it.
 
-    python benchmarks/frf.py --folder campaign_662   # 96 runs of 9 periods
+    python benchmarks/frf.py --folder campaign_662   --python312 venv312/bin/python  # 96 runs of 9 periods
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +28,17 @@ from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662, stat
 
 BAND_HZ = (8.0, 80.0)
 Result = TypeVar("Result")
+BEST_LINEAR = """
+import sys, time
+import numpy as np
+from best_linear_approximation.robust import closed_loop
+given = np.load(sys.argv[1])
+r, u, y, lines = (given[name] for name in ("r", "u", "y", "lines"))
+began = time.perf_counter()
+result = closed_loop(r, u, y, float(given["rate"]), lines, show_warnings=False)
+seconds = time.perf_counter() - began
+np.savez(sys.argv[2], value=result.G.value, std=result.G.total.std, seconds=seconds)
+"""
 
 
 def timed(job: Callable[[], Result]) -> tuple[Result, float]:
@@ -74,14 +88,22 @@ def pyfrf(data: dict[str, np.ndarray], lines: np.ndarray, rate: float, estimator
     return -((2.0 * np.pi * rate * lines / data["torque"].shape[-2])[:, None, None] ** 2) * value[lines]
 
 
-def best_linear(data: dict[str, np.ndarray], lines: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Closed-loop estimate of best-linear-approximation, acceleration over torque, and its standard deviation, (F, n, n)."""
-    module = importlib.import_module("best_linear_approximation.robust")
+def best_linear(
+    data: dict[str, np.ndarray], lines: np.ndarray, rate: float, python: str
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Closed-loop estimate of best-linear-approximation: acceleration over torque, its standard deviation, (F, n, n), and the time.
+
+    In an interpreter of its own, since it needs Python 3.12.
+    """
     # its layout: samples, channels, experiments, realisations, periods
     u, y, r = (np.transpose(data[x], (3, 4, 1, 0, 2)) for x in ("torque", "position", "feedforward_torque"))
-    result = module.closed_loop(r[..., 0], u, y, rate, lines, show_warnings=False)
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder) / "given.npz", Path(folder) / "found.npz"
+        np.savez(given, u=u, y=y, r=r[..., 0], lines=lines, rate=rate)
+        subprocess.run([python, "-c", BEST_LINEAR, str(given), str(found)], check=True)
+        value, std, seconds = (np.load(found)[name] for name in ("value", "std", "seconds"))
     factor = (2.0 * np.pi * rate * lines / data["torque"].shape[-2])[:, None, None] ** 2
-    return -factor * result.G.value, factor * result.G.total.std
+    return -factor * value, factor * std, float(seconds)
 
 
 def main() -> None:
@@ -89,6 +111,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("--folder", type=Path, required=True, help="of the campaign; simulated where it holds none")
     arguments.add_argument("--jobs", type=int, default=2)
+    arguments.add_argument("--python312", help="interpreter that can import best_linear_approximation")
     options = arguments.parse_args()
 
     robot = rf.load_robot("rx90b_3dof")
@@ -117,19 +140,16 @@ def main() -> None:
     lines = np.round(response.hz * data["torque"].shape[-2] / campaign.sample_rate_hz).astype(int)
     estimates = {"this": response.value, "this, arithmetic": response.arithmetic_mean, "this, H1": response.h1}
     seconds = {}
-    for name, job in (
-        ("pyFRF H1", lambda: pyfrf(data, lines, campaign.sample_rate_hz, "H1")),
-        ("pyFRF H2", lambda: pyfrf(data, lines, campaign.sample_rate_hz, "H2")),
-        ("best-linear-approximation", lambda: best_linear(data, lines, campaign.sample_rate_hz)),
-    ):
+    for estimator in ("H1", "H2"):
         try:
-            found, seconds[name] = timed(job)
-        except (ImportError, SyntaxError) as error:
-            print(f"{name}: cannot be imported here ({type(error).__name__})")
-            continue
-        estimates[name], std = found if isinstance(found, tuple) else (found, None)
-        if std is not None:
-            print(f"{name}: its standard deviation over this one's, median {np.median(std / response.std()):.2f}")
+            name = f"pyFRF {estimator}"
+            estimates[name], seconds[name] = timed(lambda e=estimator: pyfrf(data, lines, campaign.sample_rate_hz, e))  # type: ignore[misc]
+        except ImportError:
+            print("pyFRF cannot be imported")
+    if options.python312:
+        name = "best-linear-approximation"
+        estimates[name], std, seconds[name] = best_linear(data, lines, campaign.sample_rate_hz, options.python312)
+        print(f"{name}: its standard deviation over this one's, median {np.median(std / response.std()):.2f}")
     print(
         "median relative difference from the robot linearised at 0.11 rad/s (friction's best linear approximation differs from it)"
     )

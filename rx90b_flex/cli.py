@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -143,9 +144,66 @@ def frf(
             said = f"{e.value:.4g}" if e.determined else "not determined"
             table.add_row(e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit)
         console.print(table)
+    for remark in result.remarks:
+        console.print(f"Note: {remark}", soft_wrap=True, markup=False, highlight=False)
     for left in result.left_out:
         console.print(f"Left out: {left.stage}: {left.why}", soft_wrap=True, markup=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+@app.command()
+def excite(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    pose: Annotated[list[str] | None, typer.Option(help="Degrees, one a joint: 0,90,0; repeat for more poses.")] = None,
+    joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
+    matrix: Annotated[
+        str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")
+    ] = "ones",
+    peak: Annotated[
+        str | None, typer.Option(help="Largest torque, N m: one, or one a joint; 10 % of the limits otherwise.")
+    ] = None,
+    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 2.5,
+    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
+    period_s: Annotated[float, typer.Option(help="Period; a longer one has finer lines.")] = 4.096,
+    speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s.")] = 0.11,
+    swings: Annotated[int, typer.Option(help="Times to and fro in a period; odd.")] = 1,
+    realisations: Annotated[int, typer.Option(help="Multisines with other phases.")] = 16,
+    periods: Annotated[int, typer.Option(help="Periods of a run; the first is for the transient.")] = 9,
+    one_sign: Annotated[bool, typer.Option("--one-sign", help="Without the runs of opposite sign.")] = False,
+    white: Annotated[
+        bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")
+    ] = False,
+    controller: Annotated[
+        Path | None, typer.Option(help="Controller file (TOML), for --white and --simulate; the CS8's otherwise.")
+    ] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
+) -> None:
+    """Write the references that excite ROBOT for `rx90b-flex frf`, and the campaign file for its logs."""
+    from rx90b_flex.simulate.excite import Request, excite_into
+
+    poses = tuple(tuple(math.radians(x) for x in _numbers("pose", text)) for text in pose or [])
+    request = Request(
+        robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
+        _numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
+        not one_sign, white, controller, seed,
+    )  # fmt: skip
+    with _progress() as tell:
+        said = excite_into(request, out, simulate, tell)
+    console = Console()
+    for text in said:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+    console.print(
+        f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}", soft_wrap=True
+    )
+
+
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}; expected numbers: 0,90,0") from None
 
 
 @app.command()
@@ -211,6 +269,60 @@ def simulate_command(
     for text in summary(result):
         console.print(text, soft_wrap=True, markup=False, highlight=False)
     console.print(f"Recording, tip.csv and figure: {out}", soft_wrap=True)
+
+
+@app.command("check-path")
+def check_path_command(
+    path: Annotated[
+        str,
+        typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
+    tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
+    ] = None,
+    speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
+    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
+    correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
+    contributions: Annotated[
+        bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
+    ] = True,
+    iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
+    jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
+    save_example: Annotated[
+        Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
+    ] = None,
+) -> None:
+    """Check that ROBOT can follow PATH within a tolerance: where it strays, which effect is why, and a corrected path.
+
+    Exit status: 0 within tolerance, as planned or corrected; 1 not within tolerance; 2 bad input, or a path that the robot cannot
+    follow (out of reach, outside limits, through a singularity, too fast), with nothing written.
+    """
+    from rx90b_flex.path.check import Options
+    from rx90b_flex.path.output import Request, run_request, write_check, write_example
+    from rx90b_flex.signals.folders import check_folder
+    from rx90b_flex.view.path_report import write_path_report
+
+    console = Console()
+    if save_example is not None:
+        write_example(path, save_example)
+        console.print(f"Path file: {save_example}", soft_wrap=True)
+        return
+    check_folder(out)
+    options = Options(tolerance_mm, correct, contributions, iterations, jobs)
+    with _progress() as tell:
+        result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
+        tell("writing the report", 0.98)
+        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),))
+    console.print(result.sentence, soft_wrap=True, highlight=False)
+    causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
+    if causes:
+        said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
+        console.print(f"Largest contributions across, RMS, mm: {said}", soft_wrap=True, highlight=False)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+    if result.verdict == "outside_tolerance":
+        raise typer.Exit(1)
 
 
 @app.command()

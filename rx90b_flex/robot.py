@@ -226,8 +226,12 @@ class Robot:
         if regressor is None:
             regressor = motion.on_tree.link_regressor()
 
+        before = motion.on_tree
+
         def tree(moved: Motion) -> _RobotTreeMotion:
-            return _RobotTreeMotion(self, moved, link_parameters, regressor)
+            same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
+            bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
+            return _RobotTreeMotion(self, moved, link_parameters, regressor, bodies)
 
         known = (e for e in effects if e.in_dynamics and not np.isnan([*e.coefficients, *e.shape]).any())
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
@@ -436,7 +440,7 @@ class _RobotTreeMotion:
     motion: Motion
     link_parameters: Array | None = None
     regressor: Array | None = None
-    _bodies: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
+    bodies: dict[str, Array] = field(default_factory=dict, repr=False)
 
     def link_regressor(self) -> Array:
         return self._regressor
@@ -455,14 +459,8 @@ class _RobotTreeMotion:
         return self._regressor @ self.link_parameters
 
     def gravity_torque(self, direction: Array) -> Array:
-        motion = self.motion
         model, data = self._under_gravity(direction)
-        if self.link_parameters is None:
-            return np.array([pin.computeGeneralizedGravity(model, data, q) for q in motion.q])
-        rest = np.zeros(model.nv)
-        parameters = np.zeros(10 * model.nv)
-        parameters[self.robot.link_parameter_places] = self.link_parameters
-        return np.array([pin.computeJointTorqueRegressor(model, data, q, rest, rest) @ parameters for q in motion.q])
+        return np.array([pin.computeGeneralizedGravity(model, data, q) for q in self.motion.q])
 
     def gravity_derivative(self, direction: Array) -> Array:
         model, data = self._under_gravity(direction)
@@ -473,14 +471,14 @@ class _RobotTreeMotion:
         return np.array([pin.computePotentialEnergy(model, data, q) for q in self.motion.q])
 
     def _under_gravity(self, direction: Array) -> tuple[pin.Model, pin.Data]:
-        model = self.robot.model.copy()
+        model = self._own_links()
         model.gravity.linear = np.linalg.norm(model.gravity.linear) * np.asarray(direction, dtype=float)
         return model, model.createData()
 
     def body_columns(self, frame: str) -> Array:
-        if frame not in self._bodies:  # a search asks for the same body with many shapes
-            self._bodies[frame] = self._body_columns(frame)
-        return self._bodies[frame]
+        if frame not in self.bodies:  # a search asks for the same body with many shapes
+            self.bodies[frame] = self._body_columns(frame)
+        return self.bodies[frame]
 
     def _body_columns(self, frame: str) -> Array:
         robot, motion = self.robot, self.motion
@@ -523,16 +521,20 @@ class _RobotTreeMotion:
 
     @cached_property
     def _derivatives(self) -> tuple[Array, Array, Array]:
-        model = self.robot.model
+        model = self._own_links()
+        return _tree_derivatives(model, model.createData(), self.motion)
+
+    def _own_links(self) -> pin.Model:
+        """The tree with these link parameters."""
+        model = self.robot.model.copy()
         if self.link_parameters is not None:
-            model = model.copy()
             for (_, joint), body in zip(self.robot.bodies, self.link_parameters.reshape(-1, 10), strict=True):
                 dynamic = np.empty(10)
                 dynamic[_TO_TABLE_ORDER] = body
                 if abs(dynamic[0]) < 1e-6:  # pinocchio divides by the mass to find the centre
                     dynamic[0] = 1e-6
                 model.inertias[joint] = pin.Inertia.FromDynamicParameters(dynamic)
-        return _tree_derivatives(model, model.createData(), self.motion)
+        return model
 
 
 def _tree_derivatives(model: pin.Model, data: pin.Data, motion: Motion) -> tuple[Array, Array, Array]:

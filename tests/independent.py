@@ -58,6 +58,19 @@ def ur10(heavier: float = 1.0) -> Arm:
     return Arm("example-robot-data:ur10", model)
 
 
+def panda() -> Arm:
+    """The Panda's seven joints, its fingers held closed."""
+    model = example_robot_data.load("panda").model
+    fingers = [i for i, name in enumerate(model.names) if "finger" in name]
+    return Arm("example-robot-data:panda", pin.buildReducedModel(model, fingers, pin.neutral(model)))
+
+
+def rx90b() -> Arm:
+    """The rigid tree of the RX90B."""
+    path = Path(__file__).parents[1] / "urdf" / "rx90b.urdf"
+    return Arm(str(path), pin.buildModelFromUrdf(str(path)))
+
+
 TWO_JOINTS = """<robot name="two_joints">
   <link name="base"/>
   <link name="upper"><inertial><origin xyz="0.21 0.03 0.01"/><mass value="4"/>
@@ -141,6 +154,52 @@ def hidden(kind: str, place: int | tuple[int, int], p: Mapping[str, float]) -> T
             out[:, a] = out[:, b] = motor
         else:
             out[:, place] = on_one(m, load, place)
+        return out
+
+    return torque
+
+
+def tilted(arm: Arm, angle_x: float, angle_y: float) -> Torque:
+    """What gravity asks for beyond its share along the base's z, the base turned about its own x and y."""
+    model = arm.model.copy()
+    turned = pin.exp3(np.array([angle_x, angle_y, 0.0]))
+    model.gravity.linear = turned.T @ model.gravity.linear
+    return lambda m, load: Arm(arm.urdf, model).torque(m) - load
+
+
+def carrying(arm: Arm, frame: str, mass: float, centre: Sequence[float]) -> Torque:
+    """What a point mass fixed to a frame asks for."""
+    model = arm.model.copy()
+    tip = model.frames[model.getFrameId(frame)]
+    point = pin.Inertia(mass, tip.placement.act(np.asarray(centre, dtype=float)), np.zeros((3, 3)))
+    model.inertias[tip.parentJoint] += point
+    return lambda m, load: Arm(arm.urdf, model).torque(m) - load
+
+
+def pressing(arm: Arm, frame: str, stiffness: float, wall: float) -> Torque:
+    """A soft wall across the base's x at `wall` that the frame's origin presses into; not of the catalogue."""
+
+    def torque(m: Motion, load: Array) -> Array:
+        data, place = arm.model.createData(), arm.model.getFrameId(frame)
+        out = np.zeros_like(load)
+        for row, q in zip(out, m.q, strict=True):
+            pin.computeJointJacobians(arm.model, data, q)
+            depth = pin.updateFramePlacement(arm.model, data, place).translation[0] - wall
+            if depth > 0.0:
+                towards = pin.getFrameJacobian(arm.model, data, place, pin.LOCAL_WORLD_ALIGNED)[0]
+                row[:] = stiffness * depth * towards
+        return out
+
+    return torque
+
+
+def angle_dependent_friction(joint: int, other: int, coefficient: float) -> Torque:
+    """Dry friction that grows with the angle of another joint; not of the catalogue."""
+
+    def torque(m: Motion, load: Array) -> Array:
+        out = np.zeros_like(load)
+        angle = m.q[:, other]
+        out[:, joint] = coefficient * (angle - angle.mean()) * np.sign(m.v[:, joint])
         return out
 
     return torque

@@ -11,15 +11,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from independent import Arm, Array, Motion
+from independent import Arm, Array, Motion, Torque
 from scipy import optimize
 
+BETWEEN = (  # what `log` makes of an effect that is no torque of `independent.hidden`
+    "resolver_error",
+    "transmission_error",
+    "backlash",
+    "torque_delay",
+    "motor_saturation",
+    "line_interference",
+    "friction_drift",
+    "presliding_friction",
+)
+SLIP_S = 0.1  # a slip of the encoder takes so long
 REVERSAL = 0.001  # rad/s, of tanh: another smoothing of dry friction than the package's
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Random harmonics of every joint as a function of time, and the friction of the joints."""
+    """Random harmonics of every joint as a function of time, the friction of the joints, and what else loads them."""
 
     size: Array
     phase: Array
@@ -27,6 +38,7 @@ class Experiment:
     omega: Array
     coulomb: Array
     viscous: Array
+    more: tuple[Torque, ...] = ()
 
     @staticmethod
     def draw(
@@ -65,9 +77,13 @@ class Experiment:
         return np.tanh(m.v / REVERSAL) * self.coulomb + m.v * self.viscous
 
     def torque(self, arm: Arm, time: Array) -> Array:
-        """Of the arm as it is declared."""
+        """What the motors give."""
         m = self.motion(time)
-        return arm.torque(m) + self.friction(m)
+        return self.on_links(m, arm.torque(m)) + self.friction(m)
+
+    def on_links(self, m: Motion, load: Array) -> Array:
+        """Torque that the links ask for and what else loads them."""
+        return load + sum((torque(m, load) for torque in self.more), np.zeros_like(load))
 
 
 def _in_error(m: Motion, j: int, p: Mapping[str, float], sign: float) -> Motion:
@@ -96,7 +112,7 @@ def log(
     def transmission_error() -> tuple[Array, Array]:
         load = arm.torque(_in_error(m, j, p, 1.0))
         load[:, j] *= 1 + p["amplitude"] * p["order"] * np.cos(p["order"] * m.q[:, j] + p["phase"])
-        return m.q, load + run.friction(m)
+        return m.q, run.on_links(m, load) + run.friction(m)
 
     def backlash() -> tuple[Array, Array]:
         side = -0.5 * p["gap"] * np.tanh(arm.torque(m)[:, j])
@@ -104,7 +120,7 @@ def log(
         q, v, a = m.q.copy(), m.v.copy(), m.a.copy()
         for x, change in ((q, side), (v, rate), (a, np.gradient(rate, time))):
             x[:, j] += change
-        return m.q, arm.torque(Motion(time, q, v, a)) + run.friction(m)
+        return m.q, run.on_links(m, arm.torque(Motion(time, q, v, a))) + run.friction(m)
 
     def torque_delay() -> tuple[Array, Array]:
         late = run.torque(arm, time - p["delay"])
@@ -115,6 +131,14 @@ def log(
         top = 1 / np.sqrt(3 * c)
         asked = [optimize.brentq(lambda x, g=g: x - c * x**3 - g, -top, top) for g in torque[:, j]]
         return m.q, np.where(np.arange(torque.shape[1]) == j, np.array(asked)[:, None], torque)
+
+    def slipping_encoder() -> tuple[Array, Array]:
+        """Not of the catalogue: at three instants the encoder slips on its shaft."""
+        measured = m.q.copy()
+        for part in (0.2, 0.5, 0.8):
+            since = (time - time[0] - part * (time[-1] - time[0])) / SLIP_S
+            measured[:, j] += p["slip"] * 0.5 * (1 + np.tanh(2 * since))
+        return measured, torque
 
     def added(extra: Array) -> tuple[Array, Array]:
         out = torque.copy()
@@ -136,6 +160,7 @@ def log(
         "transmission_error": transmission_error,
         "backlash": backlash,
         "torque_delay": torque_delay,
+        "slipping_encoder": slipping_encoder,
         "motor_saturation": motor_saturation,
         "line_interference": lambda: added(p["amplitude"] * np.sin(2 * np.pi * p["frequency_hz"] * time + p["phase"])),
         "friction_drift": lambda: added(p["coefficient"] * np.exp(-time / p["time_constant"]) * m.v[:, j]),

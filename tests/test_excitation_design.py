@@ -10,7 +10,6 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex.excitation.design import (
-    Candidate,
     Design,
     _on_own_modes,
     _Problem,
@@ -24,6 +23,8 @@ from rx90b_flex.excitation.design import (
     steady_states,
 )
 from rx90b_flex.excitation.limits import Limits, capsules
+from rx90b_flex.excitation.prediction import Candidate, Prediction
+from rx90b_flex.excitation.regressor_slope import regressor_slope
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import CS8, Simulation, Trajectory, load_cs8, simulate, sine_excitation
 from rx90b_flex.simulate.cs8 import drive_places
@@ -47,11 +48,10 @@ def limits() -> Limits:
     return Limits.of(robot(), controller())
 
 
-def problem(**changes: object) -> _Problem:
-    made = _problem(
-        robot(), controller(), limits(), "condition", None, PERIOD, 3, None, 64, 6, np.random.default_rng(0)
-    )
-    return dataclasses.replace(made, **changes)  # type: ignore[arg-type]
+@cache
+def problem(spectrum: str | None = None) -> _Problem:
+    rng = np.random.default_rng(0)
+    return _problem(robot(), controller(), limits(), "condition", spectrum, PERIOD, 3, None, 256, 6, rng)  # type: ignore[arg-type]
 
 
 @cache
@@ -62,11 +62,11 @@ def small() -> Design:
         seed=3,
         controller=controller(),
         harmonics=1,
-        samples=24,
+        samples=96,
         points=3,
-        draws=4,
+        draws=3,
         starts=1,
-        evaluations=120,
+        evaluations=30,
         progress=lambda text, part: told.append(part),
     )
     assert len(told) > 6 and min(told) >= 0.0 and max(told) <= 1.0
@@ -127,7 +127,7 @@ def test_the_excitation_of_section_422_passes_a_speed_limit_and_the_floor() -> N
 
 def test_references_are_periodic_and_their_derivatives_are_each_other() -> None:
     rng = np.random.default_rng(1)
-    c = Candidate(rng.normal(size=4), rng.normal(size=(3, 4)), rng.normal(size=(3, 4)), np.zeros((0, 4), complex))
+    c = Candidate(rng.normal(size=(7, 4)), np.zeros((0, 4), complex))
     time = np.arange(64) / 64 * PERIOD
     r, v, a = c.references(time, PERIOD)
     assert np.allclose(periodic_derivative(r, PERIOD), v, atol=1e-11)
@@ -166,17 +166,52 @@ def test_slow_bending_is_predicted_as_simulated() -> None:
 
     Torsion is left out here: it follows friction's jumps, which ring in the simulation and are smoothed in the prediction.
     """
-    p = problem(hz=np.zeros(0), groups=np.zeros(0, dtype=np.int64), phase=np.zeros((0, 4)))
-    cosine = np.zeros((3, 4))
-    cosine[0] = 0.3
-    c = Candidate(np.array([0.0, 0.8, 0.6, 0.0]), cosine, np.zeros((3, 4)), np.zeros((0, 4), complex))
-    q, _, _ = dataclasses.replace(p, times=np.arange(1024) / 1024 * PERIOD, memory={}).motion(c)
+    motion = np.zeros((7, 4))
+    motion[0], motion[1] = [0.0, 0.8, 0.6, 0.0], 0.3
+    c = Candidate(motion, np.zeros((0, 4), complex))
+    q, _, _ = Prediction(problem("below").at(np.arange(1024) / 250.0).frame, c).motion
     r, v, _ = c.references(np.arange(1024) / 250.0, PERIOD)
     slow = Trajectory("slow", robot().joints, 250.0, r, v, None, PERIOD)
     simulated, _, _ = steady_states(simulate(robot(), controller(), slow.repeated(2)))
     bending = [i for i, name in enumerate(robot().coordinates) if "bend" in name]
     error = np.linalg.norm(q[:, bending] - simulated[:, bending]) / np.linalg.norm(simulated[:, bending])
     assert error < 0.05
+
+
+# ---- gradients --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["rx90b_4dof", "example-robot-data:ur10"])
+def test_the_regressors_slope_is_that_of_finite_differences(name: str) -> None:
+    """Central ones: their error is of second order in the step and of rounding over it, both below 1e-8 of the largest."""
+    any_robot, rng, step = rf.load_robot(name), np.random.default_rng(0), 1e-6
+    n = any_robot.model.nv
+    motion = rng.normal(size=(3, 2, n))
+    weight = rng.normal(size=(2, n, len(any_robot.parameter_names)))
+    slopes = np.array(regressor_slope(any_robot, *motion, weight))
+    expected = np.zeros_like(slopes)
+    for order in range(3):
+        for i in range(n):
+            change = np.zeros_like(motion)
+            change[order, :, i] = step
+            apart = any_robot.regressor(*(motion + change)) - any_robot.regressor(*(motion - change))
+            expected[order, :, i] = (apart * weight).sum(axis=(1, 2)) / (2.0 * step)
+    assert np.allclose(slopes, expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("objective", ["condition", "information"])
+def test_the_searchs_gradient_is_that_of_finite_differences(objective: str) -> None:
+    """Of a motion that passes limits; forward differences inside, of 1e-6, leave about as much of the gradient."""
+    p = dataclasses.replace(problem(), objective=objective)
+    rng = np.random.default_rng(1)
+    x = 2.0 * p.draw(rng)
+    direction = rng.normal(size=len(x))
+    direction /= np.linalg.norm(direction)
+    _, gradient, _ = p.look(x, 8.0)
+    assert p.excess(p.candidate(x)) > 0.0
+    step = 1e-5
+    there, back = (p.look(x + sign * step * direction, 8.0)[0] for sign in (1.0, -1.0))
+    assert (there - back) / (2.0 * step) == pytest.approx(gradient @ direction, abs=1e-4 * np.linalg.norm(gradient))
 
 
 # ---- designs ----------------------------------------------------------------------------------------------------
@@ -201,23 +236,24 @@ def test_lines_on_modes_stand_within_a_tenth_of_them() -> None:
     """Of those at the centre of a motion, and half a step of the period's grid."""
     p, rng = problem(), np.random.default_rng(2)
     x = p.draw(rng)
-    placed, _ = _on_own_modes(p, x, "on_modes", rng)
+    placed, own = _on_own_modes(p, x, rng)
+    assert np.array_equal(placed.candidate(own).motion, p.candidate(x).motion)
     pose = np.zeros(16)
     pose[drive_places(robot())] = p.candidate(x).centre
     modes = robot().linearize(pose).frequencies_hz(elastic_only=True)
     modes = modes[(modes > 1.0) & (modes < 110.0)]
-    apart = np.abs(placed.hz[:, None] - modes)
+    apart = np.abs(placed.frame.hz[:, None] - modes)
     assert np.all((apart <= 0.1 * modes + 0.5 / PERIOD + 1e-9).any(axis=1))
     assert np.all(apart.min(axis=0) <= 0.5 / PERIOD + 1e-9)  # and one on each
 
 
 def test_the_search_improves_on_what_it_starts_from() -> None:
     cost = small().history[:, 2]
-    assert np.all(np.diff(cost) <= 0.0) and cost[-1] < cost[0]
+    assert cost[-1] < cost[0]
 
 
 def test_the_same_seed_gives_the_same_design() -> None:
-    kwargs = {"harmonics": 1, "samples": 16, "points": 2, "draws": 2, "starts": 1, "evaluations": 2}
+    kwargs = {"harmonics": 1, "samples": 32, "points": 2, "draws": 2, "starts": 1, "evaluations": 2}
     one, two = (
         design_excitation(robot(), seed=5, controller=controller(), **kwargs)
         for _ in range(2)  # type: ignore[arg-type]
@@ -232,11 +268,11 @@ def test_below_the_modes_nothing_is_fed_forward() -> None:
         seed=0,
         controller=controller(),
         spectrum="below",
-        samples=16,
+        samples=64,
         points=2,
         draws=2,
         starts=1,
-        evaluations=2,
+        evaluations=4,
     )
     assert design.trajectory.feedforward is None and len(design.lines_hz) == 0
 
@@ -245,7 +281,7 @@ def test_a_rigid_robot_of_any_urdf_is_excited() -> None:
     ur10 = rf.load_robot("example-robot-data:ur10")
     own = Limits.of(ur10, radius=0.05)
     design = design_excitation(
-        ur10, seed=1, limits=own, objective="information", harmonics=2, samples=24, draws=6, starts=1, evaluations=150
+        ur10, seed=1, limits=own, objective="information", harmonics=2, samples=96, draws=6, starts=1, evaluations=40
     )
     assert design.margins().kept
     assert design.essential.shape[1] == 36  # base parameters of a six-axis arm, a link at a time, without friction
@@ -260,6 +296,8 @@ def test_a_rigid_robot_of_any_urdf_is_excited() -> None:
         ({"objective": "trace"}, "objective is 'trace'"),
         ({"spectrum": "above"}, "spectrum is 'above'"),
         ({"spectrum": np.array([0.0, 10.0])}, "above 0 and below 125"),
+        ({"harmonics": 0}, "harmonics is 0; expected 1 or more"),
+        ({"draws": 1}, "starts is 2 of 1 draws"),
     ],
 )
 def test_choices_that_do_not_fit_are_refused(changes: dict[str, object], message: str) -> None:
@@ -295,12 +333,8 @@ def test_figures_have_axes_with_units() -> None:
 
 @pytest.mark.slow
 def test_a_designed_excitation_is_conditioned_better_than_that_of_section_422() -> None:
-    """At equal duration, within limits that the other does not keep; by simulated motion of both.
-
-    Five times better is the aim; one seed's search came to between 3 and 7 times as the search was built, so that only
-    half of the least of these is a claim.
-    """
+    """At equal duration, within limits that the other does not keep; by simulated motion of both."""
     design = design_excitation(robot(), seed=0, controller=controller())
     assert design.margins().kept
     other = design.assess(section_422())
-    assert other.condition / design.assess().condition >= 1.5
+    assert other.condition / design.assess().condition >= 3.0

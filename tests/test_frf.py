@@ -285,7 +285,7 @@ def test_lines_at_which_the_experiments_are_dependent_are_left_out_and_the_rest_
 
     r = estimate_frequency_response([same_everywhere(x) for x in runs])
     assert any(
-        f"1 lines are left out, the experiments' torques are dependent there: {lost:.4g} Hz" in x for x in r.remarks
+        f"1 line is left out, the experiments' torques are dependent there: {lost:.4g} Hz" in x for x in r.remarks
     )
     np.testing.assert_allclose(r.hz, np.delete(HZ, 7))
     assert np.max(np.abs(r.value - plant(r.hz)) / r.std()) < 6

@@ -47,7 +47,7 @@ def test_stiffness_comes_from_motor_signals_and_is_written(campaign, tmp_path):
     assert {p.name for p in out.iterdir()} >= {"frf.json", "robot.toml"}
     found = json.loads((out / "frf.json").read_text())
     assert found["schema"] == 1 and found["left_out"] == []
-    assert found["pose_rad"] == pytest.approx([0.0, 0.5 * np.pi, 1.0], abs=1e-3)
+    assert found["poses"][0]["pose_rad"] == pytest.approx([0.0, 0.5 * np.pi, 1.0], abs=1e-3)
     parameters = found["grey_box"]["parameters"]
     declared = load_robot("rx90b_3dof")
     for effect in declared.effects:
@@ -86,11 +86,12 @@ def test_the_command_does_it_all_by_itself(campaign, tmp_path, monkeypatch):
 def test_a_stage_that_fails_is_left_out_with_its_reason(campaign):
     # a band of three lines is too little for transfer functions, and so for poles and zeros; the grey box goes on
     result = identify_from_motors(campaign, Options(band_hz=(30.0, 31.5), starts=0))
-    assert result.transfer is None and result.drives is None and result.grey is not None
+    (at,) = result.poses
+    assert at.transfer is None and at.drives is None and result.grey is not None
     stages = {x["stage"]: x["why"] for x in frf_json(result)["left_out"]}
     assert "lines" in stages["transfer functions"]
     assert "builds on" in stages["inverse eigenvalue problem"]
-    assert frf_json(result)["transfer_functions"] is None
+    assert frf_json(result)["poses"][0]["transfer_functions"] is None
 
 
 def test_bad_input_is_one_line_and_nothing_is_written(campaign, tmp_path, monkeypatch, capsys):

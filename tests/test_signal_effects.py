@@ -9,7 +9,7 @@ from scipy import integrate, optimize
 from rx90b_flex.effects import Effect, Motion, catalogue
 from rx90b_flex.effects.presliding import hysteresis
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.simulate import Trajectory, load_cs8, simulate
+from rx90b_flex.simulate import Trajectory, load_cs8, perturb_lanes
 
 RATE = 500.0
 AT = 1  # joint that carries the effect
@@ -175,12 +175,12 @@ def test_presliding_friction_keeps_its_torque_at_rest_and_has_no_memory_without_
 
 
 @pytest.mark.parametrize("kind", ["torque_delay", "presliding_friction"])
-def test_what_cannot_be_simulated_is_named_before_any_simulation(robot, kind):
+def test_what_the_perturbation_method_cannot_simulate_is_named_before_any_simulation(robot, kind):
     effect = catalogue()[kind](joint="joint_2")
     flawed = robot.with_effects([*robot.effects, effect])
     still = Trajectory("still", robot.joints, 250.0, np.zeros((10, 6)), np.zeros((10, 6)))
-    with pytest.raises(ValueError, match=rf"rx90b_rigid: joint_2\.{kind} cannot be simulated yet"):
-        simulate(flawed, load_cs8(), still)
+    with pytest.raises(ValueError, match=rf"rx90b_rigid: joint_2\.{kind} is beyond the perturbation method"):
+        perturb_lanes(flawed, load_cs8(), [still])
 
 
 def test_a_delay_may_stand_on_the_robot_or_on_a_joint(tmp_path, robot):

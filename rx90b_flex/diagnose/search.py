@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
@@ -23,11 +23,16 @@ from rx90b_flex.identify.regression import Regression
 
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
 SMALLEST_GAIN = 0.02  # of the squared error of the joints that an effect touches; less is not worth a name
-GAIN_T = 2.0  # held-out gain over its standard error
+GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
-REFINED = 16  # trials whose shape parameters are refined
+REFINED = 16  # trials whose shape parameters are refined at the most
+FEWEST_REFINED = 6  # and at the least
+UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the least
+REFINEMENTS = 15  # steps of a refinement
+SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
+DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
 BATCH_BYTES = 64e6
 
@@ -63,10 +68,12 @@ class Trial:
 
     @property
     def gain_t(self) -> float:
-        """Gain over its standard error between blocks."""
-        blocks = len(self.block_gains)
-        spread = self.block_gains.std(ddof=1) * np.sqrt(blocks)
-        return float(self.gain / spread) if spread > 0 else np.inf
+        """Mean over standard error of the blocks' gains, as signed roots: an effect that acts much in one block and
+        little in others, such as a saturation, differs between them without being less sure.
+        """
+        roots = np.sign(self.block_gains) * np.sqrt(np.abs(self.block_gains))
+        error = roots.std(ddof=1) / np.sqrt(len(roots))
+        return float(roots.mean() / error) if error > 0 else np.inf
 
     @property
     def sure_gain(self) -> float:
@@ -196,16 +203,28 @@ class _Base:
         out[rows] += columns.transpose(1, 0, 2)
         return out
 
+    def projected(self, rows: Indices, columns: Array) -> tuple[Array, Array, Array]:
+        """Weighted Gram matrix of candidate columns (N, rows, k) less the base's part, and with it, (k, k); score (k,)."""
+        weighted = columns * np.sqrt(self.weight[rows])[:, None]
+        flat = weighted.transpose(1, 0, 2).reshape(-1, columns.shape[2])
+        own = flat.T @ flat
+        with_base = self.with_base(rows, columns)
+        return own - with_base.T @ self.whole[1] @ with_base, own, self._score(rows, columns)
+
     def gains(self, rows: Indices, columns: Array, k: int) -> Array:
         """Drop of the weighted squared error for many candidates of k columns each; (N, rows, M * k) -> (M,)."""
         _, inverse = self.whole
         many = columns.shape[2] // k
         with_base = self.with_base(rows, columns).reshape(-1, many, k)
-        score = np.asarray(sum(self.weight[j] * (self.residual[j] @ columns[:, i]) for i, j in enumerate(rows)))
         shaped = columns.reshape(len(columns), len(rows), many, k)
         own = np.einsum("j,njmk,njml->mkl", self.weight[rows], shaped, shaped)
         left = own - np.einsum("pmk,pml->mkl", with_base, np.tensordot(inverse, with_base, axes=1))
-        return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score.reshape(many, k), strict=True)])
+        score = self._score(rows, columns).reshape(many, k)
+        return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
+
+    def _score(self, rows: Indices, columns: Array) -> Array:
+        parts = (self.weight[j] * (self.residual[j] @ columns[:, i]) for i, j in enumerate(rows))
+        return np.asarray(sum(parts))
 
 
 def _solve(left: Array, own: Array, score: Array) -> Array:
@@ -305,7 +324,12 @@ class Search:
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
         rough.sort(key=lambda item: -item[0])
-        trials = [self._trial(effect, base, bases[None], self.tests) for _, effect, base in rough[:REFINED]]
+        trials: list[Trial] = []
+        for first_look, effect, base in rough[:REFINED]:
+            sure = max((t.sure_gain for t in trials if t.accepted), default=0.0)
+            if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
+                break  # neither this one nor those behind it can win
+            trials.append(self._trial(effect, base, bases[None], self.tests))
         return sorted(trials, key=lambda t: -t.gain)
 
     def without(self, effect: Effect) -> Trial:
@@ -355,33 +379,39 @@ class Search:
             yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
 
     def _refined(self, effect: Effect, base: _Base) -> Effect:
+        """The shapes that gain most: Gauss-Newton steps with everything linear projected out (variable projection)."""
         if not effect.shape_names():
             return effect
         bounds = effect.shape_bounds()
         logs = (bounds[0] > 0).all()
-        to = np.log if logs else np.asarray
-        back = np.exp if logs else np.asarray
-
-        def cost(x: Array) -> float:
-            shape = np.clip(back(x), *bounds)
-            rows, columns = self.regression.compact([effect.with_shape(shape)])
-            return -float(base.gains(rows, columns, columns.shape[2])[0]) if len(rows) else 0.0
-
+        to, back = (np.log, np.exp) if logs else (np.asarray, np.asarray)
         spread = effect.shape_spread(self.longest)
-        start = to(effect.shape)
-        simplex = np.vstack([start, start + np.diag(spread / effect.shape if logs else spread)])
-        found = optimize.minimize(
-            cost,
-            start,
-            method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": 60, "xatol": 1e-4, "fatol": 1e-3},
-        )
-        return effect.with_shape(np.clip(back(found.x), *bounds))
+        farthest = spread / effect.shape if logs else spread
+
+        def looked_at(x: Array) -> _Look:
+            shapes = [np.clip(back(x + step), *bounds) for step in np.vstack([0 * x, np.diag(DIFFERENCE * farthest)])]
+            rows, columns = self.regression.compact([effect.with_shape(s) for s in shapes])
+            return _Look.at(base, rows, columns, len(effect.coefficients), DIFFERENCE * farthest)
+
+        x = to(effect.shape)
+        best, damping = looked_at(x), 1e-3
+        for _ in range(REFINEMENTS):
+            moved = to(np.clip(back(x + np.clip(best.step(damping), -farthest, farthest)), *bounds))
+            found = looked_at(moved)
+            won = found.gain - best.gain
+            if won > 0:
+                x, best, damping = moved, found, damping / 4
+            else:
+                damping *= 16
+            if abs(won) < SETTLED * max(best.gain, 1.0):
+                break
+        return effect.with_shape(np.clip(back(x), *bounds))
 
     def _trial(self, effect: Effect, base: _Base, present: _Base, tests: int) -> Trial:
         effect = self._refined(effect, base)
-        rows, columns = self.regression.compact([effect])
         k, s = len(effect.coefficients), len(effect.shape)
+        rows, beside = self.regression.compact([effect, *_neighbours(effect)])
+        columns = beside[:, :, :k]
         size = k + s - (present.size - base.size)
         if len(rows) == 0:
             return Trial(effect, 0.0, np.zeros(len(self.blocks)), 1.0, size, 0.0, False)
@@ -391,7 +421,7 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
-        p_value, lawful = self._evidence(effect, base, rows, columns, beta)
+        p_value, lawful = self._evidence(effect, base, rows, beside, beta)
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
         return Trial(
@@ -420,15 +450,15 @@ class Search:
             )
         return out
 
-    def _evidence(self, effect: Effect, base: _Base, rows: Indices, columns: Array, beta: Array) -> tuple[float, bool]:
+    def _evidence(self, effect: Effect, base: _Base, rows: Indices, beside: Array, beta: Array) -> tuple[float, bool]:
         """Wald test of the coefficients under coloured residuals, and whether they can be what they claim to be.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
         effect then plays another one's part), or if with the shapes estimated too nothing of them is certain.
         """
         k = len(beta)
-        shapes = self._shape_columns(effect, rows, beta)
-        together = np.concatenate([columns, shapes], axis=2)
+        columns = beside[:, :, :k]
+        together = np.concatenate([columns, _by_shape(effect, beside[:, :, k:], beta)], axis=2)
         own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
         apart = base.apart(rows, together)
         residual = base.residual - apart[:, :, :k] @ beta
@@ -441,24 +471,68 @@ class Search:
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
         wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta, DETERMINED)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        tests = free + shapes.shape[2]
+        tests = free + len(effect.shape)
         p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
         lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
-        if shapes.shape[2]:
-            _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(shapes.shape[2])], 1e-12)
+        if len(effect.shape):
+            _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(effect.shape))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             lawful = lawful and bool(certain > SIGN_T**2 * k)
         low, high = effect.shape_bounds()
         inside = bool(((effect.shape > 1.01 * low) & (effect.shape < 0.99 * high)).all())
         return p_value, lawful and inside
 
-    def _shape_columns(self, effect: Effect, rows: Indices, beta: Array) -> Array:
-        """Derivative of the effect's torque by its shape parameters, shape (N, rows, s)."""
-        out = [np.zeros((len(self.regression), len(rows), 0))]
-        for step in np.diag(1e-4 * np.maximum(np.abs(effect.shape), 1e-3)):
-            up, down = (self.regression.compact([effect.with_shape(effect.shape + h)])[1] for h in (step, -step))
-            out.append(((up - down) @ beta / (2 * step.sum()))[:, :, None])
-        return np.concatenate(out, axis=2)
+
+def _neighbours(effect: Effect) -> list[Effect]:
+    """The effect with each shape parameter a little larger, then a little smaller."""
+    steps = np.diag(_shape_steps(effect))
+    return [effect.with_shape(effect.shape + sign * step) for step in steps for sign in (1.0, -1.0)]
+
+
+def _by_shape(effect: Effect, beside: Array, beta: Array) -> Array:
+    """Derivative of the effect's torque by its shape parameters (N, rows, s) from the columns of its neighbours."""
+    samples, rows, _ = beside.shape
+    pairs = beside.reshape(samples, rows, len(effect.shape), 2, len(beta))
+    return (pairs[:, :, :, 0] - pairs[:, :, :, 1]) @ beta / (2.0 * _shape_steps(effect))
+
+
+def _shape_steps(effect: Effect) -> Array:
+    return 1e-4 * np.maximum(np.abs(effect.shape), 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """A candidate at one shape: its gain, and the normal equations of its torque's derivatives by the shape."""
+
+    gain: float
+    gram: Array  # (s, s), of what neither the base nor the candidate's own columns explain
+    score: Array  # (s,)
+
+    @staticmethod
+    def at(base: _Base, rows: Indices, columns: Array, k: int, steps: Array) -> _Look:
+        """From columns (N, rows, (1 + s) k): at the shape, and a step further in each of its parameters."""
+        if len(rows) == 0:
+            return _Look(0.0, np.eye(len(steps)), np.zeros(len(steps)))
+        left, own, score = base.projected(rows, columns)
+        beta = _solve(left[:k, :k], own[:k, :k], score[:k])
+        # derivatives as combinations of the columns: what is left of them needs no second look at the data
+        further = np.zeros((columns.shape[2], len(steps)))
+        further[:k] = -beta[:, None] / steps
+        for i, step in enumerate(steps):
+            further[k * (i + 1) : k * (i + 2), i] = beta / step
+        mixed = left[:k] @ further
+        taken = np.array([_solve(left[:k, :k], own[:k, :k], m) for m in mixed.T]).T
+        return _Look(
+            float(score[:k] @ beta),
+            further.T @ left @ further - mixed.T @ taken,
+            further.T @ score - taken.T @ score[:k],
+        )
+
+    def step(self, damping: float) -> Array:
+        """Levenberg's step of the shape parameters."""
+        size = np.diag(self.gram)
+        damped = self.gram + damping * np.diag(np.where(size > 0, size, 1.0))
+        return np.asarray(np.linalg.lstsq(damped, self.score, rcond=None)[0])
 
 
 def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:

@@ -6,13 +6,17 @@ velocity and acceleration times delta, delta' and delta''.
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import JointEffect, derived, linear
+from rx90b_flex.effects.effect import Effect, JointEffect, Sites, derived, linear
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.ripple import PeriodicEffect
 
@@ -65,6 +69,13 @@ class _AngleError(PeriodicEffect):
         ahead[:, place] += ratio
         return by_q, by_a * v**2, ahead
 
+    def error(self, q: Array) -> tuple[Array, Array, Array]:
+        """The angle's error at angles of the drive, and its first two derivatives by them; each of the shape of q."""
+        (order,), (sine, cosine) = self.known_shape(), self.known_coefficients()
+        s, c = np.sin(order * q), np.cos(order * q)
+        error = sine * s + cosine * c
+        return error, order * (sine * c - cosine * s), -(order**2) * error
+
     def _place(self, motion: Motion) -> int:
         return int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
 
@@ -110,6 +121,11 @@ class ResolverError(_AngleError):
         by_q, by_v, by_a = motion.model_sensitivity(self.joint)
         return -by_q, -by_v, -by_a, np.zeros(len(motion))
 
+    def shown(self, motion: Motion) -> tuple[Array, Array]:
+        port = motion.coordinates.port(self.joint, "drive")
+        error, slope, _ = self.error(motion.q @ port)
+        return np.outer(error, port), np.outer(slope * (motion.v @ port), port)
+
 
 @dataclass(frozen=True, kw_only=True)
 class TransmissionError(_AngleError):
@@ -138,6 +154,53 @@ class TransmissionError(_AngleError):
         place = self._place(motion)
         links = (by[:, :, place] for by in motion.on_tree.derivatives())
         return (*links, motion.on_tree.load()[:, place])
+
+    def simulated(self, beside: Sequence[Effect]) -> Effect:
+        return _VaryingRatio(error=self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _VaryingRatio(Effect):
+    """A transmission error as a force, to all orders: what the links ask for beyond what they would at the motor's angle."""
+
+    adds_inertia: ClassVar[bool] = True
+    part: ClassVar[str] = "links"  # it moves energy, and dissipates none
+    error: TransmissionError
+
+    def _moved(self, motion: Motion) -> tuple[Motion, Array]:
+        """Motion of the links, and how fast they turn with the motor along each coordinate, (N, n)."""
+        port = motion.coordinates.port(self.error.joint, "drive")
+        error, slope, curvature = self.error.error(motion.q @ port)
+        v, a = motion.v @ port, motion.a @ port
+        moved = dataclasses.replace(
+            motion,
+            q=motion.q + np.outer(error, port),
+            v=motion.v + np.outer(slope * v, port),
+            a=motion.a + np.outer(slope * a + curvature * v**2, port),
+        )
+        return moved, 1.0 + np.outer(slope, port)
+
+    def columns(self, motion: Motion) -> Array:
+        moved, ratio = self._moved(motion)
+        return np.asarray(ratio * moved.on_tree.load() - motion.on_tree.load())[:, :, None]
+
+    def force(self, motion: Motion) -> Array:
+        return np.asarray(self.columns(motion)[:, :, 0])
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        """By acceleration; by q and v it is nothing that an integrator need know."""
+        moved, ratio = self._moved(motion)
+        by_a = ratio[:, :, None] * moved.on_tree.derivatives()[2] * ratio[:, None, :] - motion.on_tree.derivatives()[2]
+        return np.zeros_like(by_a), np.zeros_like(by_a), by_a
+
+    def potential(self, motion: Motion) -> Array:
+        down = np.array([0.0, 0.0, -1.0])
+        moved, _ = self._moved(motion)
+        return moved.on_tree.gravity_potential(down) - motion.on_tree.gravity_potential(down)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,6 +250,91 @@ class Backlash(JointEffect):
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         raise TypeError(f"{self.type_name()} is no force of the robot")
+
+    def simulated(self, beside: Sequence[Effect]) -> Effect:
+        springs = [e for e in beside if "torsion" in e.virtual and e.joints == self.joints]
+        if not springs:
+            raise ValueError(
+                f"{self.label} cannot be simulated without the drive_flexibility of its joint: rigid teeth would meet at no time"
+            )
+        stiffness, _ = springs[0].known_coefficients()
+        return _LostMotion(joint=self.joint, gap=float(self.known_coefficients()[0]), stiffness=float(stiffness))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LostMotion(JointEffect):
+    """Backlash in series with a drive's torsion spring: what it takes from the spring's torque.
+
+    The torque F through both follows ``torsion = F / stiffness + gap / 2 * tanh(F / LOAD_SCALE)``, with F against the load.
+    """
+
+    side: ClassVar[str] = "torsion"
+    part: ClassVar[str] = "flexibility"
+    law_stores: ClassVar[bool] = True
+
+    gap: float
+    stiffness: float
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, self.side)
+        values = np.array([self.gap, self.stiffness, LOAD_SCALE])
+        return (Law(port, function=self.law, parameters=values, stores=True),)
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        half, stiffness, scale = 0.5 * parameters[0], parameters[1], parameters[2]
+        size = abs(x)
+        # both bounds lie below the torque; from below, Newton's steps on a concave curve stay there
+        torque = max(stiffness * (size - half), size / (1.0 / stiffness + half / scale))
+        slope = 1.0
+        for _ in range(60):
+            part = math.tanh(torque / scale)
+            slope = 1.0 / stiffness + half / scale * (1.0 - part * part)
+            step = (size - torque / stiffness - half * part) / slope
+            torque += step
+            if abs(step) <= 1e-12 * torque:
+                break
+        out[0] = math.copysign(torque, x) - stiffness * x
+        out[1] = 1.0 / slope - stiffness
+        out[2] = 0.0
+
+    def _asked(self, at: JointMotion) -> tuple[Array, Array]:
+        """Law and its slope, each (N,)."""
+        out = np.zeros((len(at.q), 3))
+        for x, row in zip(at.q, out, strict=True):
+            self.law(float(x), 0.0, (self.gap, self.stiffness, LOAD_SCALE), row)
+        return out[:, 0], out[:, 1]
+
+    def columns(self, motion: Motion) -> Array:
+        at = motion.joint(self.joint, self.side)
+        return np.outer(self._asked(at)[0], at.port)[:, :, None]
+
+    def force(self, motion: Motion) -> Array:
+        return np.asarray(self.columns(motion)[:, :, 0])
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        at = motion.joint(self.joint, self.side)
+        by_q = self._asked(at)[1][:, None, None] * np.outer(at.port, at.port)
+        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
+
+    def potential(self, motion: Motion) -> Array:
+        at = motion.joint(self.joint, self.side)
+        torque = self._asked(at)[0] + self.stiffness * at.q
+        part = torque / LOAD_SCALE
+        # log(cosh) without overflow
+        in_gap = 0.5 * self.gap * (torque * np.tanh(part) - LOAD_SCALE * (np.logaddexp(part, -part) - math.log(2.0)))
+        return np.asarray(0.5 * torque**2 / self.stiffness + in_gap - 0.5 * self.stiffness * at.q**2)
+
+    def basis(self, at: JointMotion) -> Array:
+        return self._asked(at)[0][:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), 1))
+        return self._asked(at)[1][:, None], zero, zero
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return []
 
 
 def _rate(x: Array, time: Array) -> Array:

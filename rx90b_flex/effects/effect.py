@@ -277,6 +277,45 @@ class Effect(ABC):
         """Derivatives of the force by q, v and a; each (N, n, n)."""
         raise TypeError(f"{self.type_name()} has no derivatives")
 
+    # ---- simulation: what an effect between robot and log does there, and one that remembers --------------
+
+    def simulated(self, beside: Sequence[Effect]) -> Effect | None:
+        """The force that it is in a simulation, beside the robot's other effects; None where it is none."""
+        return self if self.in_dynamics else None
+
+    def shown(self, motion: Motion) -> tuple[Array, Array] | None:
+        """What controller and log are shown beyond the angles and their rates, each (N, n); None: nothing."""
+        return None
+
+    def delivered(self, joints: Sequence[str], torque: Array) -> Array:
+        """Torques that the motors give where the controller and the log say `torque` (N, joints)."""
+        return torque
+
+    def ordered(self, joints: Sequence[str], torque: Array) -> Array:
+        """The inverse of `delivered`."""
+        return torque
+
+    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+        """Log of the torque (N, joints, lanes) at uniform times (N,); the first `history_s` of it is there to look back on."""
+        return torque
+
+    @property
+    def history_s(self) -> float:
+        """How far `noted` looks back, s."""
+        return 0.0
+
+    def memory(self, motion: Motion) -> Array:
+        """What an effect that remembers knows at rest before a motion, shape (N, m)."""
+        raise TypeError(f"{self.type_name()} remembers nothing")
+
+    def onward(self, memory: Array, motion: Motion) -> Array:
+        """What it knows a step later, at the samples of a motion, shape (N, m)."""
+        raise TypeError(f"{self.type_name()} remembers nothing")
+
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+        """Force (N, n) of an effect that remembers, and its derivative by q (N, n, n)."""
+        raise TypeError(f"{self.type_name()} remembers nothing")
+
     def potential(self, motion: Motion) -> Array:
         """Potential energy whose gradient is the force at rest, shape (N,), J; zero for what only dissipates."""
         return np.zeros(len(motion))

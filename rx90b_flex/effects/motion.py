@@ -110,6 +110,11 @@ class Force(Protocol):
 
     needs_load: ClassVar[bool]
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints whose motion it depends on; empty: all."""
+        ...
+
     def force(self, motion: Motion) -> Array:
         """Generalised force, shape (N, n)."""
         ...
@@ -187,7 +192,8 @@ class Motion:
                 change = np.outer(step, at)
                 up, down = (replace(self, **{name: getattr(self, name) + sign * change}) for sign in (1.0, -1.0))
                 for effect in self.effects:
-                    if not effect.needs_load:
+                    elsewhere = effect.joints and joint not in effect.joints
+                    if not effect.needs_load and not elsewhere:
                         out += (effect.force(up) - effect.force(down)) / (2.0 * step[:, None])
             return links
 

@@ -89,6 +89,23 @@ class PreslidingFriction(JointEffect):
         zero = np.zeros((len(at.q), 1))
         return zero, reversal_slope(at.v)[:, None], zero
 
+    def memory(self, motion: Motion) -> Array:
+        return np.stack([motion.joint(self.joint).q, np.zeros(len(motion))], axis=1)
+
+    def onward(self, memory: Array, motion: Motion) -> Array:
+        """Angle and torque over `torque`: `hysteresis` from one sample to the next."""
+        (deflection,) = self.known_shape()
+        q = motion.joint(self.joint).q
+        step, before = q - memory[:, 0], memory[:, 1]
+        s = np.sign(step)
+        return np.stack([q, s - (s - before) * np.exp(-np.abs(step) / deflection)], axis=1)
+
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+        at = motion.joint(self.joint)
+        (torque,), (deflection,) = self.known_coefficients(), self.known_shape()
+        slope = torque / deflection * (1.0 - memory[:, 1] * np.sign(at.v))
+        return np.outer(torque * memory[:, 1], at.port), slope[:, None, None] * np.outer(at.port, at.port)
+
     def shape_starts(self, motion: Motion) -> Array:
         travel = float(np.ptp(motion.joint(self.joint).q))
         low, high = DEFLECTIONS

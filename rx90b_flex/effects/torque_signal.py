@@ -59,6 +59,15 @@ class TorqueDelay(Effect):
         (delay,) = self.known_coefficients()
         return torque + self._own(motion, _late(torque, motion.time, delay) - torque)
 
+    @property
+    def history_s(self) -> float:
+        return float(self.known_coefficients()[0])
+
+    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+        late = interpolate.make_interp_spline(time, torque, k=1)(np.maximum(time - self.history_s, time[0]))
+        own = [self.joint in (None, joint) for joint in joints]
+        return np.where(np.array(own)[:, None], late, torque)
+
     def _own(self, motion: Motion, change: Array) -> Array:
         if self.joint is None:
             return change
@@ -125,6 +134,16 @@ class MotorSaturation(JointEffect):
         out[:, place] = self._asked(torque[:, place])
         return out
 
+    def delivered(self, joints: Sequence[str], torque: Array) -> Array:
+        (c,) = self.known_coefficients()
+        own = np.array([joint == self.joint for joint in joints])
+        return np.where(own, torque - c * torque**3, torque)
+
+    def ordered(self, joints: Sequence[str], torque: Array) -> Array:
+        self.known_coefficients()
+        own = np.array([joint == self.joint for joint in joints])
+        return np.where(own, self._asked(torque), torque)
+
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         raise TypeError(f"{self.type_name()} is no force of the robot")
 
@@ -162,6 +181,12 @@ class LineInterference(SineEffect):
         (frequency,) = self.known_shape()
         angle = 2.0 * np.pi * frequency * at.time
         return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+        (frequency,), (sine, cosine) = self.known_shape(), self.known_coefficients()
+        angle = 2.0 * np.pi * frequency * time
+        own = np.array([joint == self.joint for joint in joints])
+        return np.asarray(torque + np.multiply.outer(sine * np.sin(angle) + cosine * np.cos(angle), own)[:, :, None])
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         raise TypeError(f"{self.type_name()} is no force of the robot")

@@ -89,17 +89,35 @@ class Limits:
             clearance,
         )
 
-    def excess(self, position: Array, velocity: Array, torque: Array, distance: Array) -> Array:
+    def excess(
+        self, position: Array, velocity: Array, torque: Array, distance: Array, feedforward: Array | None = None
+    ) -> Array:
         """How far samples are outside, each limit by its own size, positive outside; one row a sample."""
         middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        given = [] if feedforward is None else [np.abs(feedforward) / self.feedforward - 1.0]
         return np.concatenate(
             [
                 (np.abs(position - middle) - half) / half,
                 np.abs(velocity) / self.velocity - 1.0,
                 np.abs(torque) / self.torque - 1.0,
                 (self.clearance - distance) / RADIUS,
+                *given,
             ],
             axis=1,
+        )
+
+    def slope(
+        self, position: Array, velocity: Array, torque: Array, distance: Array, feedforward: Array, by_excess: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Change of a number by position, velocity, torque, distance and feed-forward, from its change by `excess`."""
+        n = len(self.joints)
+        middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        return (
+            by_excess[:, :n] * np.sign(position - middle) / half,
+            by_excess[:, n : 2 * n] * np.sign(velocity) / self.velocity,
+            by_excess[:, 2 * n : 3 * n] * np.sign(torque) / self.torque,
+            -by_excess[:, 3 * n : -n] / RADIUS,
+            by_excess[:, -n:] * np.sign(feedforward) / self.feedforward,
         )
 
     def distances(self, tree: pin.Model, position: Array) -> Array:

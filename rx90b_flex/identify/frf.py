@@ -30,6 +30,8 @@ WORST_CONDITION = (
     1e3  # of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular
 )
 CLEAR = 4.0  # standard deviations by which the weakest combination of torques must stand out of the noise
+NEIGHBOURS = 2  # lines on either side that count for a covariance
+ENOUGH = 2  # degrees of freedom of a covariance, over its entries a row, below which more neighbours count
 POSE_SPREAD = 0.02  # rad: mean angles further apart belong to different poses
 NAME = re.compile(r"^(?P<realisation>.*\d)_(?P<experiment>\d+)_(?P<sign>plus|minus)(_\d+)?$")
 
@@ -145,6 +147,27 @@ def confidence_radius(response: FrequencyResponse, level: float = 0.95) -> Array
 # ---- which recording is what ----------------------------------------------------------------------------------
 
 
+def group_poses(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], ...]:
+    """Recordings about the same pose together, poses in the order in which they appear.
+
+    A recording's pose is its mean motor angle over whole periods; it belongs to the first pose whose first recording is within
+    `POSE_SPREAD` in every joint.
+    """
+    heads: list[Array] = []
+    groups: list[list[Recording]] = []
+    for r in recordings:
+        mean = _periods(r.position, r).mean(axis=(0, 1))
+        near = [
+            i for i, head in enumerate(heads) if head.shape == mean.shape and np.abs(mean - head).max() <= POSE_SPREAD
+        ]
+        if near:
+            groups[near[0]].append(r)
+        else:
+            heads.append(mean)
+            groups.append([r])
+    return tuple(map(tuple, groups))
+
+
 def group_recordings(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     """Tell realisation, experiment and sign of each recording from what was fed forward.
 
@@ -233,7 +256,7 @@ def estimate_frequency_response(
     hz: Array | None = None,
     band_hz: tuple[float, float] | None = None,
     places: Sequence[Place] | None = None,
-    neighbours: int = 2,
+    neighbours: int | None = None,
 ) -> MeasuredResponse:
     """Drive acceleration over drive torque of a robot about one pose, with covariances of noise and of nonlinear distortion.
 
@@ -255,10 +278,11 @@ def estimate_frequency_response(
     band_hz : two frequencies, optional
         Keeps the lines between them.
     places : as from `group_recordings`, which is asked by default
-    neighbours : int
+    neighbours : int, optional
         Lines on either side whose departures of realisations count for a line's total covariance: R - 1 alone are fewer degrees of
         freedom than a covariance of n*n entries needs. They are compared as torques, ``P^-1 (P_m - P)``, since friction's distortion
-        is a torque, smooth over the lines where P is not. 0 uses the line alone.
+        is a torque, smooth over the lines where P is not. 0 uses the line alone; by default 2, or as many as give ``2 n*n`` degrees
+        of freedom where the realisations are few.
 
     Raises
     ------
@@ -275,8 +299,8 @@ def estimate_frequency_response(
         raise ValueError(f"joint {unknown[0]!r} is not recorded; there are {', '.join(first.joints)}")
     columns = [first.joints.index(j) for j in chosen]
     remarks: list[str] = []
-    pairs = _sign_pairs(recordings, design, remarks)
-    complete = _complete(pairs, len(chosen), remarks)
+    pairs = _sign_pairs(recordings, _long_enough(recordings, design, remarks), remarks)
+    complete = _complete(pairs, chosen, remarks)
     torque, angle = _spectra_of(recordings, complete, columns)  # (R, E, M, L, n)
     period = first.period_samples or 1
     all_hz = np.arange(period // 2 + 1) * first.sample_rate_hz / period
@@ -296,7 +320,7 @@ def _estimate(
     hz: Array,
     joints: tuple[str, ...],
     pose: Array,
-    neighbours: int,
+    neighbours: int | None,
     spectra: Spectra,
     places: tuple[Place, ...],
     remarks: list[str],
@@ -317,7 +341,14 @@ def _estimate(
     else:
         remarks.append("one period: noise cannot be told from distortion")
     if realisations > 1:
-        covariance, freedom = _over_realisations(single, neighbours)
+        count = NEIGHBOURS if neighbours is None else neighbours
+        if neighbours is None and (2 * count + 1) * (realisations - 1) < ENOUGH * n * n:
+            count = -(-(-(-ENOUGH * n * n // (realisations - 1)) - 1) // 2)
+            remarks.append(
+                f"{realisations} realisations: {min(2 * count + 1, len(hz))} neighbouring lines count for each line's covariance, "
+                f"with more realisations {2 * NEIGHBOURS + 1} would do"
+            )
+        covariance, freedom = _over_realisations(single, count)
         if freedom < n * n:
             remarks.append(
                 f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
@@ -453,6 +484,15 @@ def _excited_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
     return tuple(j for j, size in zip(recordings[0].joints, moved, strict=True) if size > USED * moved.max())
 
 
+def _long_enough(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[Place]:
+    """Places of the recordings that have as many periods as most: one that was cut short would cost all others theirs."""
+    periods = {r.name: r.samples // (r.period_samples or r.samples) for r in recordings}
+    usual = Counter(periods.values()).most_common(1)[0][0]
+    short = {name: count for name, count in periods.items() if count < usual}
+    remarks += [f"recording {name} has {count} of {usual} periods and is left out" for name, count in short.items()]
+    return [p for p in places if p.recording not in short]
+
+
 def _sign_pairs(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_Pair]:
     rows = {r.name: i for i, r in enumerate(recordings)}
     found: dict[tuple[int, int], dict[int, int]] = {}
@@ -475,8 +515,9 @@ def _sign_pairs(recordings: Sequence[Recording], places: Sequence[Place], remark
     return [pair for pair in pairs if pair.plus is not None and pair.minus is not None]
 
 
-def _complete(pairs: list[_Pair], inputs: int, remarks: list[str]) -> list[list[_Pair]]:
+def _complete(pairs: list[_Pair], joints: tuple[str, ...], remarks: list[str]) -> list[list[_Pair]]:
     """Experiments of each realisation that has as many as the others, in one order."""
+    inputs = len(joints)
     groups = [[p for p in pairs if p.realisation == m] for m in sorted({p.realisation for p in pairs})]
     expected = Counter(len(group) for group in groups).most_common(1)[0][0]
     complete = [group for group in groups if len(group) == expected]
@@ -484,7 +525,11 @@ def _complete(pairs: list[_Pair], inputs: int, remarks: list[str]) -> list[list[
         complete = [group for group in groups if len(group) == max(map(len, groups))]
         expected = len(complete[0])
     if expected < inputs:
-        raise ValueError(f"{expected} experiments a realisation for {inputs} joints; expected {inputs} or more")
+        names = ", ".join(joints)
+        raise ValueError(
+            f"{expected} experiments a realisation for {inputs} joints ({names}); expected {inputs} or more, each with "
+            "torques in another proportion"
+        )
     for group in groups:
         if len(group) != expected:
             remarks.append(
@@ -535,7 +580,10 @@ def _lines(
     nyquist = 0.5 * recordings[0].sample_rate_hz
     if hz is None:
         if any(r.feedforward_torque is None for r in recordings):
-            raise ValueError("feedforward_torque is not in the recordings; give the excited lines as `hz`")
+            raise ValueError(
+                f"recording {recordings[0].name!r} has no feedforward_torque, which tells the excited lines; log it, or from Python "
+                "give the excited lines as `hz`"
+            )
         size = np.max([np.abs(_period_mean_spectrum(r)[:, columns]).max(axis=1) for r in recordings], axis=0)
         lines = np.flatnonzero(size > EXCITED * size.max())
     else:
@@ -546,16 +594,21 @@ def _lines(
             raise ValueError(f"hz: {off[0]:g} Hz is no multiple of {step:g} Hz, one over the period")
         lines = np.unique(number.astype(int))
     low, high = band_hz if band_hz is not None else (0.0, np.inf)
-    lines = lines[(lines * step >= low - 1e-9) & (lines * step <= high + 1e-9)]
-    beyond = lines[lines * step >= nyquist - 1e-9]
+    kept = lines[(lines * step >= low - 1e-9) & (lines * step <= high + 1e-9)]
+    beyond = kept[kept * step >= nyquist - 1e-9]
     if len(beyond):
         remarks.append(
             f"{len(beyond)} lines from {beyond[0] * step:g} Hz are at or beyond Nyquist ({nyquist:g} Hz) and left out"
         )
-    lines = lines[(lines > 0) & (lines * step < nyquist - 1e-9)]
-    if len(lines) == 0:
-        raise ValueError("no line is left to estimate; expected excited lines within the band and below Nyquist")
-    return lines
+    elif nyquist <= high < np.inf:
+        remarks.append(f"the band is asked for up to {high:g} Hz, and ends below Nyquist ({nyquist:g} Hz)")
+    kept = kept[(kept > 0) & (kept * step < nyquist - 1e-9)]
+    if len(kept) == 0:
+        found = f"from {lines[0] * step:.4g} to {lines[-1] * step:.4g} Hz" if len(lines) else "nowhere"
+        raise ValueError(
+            f"no line is left between {low:g} and {high:g} Hz; excited lines lie {found}, Nyquist is {nyquist:g} Hz"
+        )
+    return kept
 
 
 def _regular(
@@ -576,7 +629,8 @@ def _regular(
         raise ValueError("the experiments' torques are linearly dependent at every line; check the input matrix")
     if not kept.all():
         lost = ", ".join(f"{x:.4g}" for x in all_hz[lines[~kept]][:8]) + (", ..." if np.sum(~kept) > 8 else "")
-        remarks.append(f"{np.sum(~kept)} lines are left out, the experiments' torques are dependent there: {lost} Hz")
+        many = "1 line is" if np.sum(~kept) == 1 else f"{np.sum(~kept)} lines are"
+        remarks.append(f"{many} left out, the experiments' torques are dependent there: {lost} Hz")
     return lines[kept], kept
 
 

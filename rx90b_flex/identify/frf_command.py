@@ -1,7 +1,7 @@
 """What ``rx90b-flex frf`` does: from a campaign of motor signals to physical parameters, stage by stage.
 
-Nonparametric frequency response, transfer functions with their validation, inverse eigenvalue problem, grey box. A stage that cannot
-be done is left out with its reason; those that do not need it go on.
+At each pose the nonparametric frequency response, transfer functions with their validation and the inverse eigenvalue problem; then
+the grey box on all poses. A stage that cannot be done is left out with its reason; those that do not need it go on.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import dataclasses
 import json
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -19,7 +20,7 @@ import numpy as np
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
-from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
+from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response, group_poses
 from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box, poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
@@ -75,6 +76,30 @@ class LeftOut:
 
 
 @dataclass(frozen=True, eq=False)
+class AtPose:
+    """What the recordings about one pose say.
+
+    Attributes
+    ----------
+    name : str
+        ``pose 1``, in the order of the campaign file.
+    pose : array, shape (joints of the robot,), rad
+        Mean drive angles; zero where not recorded.
+    recordings : tuple of Recording
+    measured : MeasuredResponse
+    transfer, validation, drives : results of the stages, None where left out
+    """
+
+    name: str
+    pose: Array
+    recordings: tuple[Recording, ...]
+    measured: MeasuredResponse
+    transfer: TransferFit | None
+    validation: Validation | None
+    drives: DriveIdentification | None
+
+
+@dataclass(frozen=True, eq=False)
 class MotorIdentification:
     """All that a campaign of motor signals says.
 
@@ -84,8 +109,12 @@ class MotorIdentification:
     robot : Robot
         As declared.
     options : Options
-    measured : MeasuredResponse
-    transfer, validation, drives, grey : results of the stages, None where left out
+    poses : tuple of AtPose
+        Those with a frequency response.
+    grey : GreyBox or None
+        Fitted to the responses of `fitted` together; None where left out.
+    fitted : tuple of int
+        Places in `poses` of the grey box's responses.
     left_out : tuple of LeftOut
     remarks : tuple of str
         What qualifies the results.
@@ -96,11 +125,9 @@ class MotorIdentification:
     campaign: Path
     robot: Robot
     options: Options
-    measured: MeasuredResponse
-    transfer: TransferFit | None
-    validation: Validation | None
-    drives: DriveIdentification | None
+    poses: tuple[AtPose, ...]
     grey: GreyBox | None
+    fitted: tuple[int, ...]
     left_out: tuple[LeftOut, ...]
     remarks: tuple[str, ...]
     seconds: dict[str, float]
@@ -132,7 +159,10 @@ class _Stages:
 def identify_from_motors(
     source: str | os.PathLike[str], options: Options | None = None, progress: Progress | None = None
 ) -> MotorIdentification:
-    """Identify a robot from a campaign of periodic excitation about one pose: motor angles and torques only.
+    """Identify a robot from a campaign of periodic excitation about one or several poses: motor angles and torques only.
+
+    Recordings are told apart by their mean angles (`group_poses`). Each pose has its own frequency response, transfer functions,
+    poles and zeros; the grey box is fitted to all poses together.
 
     Parameters
     ----------
@@ -153,25 +183,66 @@ def identify_from_motors(
     robot = load_robot(campaign.robot_source)
     controller = _controller(Path(source), options.controller)
     stages = _Stages(tell)
-    tell("frequency response", 0.1)
-    began = time.perf_counter()
-    measured = estimate_frequency_response(campaign, band_hz=options.band_hz)
-    stages.seconds["frequency response"] = time.perf_counter() - began
-    transfer = stages.run("transfer functions", 0.3, lambda: fit_transfer_functions(measured, options.modes))
-    validation = stages.run("validation", 0.6, lambda: validate(_there(transfer)), [transfer])
-    drives = stages.run("inverse eigenvalue problem", 0.62, lambda: identify_drives(_there(transfer)), [transfer])
-    remarks = list(measured.remarks)
+    groups = group_poses(campaign.identification)
+    poses: list[AtPose] = []
+    remarks: list[str] = []
+    for place, recordings in enumerate(groups):
+        found = _at_pose(f"pose {place + 1}", recordings, robot, options, stages, (place / len(groups), len(groups)))
+        if found is not None:
+            poses.append(found)
+            remarks += [_of(found.name, remark, len(groups)) for remark in found.measured.remarks]
+    if not poses:
+        first = stages.left_out[0].why
+        raise ValueError(first if len(groups) == 1 else f"{len(groups)} poses, none has a response; the first: {first}")
     if controller is None:
         remarks.append(
             f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop"
         )
-    grey = stages.run(
-        "grey box", 0.65, lambda: _grey_box(campaign.identification, robot, measured, drives, controller, options, tell)
-    )
+    fitted = _alike(poses, remarks)
+    together = [poses[i] for i in fitted]
+    grey = stages.run("grey box", 0.65, lambda: _grey_box(together, robot, controller, options, tell))
     return MotorIdentification(
-        Path(source), robot, options, measured, transfer, validation, drives, grey,
+        Path(source), robot, options, tuple(poses), grey, fitted if grey is not None else (),
         tuple(stages.left_out), tuple(remarks), stages.seconds,
     )  # fmt: skip
+
+
+def _of(pose: str, text: str, poses: int) -> str:
+    return text if poses == 1 else f"{pose}: {text}"
+
+
+def _at_pose(
+    name: str,
+    recordings: tuple[Recording, ...],
+    robot: Robot,
+    options: Options,
+    stages: _Stages,
+    part: tuple[float, int],
+) -> AtPose | None:
+    """All stages of one pose; `part` is what of the poses is done, and their number. None without a frequency response."""
+    done, count = part
+
+    def run(stage: str, progress: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
+        return stages.run(_of(name, stage, count), 0.1 + 0.55 * (done + progress / count), work, needs)
+
+    measured = run("frequency response", 0.0, lambda: estimate_frequency_response(recordings, band_hz=options.band_hz))
+    if measured is None:
+        return None
+    transfer = run("transfer functions", 0.3, lambda: fit_transfer_functions(_there(measured), options.modes))
+    validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
+    drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
+    pose = mean_motion(recordings, robot.joints).mean(axis=0)
+    return AtPose(name, pose, recordings, measured, transfer, validation, drives)
+
+
+def _alike(poses: Sequence[AtPose], remarks: list[str]) -> tuple[int, ...]:
+    """Places of the poses that the grey box can fit together: those at which most excite the same joints."""
+    joints = Counter(p.measured.joints for p in poses).most_common(1)[0][0]
+    for p in poses:
+        if p.measured.joints != joints:
+            there, usual = ", ".join(p.measured.joints), ", ".join(joints)
+            remarks.append(f"{p.name}: the grey box leaves it out, it excites {there}; other poses {usual}")
+    return tuple(i for i, p in enumerate(poses) if p.measured.joints == joints)
 
 
 def _there(result: T | None) -> T:
@@ -224,48 +295,45 @@ def mean_motion(recordings: Iterable[Recording], joints: tuple[str, ...]) -> Arr
 
 
 def _grey_box(
-    recordings: tuple[Recording, ...],
-    robot: Robot,
-    measured: MeasuredResponse,
-    drives: DriveIdentification | None,
-    controller: CS8 | None,
-    options: Options,
-    tell: Progress,
+    poses: Sequence[AtPose], robot: Robot, controller: CS8 | None, options: Options, tell: Progress
 ) -> GreyBox:
-    motion = mean_motion(recordings, robot.joints)
-    plain = {f.name: getattr(measured, f.name) for f in dataclasses.fields(FrequencyResponse)}
-    response = FrequencyResponse(**{**plain, "pose": motion.mean(axis=0)})
+    motions = [mean_motion(p.recordings, robot.joints) for p in poses]
+    responses = []
+    for p in poses:
+        plain = {f.name: getattr(p.measured, f.name) for f in dataclasses.fields(FrequencyResponse)}
+        responses.append(FrequencyResponse(**{**plain, "pose": p.pose}))
+    torques = [p.measured.torque for p in poses]
+    one_number = len({torque.shape[2] for torque in torques}) == 1
     return grey_box(
         robot,
-        response,
+        responses,
         band_hz=options.band_hz,
-        start=_start(robot, drives),
+        start=_start(robot, [p.drives for p in poses if p.drives is not None]),
         starts=options.starts,
         seed=options.seed,
         link_mass_std=options.link_mass_std,
         bending_alike_std=options.bending_alike_std,
-        along=[poses_along(motion)],
-        feedback=None if controller is None else feedback_of(controller, measured.joints),
-        torques=[measured.torque],
+        along=[poses_along(motion) for motion in motions],
+        feedback=None if controller is None else feedback_of(controller, poses[0].measured.joints),
+        torques=torques if one_number else None,  # else one friction slope a joint serves all experiments
         progress=lambda text, part: tell(text, 0.65 + 0.3 * part),
     )
 
 
-def _start(robot: Robot, drives: DriveIdentification | None) -> dict[str, float]:
-    """Drive stiffness and inertia from poles and zeros, where they could be right."""
-    out: dict[str, float] = {}
-    if drives is None:
-        return out
+def _start(robot: Robot, found: Sequence[DriveIdentification]) -> dict[str, float]:
+    """Drive stiffness and inertia from poles and zeros, where they could be right; of several poses the median."""
     declared = {(e.type_name(), e.joints): e.coefficients[0] for e in robot.effects if len(e.coefficients)}
-    for joint, found in zip(drives.joints, drives.drives, strict=True):
-        for kind, effect, value in (
-            ("drive_stiffness", "drive_flexibility", found.stiffness),
-            ("drive_inertia", "drive_inertia", found.inertia),
-        ):
-            usual = declared.get((effect, (joint,)))
-            if usual is not None and LOW * usual < value < HIGH * usual:
-                out[f"{joint}.{kind}"] = float(value)
-    return out
+    values: dict[str, list[float]] = {}
+    for drives in found:
+        for joint, drive in zip(drives.joints, drives.drives, strict=True):
+            for kind, effect, value in (
+                ("drive_stiffness", "drive_flexibility", drive.stiffness),
+                ("drive_inertia", "drive_inertia", drive.inertia),
+            ):
+                usual = declared.get((effect, (joint,)))
+                if usual is not None and LOW * usual < value < HIGH * usual:
+                    values.setdefault(f"{joint}.{kind}", []).append(float(value))
+    return {name: float(np.median(each)) for name, each in values.items()}
 
 
 # ---- files ----------------------------------------------------------------------------------------------------
@@ -274,35 +342,46 @@ def _start(robot: Robot, drives: DriveIdentification | None) -> dict[str, float]
 def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
-    ``frequency_response``: lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m.
+    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m.
     ``transfer_functions``, ``drives`` and ``grey_box`` are null where ``left_out`` says why. Each parameter has value, std and unit;
     of the grey box also its 95 % interval and whether the data determine it.
     """
-    measured, options = result.measured, result.options
-    noise = measured.noise_covariance
     return {
         "schema": 1,
         "campaign": result.campaign.name,
         "robot": result.robot.name,
-        "joints": list(measured.joints),
-        "pose_rad": measured.pose.tolist(),
-        "band_hz": list(options.band_hz),
-        "frequency_response": {
-            "hz": measured.hz.tolist(),
-            "real": measured.value.real.tolist(),
-            "imag": measured.value.imag.tolist(),
-            "std": measured.std().tolist(),
-            "noise_std": None if noise is None else _std(noise, measured.value.shape).tolist(),
-            "degrees_of_freedom": measured.degrees_of_freedom if np.isfinite(measured.degrees_of_freedom) else None,
-            "realisations": len(measured.realisations),
-            "periods": measured.periods,
-            "experiments": int(measured.torque.shape[2]),
-        },
-        "transfer_functions": _transfer_json(result),
-        "drives": _drives_json(result.drives),
-        "grey_box": _grey_json(result.grey),
+        "joints": list(result.robot.joints),
+        "band_hz": list(result.options.band_hz),
+        "poses": [
+            {
+                "name": p.name,
+                "pose_rad": p.pose.tolist(),
+                "recordings": [r.name for r in p.recordings],
+                "frequency_response": _response_json(p.measured),
+                "transfer_functions": _transfer_json(p.transfer, p.validation),
+                "drives": _drives_json(p.drives),
+            }
+            for p in result.poses
+        ],
+        "grey_box": _grey_json(result),
         "left_out": [{"stage": x.stage, "why": x.why} for x in result.left_out],
         "remarks": list(result.remarks),
+    }
+
+
+def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
+    noise = measured.noise_covariance
+    return {
+        "joints": list(measured.joints),
+        "hz": measured.hz.tolist(),
+        "real": measured.value.real.tolist(),
+        "imag": measured.value.imag.tolist(),
+        "std": measured.std().tolist(),
+        "noise_std": None if noise is None else _std(noise, measured.value.shape).tolist(),
+        "degrees_of_freedom": measured.degrees_of_freedom if np.isfinite(measured.degrees_of_freedom) else None,
+        "realisations": len(measured.realisations),
+        "periods": measured.periods,
+        "experiments": int(measured.torque.shape[2]),
     }
 
 
@@ -314,8 +393,7 @@ def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "std": float(std), "unit": unit}
 
 
-def _transfer_json(result: MotorIdentification) -> dict[str, Any] | None:
-    fit, tests = result.transfer, result.validation
+def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[str, Any] | None:
     if fit is None:
         return None
     zeros = {}
@@ -346,10 +424,12 @@ def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
     }
 
 
-def _grey_json(grey: GreyBox | None) -> dict[str, Any] | None:
+def _grey_json(result: MotorIdentification) -> dict[str, Any] | None:
+    grey = result.grey
     if grey is None:
         return None
     return {
+        "poses": [result.poses[i].name for i in result.fitted],
         "parameters": {
             e.name: {
                 **_quantity(e.value, e.std, e.unit),

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from rx90b_flex.effects import Effect, Motion
+from rx90b_flex.effects.effect import JointEffect, PairEffect
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
@@ -31,6 +32,7 @@ WORKING_RATE_RATIO = 20.0
 LATEST_S = 1.0e6
 # Left out of a fit at both ends, in periods of the cutoff: where the filter and the differences lack neighbours.
 EDGE_PERIODS = 1.0
+FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,12 +196,28 @@ class Regression:
 
         With `leading`, only the larger part of those that say which it is.
         """
+        if leading and all(_of_motion_alone(e) for e in effects):
+            return self._remembered(effects)
         parts = [self._factored(s, effects, leading) for s in self.stretches]
         rows = np.unique(np.concatenate([r for r, _ in parts]))
         out = np.zeros((len(self), len(rows), parts[0][1].shape[2]))
         for span, (here, columns) in zip(self.spans, parts, strict=True):
             out[span][:, np.searchsorted(rows, here)] = columns
         return rows, out
+
+    @cached_property
+    def _first_looks(self) -> dict[Effect, tuple[Indices, Array]]:
+        return {}
+
+    def _remembered(self, effects: Sequence[Effect]) -> tuple[Indices, Array]:
+        """As `compact`, for columns that do not depend on the model: every round of a search asks for them again."""
+        known = self._first_looks
+        if 8 * len(self) * len(known) > FIRST_LOOK_BYTES:
+            known.clear()
+        for effect in effects:
+            if effect not in known:
+                known[effect] = self.compact([effect])
+        return known[effects[0]][0], np.concatenate([known[e][1] for e in effects], axis=2)
 
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         factors = [e.leading(stretch.motion) if leading else e.factors(stretch.motion) for e in effects]
@@ -224,6 +242,7 @@ class Regression:
             for s in self.stretches
         )
         other = dataclasses.replace(self, stretches=stretches)
+        other.__dict__["_first_looks"] = self._first_looks
         if "link_columns" in self.__dict__:
             other.__dict__["link_columns"] = self.link_columns
         return other
@@ -254,6 +273,11 @@ class Regression:
             edges = np.linspace(span.start, span.stop, parts + 1).astype(int)
             out += [slice(int(a), int(b)) for a, b in pairwise(edges)]
         return tuple(out)
+
+
+def _of_motion_alone(effect: Effect) -> bool:
+    """Whether an effect's columns are the same for every model: those of one angle that no load enters."""
+    return isinstance(effect, JointEffect | PairEffect) and not (effect.needs_load or effect.needs_model)
 
 
 def period_noise(residual: Array, recording: Recording) -> Array | None:

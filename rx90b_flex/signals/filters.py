@@ -37,6 +37,7 @@ class Motion(NamedTuple):
 class _Butterworth:
     sections: Array
     padding: int
+    steady: Array  # the sections' state after an endless row of ones, (sections, 1, 2)
 
 
 def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> Array:
@@ -68,7 +69,14 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
             f"{len(samples)} samples are too few for a low-pass of {cutoff_hz:g} Hz at {sample_rate_hz:g} Hz: "
             f"{filter_.padding + 1} or more are needed"
         )
-    return np.asarray(signal.sosfiltfilt(filter_.sections, samples, axis=0, padtype="odd", padlen=filter_.padding))
+    # as `scipy.signal.sosfiltfilt` does it, but that works the steady state out anew for every call
+    rows = samples.reshape(len(samples), -1).T
+    pad = filter_.padding
+    out = np.hstack([2 * rows[:, :1] - rows[:, pad:0:-1], rows, 2 * rows[:, -1:] - rows[:, -2 : -pad - 2 : -1]])
+    for _ in range(2):
+        out, _ = signal.sosfilt(filter_.sections, out, zi=filter_.steady * out[:, :1, None].transpose(1, 0, 2))
+        out = out[:, ::-1]
+    return np.ascontiguousarray(out[:, pad:-pad].T).reshape(samples.shape)
 
 
 def minimum_samples(cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> int:
@@ -360,7 +368,8 @@ def _butterworth(cutoff_hz: float, sample_rate_hz: float, order: int) -> _Butter
     slowest = float(np.max(np.abs(poles)))
     # a pole at zero dies in one sample; never fewer than the samples the sections hold
     length = math.ceil(math.log(_IMPULSE_END) / math.log(slowest)) if slowest > 0.0 else 1
-    return _Butterworth(np.asarray(sections), max(length, 3 * (order + 1)))
+    steady = signal.sosfilt_zi(sections)[:, None]
+    return _Butterworth(np.asarray(sections), max(length, 3 * (order + 1)), steady)
 
 
 def _rate(sample_rate_hz: float) -> float:

@@ -44,6 +44,14 @@ Progress = Callable[[str, float], None]
 BATCH_RUNS, BATCH_BYTES = 48, 1e9  # of a worker, at most, unless the caller says otherwise
 PLAN_FILE = "plan.json"
 RUNS = "runs"
+SIGNALS = {  # key in a campaign file -> prefix of its columns, as `save_recording` writes them
+    "motor_position": "q",
+    "torque": "tau",
+    "motor_velocity": "v",
+    "reference_position": "ref",
+    "reference_velocity": "refv",
+    "feedforward_torque": "ff",
+}
 TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
@@ -439,31 +447,42 @@ def _claim(plan: Plan, folder: Path) -> None:
 
 def _write_campaign_file(plan: Plan, keys: Sequence[RunKey], folder: Path) -> Path:
     """`campaign.toml` for the runs on disk; of each the first period, in which the transient dies, is left out."""
+    runs = [RunFile(f"{RUNS}/{key.name}.parquet", plan.role(key)) for key in keys]
+    file = folder / "campaign.toml"
+    part = file.with_suffix(".part")
+    part.write_text(campaign_text(plan, runs), encoding="utf-8")
+    os.replace(part, file)
+    return file
+
+
+@dataclass(frozen=True)
+class RunFile:
+    """A recording of a campaign file: its file, relative to it, and its role."""
+
+    file: str
+    role: Role
+
+
+def campaign_text(plan: Plan, runs: Sequence[RunFile], signals: Sequence[str] = tuple(SIGNALS)) -> str:
+    """Text of a campaign file of a plan's recordings; the first period of each, in which the transient dies, is left out.
+
+    Parameters
+    ----------
+    signals : keys of `SIGNALS` that the recordings have.
+    """
     joints, controller = plan.robot.joints, plan.controller
     period = plan.reference.period_s or PERIOD_S
-    prefixes = {
-        "motor_position": "q",
-        "torque": "tau",
-        "motor_velocity": "v",
-        "reference_position": "ref",
-        "reference_velocity": "refv",
-        "feedforward_torque": "ff",
-    }
     lines = ['robot = "robot.toml"', f"sample_rate_hz = {controller.log_rate_hz!r}", f"joints = {json.dumps(joints)}"]
     lines += ["", "[signals]"]
-    lines += [f"{signal} = {json.dumps([f'{prefix}_{j}' for j in joints])}" for signal, prefix in prefixes.items()]
+    lines += [f"{signal} = {json.dumps([f'{SIGNALS[signal]}_{j}' for j in joints])}" for signal in signals]
     torque_noise = np.broadcast_to(plan.noise.torque, len(joints))
     if np.any(torque_noise):
         # the anti-alias filter keeps the part below its cutoff
         kept = np.sqrt(2.0 * controller.log_cutoff_hz / controller.controller_rate_hz)
         lines += ["", "[noise]", f"torque_rms = {[float(x * kept) for x in torque_noise]}"]
-    for key in keys:
-        lines += ["", "[[recording]]", f'file = "{RUNS}/{key.name}.parquet"', f'role = "{plan.role(key)}"']
+    for run in runs:
+        lines += ["", "[[recording]]", f"file = {json.dumps(run.file)}", f'role = "{run.role}"']
         if plan.periods > 1:
             lines.append(f"start_s = {period!r}")
         lines.append(f"period_s = {period!r}")
-    file = folder / "campaign.toml"
-    part = file.with_suffix(".part")
-    part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    os.replace(part, file)
-    return file
+    return "\n".join(lines) + "\n"

@@ -260,7 +260,10 @@ def simulate_lanes(
         Trajectories that do not fit the robot, the controller or each other.
     """
     _refuse(robot, controller, trajectories, noise, rng, substeps)
-    job = _Job(robot, controller.for_joints(robot.joints), tuple(trajectories), noise or Noise(), substeps, raw, role)
+    robot, between = _as_simulated(robot)
+    job = _Job(
+        robot, between, controller.for_joints(robot.joints), tuple(trajectories), noise or Noise(), substeps, raw, role
+    )
     children = [] if rng is None else rng.spawn(len(trajectories))
     return _Runner(job, children).run(progress)
 
@@ -279,11 +282,6 @@ def _refuse(
         raise ValueError("noise needs a numpy.random.Generator: pass rng")
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; expected 1 or more")
-    for effect in robot.effects:
-        if effect.remembers or not effect.in_dynamics:
-            raise ValueError(
-                f"{robot.name}: {effect.label} cannot be simulated yet; take it out with robot.with_effects, or out of its file"
-            )
     first = trajectories[0]
     for t in trajectories:
         if t.joints != robot.joints:
@@ -296,6 +294,16 @@ def _refuse(
             raise ValueError(
                 f"trajectory {t.name!r} has {len(t.position)} samples; expected {len(first.position)}, at least 2"
             )
+
+
+def _as_simulated(robot: Robot) -> tuple[Robot, tuple[Effect, ...]]:
+    """The robot with its forces as a simulation has them, and the effects that stand between it and the log."""
+    try:
+        forces = [e.simulated(robot.effects) for e in robot.effects]
+    except ValueError as error:
+        raise ValueError(f"{robot.name}: {error}") from None
+    between = tuple(e for e in robot.effects if not e.in_dynamics)
+    return (robot.with_effects([f for f in forces if f is not None]) if between else robot), between
 
 
 # ---- start ------------------------------------------------------------------------------------------------------
@@ -518,6 +526,7 @@ def _tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class _Job:
     robot: Robot
+    between: tuple[Effect, ...]  # robot and log
     controller: CS8
     trajectories: tuple[Trajectory, ...]
     noise: Noise
@@ -546,6 +555,13 @@ class _Runner:
         self.lanes = self._start()
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
         self.late_q, self.late_v = np.zeros_like(self.lanes.q), np.zeros_like(self.lanes.q)
+        rest = job.robot.motion(self.lanes.q, self.lanes.v, self.lanes.a)
+        self.memories = {e: e.memory(rest) for e in self.plant.others if e.remembers}
+        self.shows = any(e.shown(rest) is not None for e in job.between)
+        ahead = max((e.history_s for e in job.between), default=0.0)
+        rows = int(np.ceil(ahead * controller.controller_rate_hz))
+        # before the start the motors held the weight, as the controller's integrators do
+        self.given: Array = np.tile(self.lanes.held, (rows, 1, 1))  # torques that `noted` looks back on
 
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
@@ -553,7 +569,7 @@ class _Runner:
         for t in self.job.trajectories:
             key = np.r_[t.position[0], t.velocity[0]].tobytes()
             if key not in starts:  # the runs of a campaign start alike
-                starts[key] = static_start(self.job.robot, t.position[0], t.velocity[0])
+                starts[key] = self._static_start(t.position[0], t.velocity[0])
             found.append(starts[key])
         q, v, torque = (np.stack(x) for x in zip(*found, strict=True))
         torque = np.ascontiguousarray(torque.T)
@@ -580,6 +596,27 @@ class _Runner:
             stop=np.array(jumps, dtype=np.int64),
         )
 
+    def _static_start(self, position: Array, velocity: Array) -> tuple[Array, Array, Array]:
+        """`static_start` where the controller is shown these angles, with the torques that it then orders."""
+        angle = position
+        for _ in range(3 if self.job.between else 0):  # errors of angles are small: each round leaves their square
+            q, v, _ = static_start(self.job.robot, angle, velocity)
+            angle = position - self._shown(q[None], v[None])[0][0]
+        q, v, torque = static_start(self.job.robot, angle, velocity)
+        for effect in self.job.between:
+            torque = effect.ordered(self.job.robot.joints, torque[None])[0]
+        return q, v, torque
+
+    def _shown(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """What the resolvers show beyond the drives' angles and speeds, each (lanes, joints)."""
+        motion, drives = self.job.robot.motion(q, v, np.zeros_like(q)), drive_places(self.job.robot)
+        errors = [e.shown(motion) for e in self.job.between]
+        zero = np.zeros((len(q), len(drives)))
+        return (
+            sum((e[0][:, drives] for e in errors if e is not None), zero),
+            sum((e[1][:, drives] for e in errors if e is not None), zero),
+        )
+
     def run(self, progress: Progress | None = None) -> list[Simulation]:
         """All chunks, then the results."""
         size = max(round(CHUNK_S * self.job.controller.controller_rate_hz) // (self.up * self.stride), 1)
@@ -597,6 +634,7 @@ class _Runner:
             measured = filtered.inbox(samples).reshape(samples, 3, joints, count)
             logs = Logs(self.stride, first // self.stride, measured, *whole)
             self._advance(self._inputs(first, samples), logs, samples)
+            self._note(measured[:, 2], first)
             self._add_torque_noise(measured[:, 2])
             self._hold_ended(measured, first)
             if self.job.raw:
@@ -625,8 +663,20 @@ class _Runner:
         """Of angles and speeds, (samples, 2, joints, lanes); one sample of zeros where there is none."""
         noise, (joints, count) = self.job.noise, self.lanes.held.shape
         if not np.any(noise.position) and not np.any(noise.velocity):
-            return np.zeros((1, 2, joints, count))
+            return np.zeros((samples if self.shows else 1, 2, joints, count))
         return self._draw(samples, np.stack([np.broadcast_to(x, joints) for x in (noise.position, noise.velocity)]))
+
+    def _note(self, torque: Array, first: int) -> None:
+        """Let what stands before the log act on a chunk of torques (samples, joints, lanes), in place."""
+        if not self.job.between:
+            return
+        noted, behind = np.concatenate([self.given, torque]), len(self.given)
+        if behind:
+            self.given = noted[-behind:].copy()
+        time = (first - behind + np.arange(len(noted))) / self.job.controller.controller_rate_hz
+        for effect in self.job.between:
+            noted = effect.noted(self.job.robot.joints, time, noted)
+        torque[:] = noted[behind:]
 
     def _add_torque_noise(self, torque: Array) -> None:
         if np.any(self.job.noise.torque):
@@ -650,7 +700,7 @@ class _Runner:
     # ---- advancing --------------------------------------------------------------------------------------
 
     def _advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        if self.plant.others:
+        if self.plant.others or self.job.between:
             self._advance_by_parts(inputs, logs, samples)
         else:
             tree, laws = self.plant.tree, self.plant.laws
@@ -662,11 +712,15 @@ class _Runner:
         torque = np.zeros_like(lanes.q)
         h = loop.period / loop.substeps
         for k in range(samples):
+            if self.shows:
+                inputs.noise[k] += np.stack([x.T for x in self._shown(lanes.q, lanes.v)])
             kernels.control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
+            for effect in self.job.between:
+                torque[:, loop.drive] = effect.delivered(self.job.robot.joints, torque[:, loop.drive])
             for part in range(loop.substeps):
-                kept = tuple(x.copy() for x in lanes)
+                kept, known = tuple(x.copy() for x in lanes), dict(self.memories)
                 time = (inputs.first + k) * loop.period + part * h
                 bend = self._step(torque, time, h)
                 if part == 0 and k % logs.stride == 0:
@@ -675,6 +729,7 @@ class _Runner:
                 if bend > loop.tolerance:
                     for now, before in zip(lanes, kept, strict=True):
                         now[:] = before
+                    self.memories = known
                     lanes.divided[:] += 1
                     fine = h / kernels.DIVISION
                     for i in range(kernels.DIVISION):
@@ -690,7 +745,13 @@ class _Runner:
 
     def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
         motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
-        return np.ascontiguousarray(sum(effect.force(motion) for effect in self.plant.others))
+        force = np.zeros_like(q)
+        for effect in self.plant.others:
+            if effect.remembers:
+                force += effect.remembered(effect.onward(self.memories[effect], motion), motion)[0]
+            else:
+                force += effect.force(motion)
+        return force
 
     def _extra(self, time: float) -> Extra:
         """Forces and slopes of the effects without a compiled law, at the lanes' states."""
@@ -702,6 +763,15 @@ class _Runner:
         force, lost = np.zeros((count, n)), np.zeros(count)
         slopes = [np.zeros((count, n, n)) for _ in range(3)]
         for effect in self.plant.others:
+            if effect.remembers:
+                self.memories[effect] = effect.onward(self.memories[effect], motion)
+                own, slope = effect.remembered(self.memories[effect], motion)
+                force += own
+                slopes[0] += slope
+                lost += np.sum(
+                    own * motion.v, axis=1
+                )  # what the asperities store and give back again is counted as lost
+                continue
             own = effect.force(motion)
             force += own
             for total, slope in zip(slopes, effect.derivatives(motion), strict=True):

@@ -90,14 +90,15 @@ def prepare(request: Request) -> Prepared:
     robot = load_robot(request.robot)
     for effect in robot.effects:
         effect.known_coefficients()
-    controller = _controller(robot, request.controller)
+    controller = controller_of(robot, request.controller)
     trajectory = _trajectory(robot, controller, request)
     if request.periods > 1 and trajectory.period_s is None:
         raise ValueError(f"periods is {request.periods}, but {trajectory.name!r} does not repeat")
     return Prepared(request, robot, controller, trajectory)
 
 
-def _controller(robot: Robot, file: Path | None) -> CS8:
+def controller_of(robot: Robot, file: Path | None) -> CS8:
+    """The controller of a file; where none is named, the CS8's for a robot with its joints, else gains designed for the robot."""
     if file is not None:
         return _of_robot(load_cs8(file), robot, str(file))
     own = load_cs8()
@@ -131,8 +132,9 @@ def _trajectory(robot: Robot, controller: CS8, request: Request) -> Trajectory:
 
 
 def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
-    """A trajectory from a table: `time`, one column a joint (rad) and, where torque is fed forward, `ff_<joint>` columns (N m).
+    """A trajectory from a table: `time`, one column a joint (rad) and, where there are, `v_<joint>` (rad/s) and `ff_<joint>` (N m).
 
+    Velocities that are not given are the positions' slopes.
     Joints without a column stay at zero. Samples at another rate than the controller's references are interpolated by cubic splines.
 
     Raises
@@ -141,17 +143,20 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
         One line that names the file and the column.
     """
     forward = [f"ff_{joint}" for joint in robot.joints]
+    speeds = [f"v_{joint}" for joint in robot.joints]
     header = _header(path)
     for name in header:
-        if name != "time" and name not in robot.joints and name not in forward:
-            raise ValueError(f"{path}: column {name!r} is none of time, {', '.join((*robot.joints, 'ff_<joint>'))}")
+        if name not in ("time", *robot.joints, *speeds, *forward):
+            usual = ", ".join((*robot.joints, "v_<joint>", "ff_<joint>"))
+            raise ValueError(f"{path}: column {name!r} is none of time, {usual}")
     joints = [joint for joint in robot.joints if joint in header]
     if not joints:
         raise ValueError(f"{path}: no column of a joint; expected one of {', '.join(robot.joints)}")
-    fed = [name for name in forward if name in header]
-    table = read_table(path, ["time", *joints, *fed])
+    fed, rates = ([name for name in names if name in header] for names in (forward, speeds))
+    wanted = ["time", *joints, *rates, *fed]
+    table = read_table(path, wanted)
     time = table.columns(["time"])[:, 0]
-    for name, values in zip(["time", *joints, *fed], table.columns(["time", *joints, *fed]).T, strict=True):
+    for name, values in zip(wanted, table.columns(wanted).T, strict=True):
         if not np.isfinite(values).all():
             raise ValueError(f"{path}: column {name!r}, row {int(np.argmin(np.isfinite(values))) + 1}: not a number")
     steps = np.diff(time)
@@ -161,6 +166,7 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     position, velocity = np.zeros((2, len(time), len(robot.joints)))
     position[:, places] = table.columns(joints)
     velocity[:, places] = _rates(position[:, places], 1.0 / steps.mean())
+    velocity[:, [speeds.index(name) for name in rates]] = table.columns(rates) if rates else 0.0
     feedforward = np.zeros_like(position) if fed else None
     if feedforward is not None:
         feedforward[:, [forward.index(name) for name in fed]] = table.columns(fed)

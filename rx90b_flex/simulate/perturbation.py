@@ -84,6 +84,11 @@ def perturb_lanes(
         Trajectories with different references, or that do not fit robot and controller; a nominal motion that ends early.
     """
     closed_loop._refuse(robot, controller, trajectories, noise, rng, 1)
+    for effect in robot.effects:
+        if effect.remembers or not effect.in_dynamics:
+            raise ValueError(
+                f"{robot.name}: {effect.label} is beyond the perturbation method; simulate the nonlinear robot, or take it out"
+            )
     first = trajectories[0]
     for t in trajectories:
         if not (np.array_equal(t.position, first.position) and np.array_equal(t.velocity, first.velocity)):
@@ -93,7 +98,7 @@ def perturb_lanes(
             )
     own = controller.for_joints(robot.joints)
     position, velocity = _nominal_motion(robot, own, first, nominal)
-    job = closed_loop._Job(robot, own, tuple(trajectories), noise or Noise(), 1, raw, role)
+    job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, role)
     children = [] if rng is None else rng.spawn(len(trajectories))
     return _PerturbationRunner(job, children, position, velocity, friction == "exact").run(progress)
 

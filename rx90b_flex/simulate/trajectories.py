@@ -274,6 +274,8 @@ def square_wave(
     feedforward: Array | None = None,
     periods: int = 1,
     rate_hz: float = RATE_HZ,
+    period_s: float = PERIOD_S,
+    swings: int = 1,
 ) -> Trajectory:
     """The references of section 6.6.2: a smoothed square wave in velocity about a pose, of odd lines of 1 / 4.096 s
     alone.
@@ -287,10 +289,21 @@ def square_wave(
     moving : names of the joints that move; all by default.
     feedforward : array, shape (samples of one period, joints), N m, or None
         For example ``multisine(FEEDFORWARD_LINES, ...)``.
+    period_s : float, s
+        A whole number of samples; a longer one has finer lines.
+    swings : int
+        To and fro in a period; odd, so that the lines stay odd. More keep the swing of a long period small.
     """
-    samples = round(PERIOD_S * rate_hz)
-    velocity, position = smoothed_square(samples, odd_lines)
-    velocity, position = speed * velocity, speed * PERIOD_S / (2.0 * np.pi) * position
+    samples = round(period_s * rate_hz)
+    if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < 4 * swings * odd_lines:
+        raise ValueError(
+            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {4 * swings * odd_lines} or more"
+        )
+    if swings < 1 or swings % 2 == 0:
+        raise ValueError(f"swings is {swings}; expected an odd number, 1 or more")
+    place = np.arange(samples) * swings % samples
+    velocity, position = (wave[place] for wave in smoothed_square(samples, odd_lines))
+    velocity, position = speed * velocity, speed * period_s / (2.0 * np.pi * swings) * position
     moves = np.array([moving is None or joint in moving for joint in robot.joints], dtype=float)
     once = Trajectory(
         "square_wave",
@@ -299,6 +312,6 @@ def square_wave(
         np.asarray(pose, dtype=float) + position[:, None] * moves,
         velocity[:, None] * moves,
         feedforward,
-        PERIOD_S,
+        period_s,
     )
     return once.repeated(periods)

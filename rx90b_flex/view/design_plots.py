@@ -80,7 +80,7 @@ def singular_values(design: Design, other: Assessment, other_name: str = "sectio
 
 
 def search(design: Design) -> Figure:
-    """Best cost of each start over the evaluations used: the predicted condition number, or minus the mean logarithm."""
+    """Cost of every evaluation: the predicted condition number, or minus the mean logarithm; each stage at other instants."""
     figure = Figure(figsize=(WIDTH_IN, 2.6), layout="constrained")
     ax = figure.subplots()
     start, used, cost = design.history.T
@@ -92,7 +92,7 @@ def search(design: Design) -> Figure:
     if conditions:
         ax.set_yscale("log")
         ax.set_ylim(top=min(ax.get_ylim()[1], 1e4))  # the first candidates pay for passing limits
-    ax.set_xlabel("predicted regressors", fontsize=9)
+    ax.set_xlabel("evaluation", fontsize=9)
     ax.set_ylabel("condition number,\nwith penalty" if conditions else "cost", fontsize=9)
     ax.grid(color="#eeeeee", linewidth=0.6, which="both")
     ax.legend(fontsize=8, frameon=False)

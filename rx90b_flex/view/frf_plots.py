@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
@@ -45,7 +46,7 @@ def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), le
         ax.plot(response.hz, size, color=MEASURED, lw=0.9, label="estimate")
         for (hz, value, label), (colour, dash) in zip(others, _STYLES * len(others), strict=False):
             ax.plot(hz, np.abs(value[:, j, k]), color=colour, ls=dash, lw=1.0, label=label)
-        ax.set_yscale("log")
+        _log(ax)
 
     return _entries(response.joints, draw, f"|P|, {UNIT}")
 
@@ -91,7 +92,7 @@ def difference(response: FrequencyResponse, value: ComplexArray, label: str = "m
         ax.plot(response.hz, np.abs(response.value[:, j, k]), color=NOISE, lw=0.8, label="|P|")
         ax.plot(response.hz, apart[:, j, k], ".", color=MODEL, ms=3, label=f"|P − {label}|")
         ax.plot(response.hz, radius[:, j, k], color=MEASURED, lw=0.9, label=f"{100 * level:g} % band")
-        ax.set_yscale("log")
+        _log(ax)
         ax.annotate(f"{100 * below[j, k]:.0f} % below", (0.97, 0.04), xycoords="axes fraction", ha="right", fontsize=7)
 
     return _entries(response.joints, draw, UNIT)
@@ -158,7 +159,7 @@ def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
             )
             if np.isfinite(noise).all():
                 ax.plot(spectra.hz, noise[:, j], color=NOISE, lw=0.7, label="noise of a period")
-            ax.set_yscale("log")
+            _log(ax)
             _label(ax, joint, j == 0, label, bottom=row == 1)
     grid[0, 0].legend(fontsize=6.5, frameon=False)
     return figure
@@ -195,6 +196,12 @@ def _label(ax: Axes, title: str, left: bool, label: str, bottom: bool = True) ->
         ax.set_ylabel(label, fontsize=8)
     if bottom:
         ax.set_xlabel("frequency, Hz", fontsize=8)
+
+
+def _log(ax: Axes) -> None:
+    """Decades alone: ticks between them in nine axes take most of a figure's time."""
+    ax.set_yscale("log")
+    ax.yaxis.set_minor_locator(NullLocator())
 
 
 def _std(covariance: ComplexArray, shape: tuple[int, ...]) -> Array:

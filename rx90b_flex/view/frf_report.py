@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90b_flex.identify.frf_command import MotorIdentification
+from rx90b_flex.identify.frf_command import AtPose, MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import Section, Table, image, write_page
@@ -26,25 +26,38 @@ def write_frf_report(result: MotorIdentification, path: Path) -> None:
     path : Path
         The file; its folder exists.
     """
-    sections = [_physical(result), _response(result), _modes(result), _residuals(result), _how(result)]
+    at_poses = [section for p in result.poses for section in (_response(result, p), _modes(result, p))]
+    sections = [_physical(result), *at_poses, _residuals(result), _how(result)]
     write_page(path, f"{result.robot.name} from motor signals", _lead(result), [s for s in sections if s is not None])
 
 
 def _lead(result: MotorIdentification) -> list[str]:
-    measured, grey = result.measured, result.grey
-    low, high = measured.hz[0], measured.hz[-1]
+    grey = result.grey
     out = []
     if grey is not None:
         known = [e for e in grey.estimates if "stiffness" in e.name]
         good = [e for e in known if e.std < 0.1 * e.value]
         out.append(f"{len(good)} of {len(known)} stiffnesses are known to 10 % (one standard deviation) or better.")
         out.append(_bias_words(grey))
-    out.append(
-        f"{measured.value.shape[1]} joints, {len(measured.hz)} lines from {low:.3g} to {high:.3g} Hz, {len(measured.realisations)} "
-        f"realisations of {measured.torque.shape[2]} experiments, {measured.periods} periods each."
-    )
+    for p in result.poses:
+        measured = p.measured
+        out.append(
+            f"{_named(result, p)}{measured.value.shape[1]} joints, {len(measured.hz)} lines from {measured.hz[0]:.3g} to "
+            f"{measured.hz[-1]:.3g} Hz, {len(measured.realisations)} realisations of {measured.torque.shape[2]} experiments, "
+            f"{measured.periods} periods each."
+        )
     out += [f"Left out: {x.stage}: {x.why}." for x in result.left_out]
     return out
+
+
+def _named(result: MotorIdentification, at: AtPose) -> str:
+    """The pose and a colon where there are several."""
+    return f"{at.name.capitalize()}: " if len(result.poses) > 1 else ""
+
+
+def _angles(result: MotorIdentification, at: AtPose) -> str:
+    both = zip(result.robot.joints, at.pose, strict=True)
+    return ", ".join(f"{joint.replace('_', ' ')} {np.rad2deg(q) + 0.0:.1f}°" for joint, q in both)
 
 
 def _bias_words(grey: GreyBox) -> str:
@@ -58,7 +71,7 @@ def _bias_words(grey: GreyBox) -> str:
 
 
 def _physical(result: MotorIdentification) -> Section | None:
-    grey, drives = result.grey, result.drives
+    grey = result.grey
     if grey is None:
         return None
     rows = []
@@ -76,30 +89,11 @@ def _physical(result: MotorIdentification) -> Section | None:
             (1, 2, 3, 4),
         ),
     ]
-    if drives is not None:
-        compared = []
-        for joint, d in zip(drives.joints, drives.drives, strict=True):
-            for kind, value, std, unit in (
-                ("inertia", d.inertia, d.inertia_std, "kg m²"),
-                ("stiffness", d.stiffness, d.stiffness_std, "N m/rad"),
-            ):
-                best = grey[f"{joint}.drive_{kind}"]
-                compared.append(
-                    (
-                        f"{joint.replace('_', ' ')} {kind}",
-                        number(value),
-                        number(std),
-                        number(best.value),
-                        number(best.std),
-                        unit,
-                    )
-                )
+    compared = [row for p in result.poses for row in _drive_rows(result, p, grey)]
+    if compared:
         head = ("drive", "poles and zeros", "std", "grey box", "std", "unit")
-        tables.append(
-            Table(
-                head, tuple(compared), "The source's route beside it: it lacks the modes above the band", (1, 2, 3, 4)
-            )
-        )
+        caption = "The source's route beside it: it lacks the modes above the band"
+        tables.append(Table(head, tuple(compared), caption, (1, 2, 3, 4)))
     text = ["Fitted straight to the frequency response; links and springs are as declared."]
     text += [f"Hardly determined, {d.words}." for d in grey.directions[:SHOWN_DIRECTIONS]]
     assumed = result.options.bending_alike_std
@@ -118,23 +112,36 @@ def _physical(result: MotorIdentification) -> Section | None:
     return Section("Physical parameters", tuple(text), tuple(tables), (figure,))
 
 
-def _response(result: MotorIdentification) -> Section:
-    measured = result.measured
+def _drive_rows(result: MotorIdentification, at: AtPose, grey: GreyBox) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for joint, d in zip(at.drives.joints, at.drives.drives, strict=True) if at.drives is not None else ():
+        for kind, value, std, unit in (
+            ("inertia", d.inertia, d.inertia_std, "kg m²"),
+            ("stiffness", d.stiffness, d.stiffness_std, "N m/rad"),
+        ):
+            best = grey[f"{joint}.drive_{kind}"]
+            name = f"{_named(result, at)}{joint.replace('_', ' ')} {kind}"
+            rows.append((name, number(value), number(std), number(best.value), number(best.std), unit))
+    return rows
+
+
+def _response(result: MotorIdentification, at: AtPose) -> Section:
+    measured = at.measured
     others: list[frf_plots.Comparison] = []
-    if result.grey is not None:
-        others.append((result.grey.responses[0].hz, result.grey.predicted[0], "grey box"))
-    if result.transfer is not None:
-        others.append((measured.hz, result.transfer.model.frf(measured.hz), "transfer functions"))
+    place = _place_in_grey(result, at)
+    if result.grey is not None and place is not None:
+        others.append((result.grey.responses[place].hz, result.grey.predicted[place], "grey box"))
+    if at.transfer is not None:
+        others.append((measured.hz, at.transfer.model.frf(measured.hz), "transfer functions"))
     images = [
         image(frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
         image(frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
     ]
-    if result.grey is not None and len(result.grey.responses[0].hz) == len(measured.hz):
-        images.append(
-            image(frf_plots.difference(measured, result.grey.predicted[0], "grey box"), "Difference from the grey box")
-        )
-    if result.transfer is not None:
-        model = result.transfer.model.frf(measured.hz)
+    if result.grey is not None and place is not None and len(result.grey.responses[place].hz) == len(measured.hz):
+        apart = frf_plots.difference(measured, result.grey.predicted[place], "grey box")
+        images.append(image(apart, "Difference from the grey box"))
+    if at.transfer is not None:
+        model = at.transfer.model.frf(measured.hz)
         images.append(
             image(frf_plots.difference(measured, model, "transfer functions"), "Difference from the transfer functions")
         )
@@ -146,15 +153,18 @@ def _response(result: MotorIdentification) -> Section:
             "Torque and acceleration at excited and other lines",
         ),
     ]
-    text = "Drive acceleration over drive torque, at a mean pose of " + ", ".join(
-        f"{joint.replace('_', ' ')} {np.rad2deg(q):.1f}°"
-        for joint, q in zip(result.robot.joints, measured.pose, strict=False)
-    )
-    return Section("Frequency response", (f"{text}.",), (), tuple(images))
+    text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
+    return Section(f"{_named(result, at)}Frequency response", (text,), (), tuple(images))
 
 
-def _modes(result: MotorIdentification) -> Section | None:
-    fit, tests = result.transfer, result.validation
+def _place_in_grey(result: MotorIdentification, at: AtPose) -> int | None:
+    """Which of the grey box's responses is this pose's."""
+    fitted = [result.poses[i] for i in result.fitted]
+    return next((k for k, p in enumerate(fitted) if p is at), None)
+
+
+def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
+    fit, tests = at.transfer, at.validation
     if fit is None:
         return None
     both = zip(fit.resonances_hz, fit.resonances_std_hz(), fit.model.damping_ratio, strict=True)
@@ -178,7 +188,7 @@ def _modes(result: MotorIdentification) -> Section | None:
     )
     stable = image(transfer_plots.stabilisation(fit), "Poles of fits of several orders", "Stabilisation diagram")
     text = f"{len(fit.resonances_hz)} modes, chosen from {', '.join(str(c.modes) for c in fit.candidates)}."
-    return Section("Transfer functions", (text,), tuple(tables), (correlation, stable))
+    return Section(f"{_named(result, at)}Transfer functions", (text,), tuple(tables), (correlation, stable))
 
 
 def _residuals(result: MotorIdentification) -> Section | None:
@@ -192,9 +202,14 @@ def _residuals(result: MotorIdentification) -> Section | None:
         tuple(costs[:SHOWN_STARTS]),
         f"{alike} of {followed} starts that were followed to the end agree",
     )
-    figure = image(grey_plots.residuals(grey), "Residuals of the grey box along frequency")
+    figures = [
+        image(
+            grey_plots.residuals(grey, k), "Residuals of the grey box along frequency", _named(result, result.poses[i])
+        )
+        for k, i in enumerate(result.fitted)
+    ]
     text = f"Cost {grey.cost:.0f}; {grey.expected_cost:.0f} expected, 95 % of right models below {grey.cost_limit:.0f}."
-    return Section("Residuals of the grey box", (text, _bias_words(grey)), (table,), (figure,))
+    return Section("Residuals of the grey box", (text, _bias_words(grey)), (table,), tuple(figures))
 
 
 def _how(result: MotorIdentification) -> Section:

@@ -1,0 +1,444 @@
+"""Modal tables: resonances and antiresonances held against a flexible robot, and what it lacks to have them.
+
+A modal table is a TOML file::
+
+    robot = "rx90b"                              # a robot's name, or a robot file beside this one
+    joints = ["joint_1", "joint_2", "joint_3"]   # whose drives move; the other drives are held
+    band_hz = [8.0, 75.0]                        # what was looked at: a mode of the model in it should have been seen
+    [[pose]]                                     # one or more
+    angles_deg = { joint_2 = 90.0 }              # of the drives; the others stand at zero
+    resonance = { hz = [28.4, 30.3], std_hz = [0.02, 0.10] }
+    antiresonance.joint_1 = { hz = [15.1], std_hz = [0.03] }
+    role = "identification"                      # or "validation": predicted, not fitted
+
+Frequencies are undamped (the distance of a pole or zero from the origin), rigid-body modes left out. An antiresonance of a joint is a
+zero of its own transfer function: a frequency with its drive locked (section 5.4). A list that is not there was not measured.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import linalg, stats
+
+from rx90b_flex.diagnose.flexible import Change, Fit, Residual, State, Structure
+from rx90b_flex.effects import close_match
+from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.robot import Robot
+
+MODEL_ERROR = 0.005  # of a frequency: what separates a robot that moves from its model at rest
+SPURIOUS = 0.05  # of measured modes: chance of one that is none of the robot's (mains, a double pole of a fit)
+MISSED = 0.1  # chance that a mode inside the band is not seen
+ERRORS = np.geomspace(1e-5, 1.0, 61)  # model errors that are weighed
+TABLE_KEYS = ("robot", "joints", "band_hz", "pose")
+POSE_KEYS = ("angles_deg", "resonance", "antiresonance", "role")
+LIST_KEYS = ("hz", "std_hz")
+ROLES = ("identification", "validation")
+
+
+# ---- the table -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ModeList:
+    """Frequencies of one kind at one pose.
+
+    Attributes
+    ----------
+    locked : str or None
+        Joint whose antiresonances they are; None: resonances.
+    hz, std_hz : array, shape (m,)
+        Ascending.
+    """
+
+    locked: str | None
+    hz: Array
+    std_hz: Array
+
+    @property
+    def name(self) -> str:
+        """As a heading: ``resonances``, ``antiresonances of joint_1``."""
+        return "resonances" if self.locked is None else f"antiresonances of {self.locked}"
+
+    @cached_property
+    def log(self) -> Array:
+        return np.log(self.hz)
+
+    @cached_property
+    def variance(self) -> Array:
+        """Of the logarithm."""
+        return (self.std_hz / self.hz) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class ModalPose:
+    """What was measured at one pose.
+
+    Attributes
+    ----------
+    angles : mapping of joint to angle, rad
+        Joints that are not named stand at zero.
+    lists : tuple of ModeList
+    role : str
+        ``identification`` or ``validation``.
+    """
+
+    angles: Mapping[str, float]
+    lists: tuple[ModeList, ...]
+    role: str = "identification"
+
+    def drive_angles(self, robot: Robot) -> Array:
+        """Angles in the order of a robot's joints, rad."""
+        for joint in self.angles:
+            if joint not in robot.joints:
+                raise ValueError(f"pose: unknown joint {joint!r} of {robot.name}; {close_match(joint, robot.joints)}")
+        return np.array([self.angles.get(j, 0.0) for j in robot.joints])
+
+
+@dataclass(frozen=True, eq=False)
+class ModalTable:
+    """Measured modes of a robot.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        Whose drives moved.
+    band_hz : (low, high)
+    poses : tuple of ModalPose
+    robot : str or None
+        Name or file of the robot, where the table says it.
+    name : str
+    """
+
+    joints: tuple[str, ...]
+    band_hz: tuple[float, float]
+    poses: tuple[ModalPose, ...]
+    robot: str | None = None
+    name: str = "modes"
+
+    def role(self, role: str) -> tuple[ModalPose, ...]:
+        """The poses of a role."""
+        return tuple(p for p in self.poses if p.role == role)
+
+
+def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
+    """Read a modal table; the module's first lines say what it looks like.
+
+    Raises
+    ------
+    ValueError
+        One line that names file and key.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            table = tomllib.load(file)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such modal table") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{path}: not a TOML file that can be read: {error}") from None
+    _check_keys(table, TABLE_KEYS, str(path))
+    joints = table.get("joints")
+    if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):
+        raise ValueError(f"{path}: joints is {joints!r}; expected the names of the joints whose drives moved")
+    poses = table.get("pose")
+    if not (isinstance(poses, list) and poses and all(isinstance(p, dict) for p in poses)):
+        raise ValueError(f"{path}: pose is missing; expected one or more [[pose]] tables")
+    read = tuple(_read_pose(p, tuple(joints), f"{path}: pose {i}") for i, p in enumerate(poses, start=1))
+    if not any(p.role == "identification" for p in read):
+        raise ValueError(f"{path}: every pose has the role 'validation'; expected one to identify with")
+    robot = table.get("robot")
+    if robot is not None and not isinstance(robot, str):
+        raise ValueError(f"{path}: robot is {robot!r}; expected a name or a file")
+    if robot is not None and Path(robot).suffix and not robot.startswith("example-robot-data:"):
+        robot = str(path.parent / robot)
+    everything = np.concatenate([m.hz for p in read for m in p.lists])
+    band = table.get("band_hz", [float(everything.min()), float(everything.max())])
+    low, high = _numbers(band, f"{path}: band_hz", 2)
+    if not 0 < low < high:
+        raise ValueError(f"{path}: band_hz is {band}; expected a low and a higher frequency above 0")
+    return ModalTable(tuple(joints), (low, high), read, robot, path.stem)
+
+
+def _check_keys(table: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
+    for key in table:
+        if key not in allowed:
+            raise ValueError(f"{where}: unknown key {key!r}; {close_match(key, allowed)}")
+
+
+def _read_pose(table: Mapping[str, Any], joints: tuple[str, ...], where: str) -> ModalPose:
+    _check_keys(table, POSE_KEYS, where)
+    angles = table.get("angles_deg", {})
+    if not isinstance(angles, dict):
+        raise ValueError(f"{where}: angles_deg is {angles!r}; expected joints with angles, as {{ joint_2 = 90.0 }}")
+    turned = {j: float(np.deg2rad(_numbers([a], f"{where}: angles_deg.{j}", 1)[0])) for j, a in angles.items()}
+    role = table.get("role", "identification")
+    if role not in ROLES:
+        raise ValueError(f"{where}: role is {role!r}; {close_match(str(role), ROLES)}")
+    locked = table.get("antiresonance", {})
+    if not isinstance(locked, dict):
+        raise ValueError(f"{where}: antiresonance is {locked!r}; expected a table a joint, as antiresonance.joint_1")
+    for joint in locked:
+        if joint not in joints:
+            raise ValueError(
+                f"{where}: antiresonance of {joint!r}, whose drive did not move; {close_match(joint, joints)}"
+            )
+    lists = [_read_list(locked[j], j, f"{where}: antiresonance.{j}") for j in joints if j in locked]
+    if "resonance" in table:
+        lists.insert(0, _read_list(table["resonance"], None, f"{where}: resonance"))
+    if not lists:
+        raise ValueError(f"{where}: neither resonance nor antiresonance; expected one or more lists of modes")
+    return ModalPose(turned, tuple(lists), role)
+
+
+def _read_list(table: Any, locked: str | None, where: str) -> ModeList:
+    if not isinstance(table, dict):
+        raise ValueError(f"{where} is {table!r}; expected {{ hz = [...], std_hz = [...] }}")
+    _check_keys(table, LIST_KEYS, where)
+    for key in LIST_KEYS:
+        if key not in table:
+            raise ValueError(f"{where}: key {key!r} is missing")
+    hz = np.array(_numbers(table["hz"], f"{where}.hz"))
+    std = np.array(_numbers(table["std_hz"], f"{where}.std_hz", len(hz)))
+    if not ((hz > 0).all() and (std >= 0).all()):
+        raise ValueError(f"{where}: expected frequencies above 0 Hz and standard deviations of 0 Hz or more")
+    order = np.argsort(hz, kind="stable")
+    return ModeList(locked, hz[order], std[order])
+
+
+def _numbers(values: Any, where: str, count: int | None = None) -> list[float]:
+    good = isinstance(values, list) and values and all(type(v) in (int, float) and np.isfinite(v) for v in values)
+    if not good or (count is not None and len(values) != count):
+        many = "numbers" if count is None else f"{count} number{'s' if count > 1 else ''}"
+        raise ValueError(f"{where} is {values!r}; expected {many}")
+    return [float(v) for v in values]
+
+
+# ---- the model's modes -----------------------------------------------------------------------------------------------
+
+
+def modes_of(
+    structure: Structure, changes: Sequence[Change], matrices: tuple[Array, Array], locked: str | None = None
+) -> tuple[Array, Array]:
+    """Undamped elastic frequencies of a changed model and their slopes: logarithms of Hz, (m,), and by x, (m, p).
+
+    The rigid-body modes, one a drive that moves, are left out; gravity and springs are in the stiffness. ``matrices`` are those of
+    `Structure.matrices`.
+    """
+    (M, _, K), by_x = matrices
+    free = structure.free(changes, locked)
+    rigid = len(structure.joints) - (locked is not None)
+    if len(free) <= rigid:
+        return np.zeros(0), np.zeros((0, len(by_x)))
+    at = np.ix_(free, free)
+    squares, within = linalg.eigh(0.5 * (K[at] + K[at].T), M[at], check_finite=False)
+    squares = np.maximum(squares[rigid:], 1.0)
+    shapes = np.zeros((len(M), len(squares)))
+    shapes[free] = within[:, rigid:]
+    slopes = np.empty((len(squares), len(by_x)))
+    for k, (dM, _, dK) in enumerate(by_x):
+        slopes[:, k] = 0.5 * ((shapes * (dK @ shapes)).sum(axis=0) / squares - (shapes * (dM @ shapes)).sum(axis=0))
+    return 0.5 * np.log(squares) - np.log(2.0 * np.pi), slopes
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Which mode of the model each measured one is.
+
+    Attributes
+    ----------
+    measured, model : array of int, shape (k,)
+        Places in both lists; both ascend.
+    cost : float
+        -2 log of the joint probability of pairs, measured modes without one, and modes of the model that were not seen.
+    unseen : int
+        Modes of the model inside the band without a partner.
+    """
+
+    measured: Indices
+    model: Indices
+    cost: float
+    unseen: int
+
+
+def pair(measured: ModeList, model: Array, model_error: float, band_hz: tuple[float, float]) -> Pairing:
+    """The most probable pairing that keeps both orders; model: logarithms of Hz, ascending.
+
+    A measured mode is a mode of the model with a normal error of its logarithm, or spurious (`SPURIOUS`), then anywhere in the band.
+    A mode of the model inside the band is missed with the chance `MISSED`, so that a model with many modes does not fit anything.
+    """
+    low, high = np.log(band_hz)
+    variance = measured.variance + model_error**2
+    difference = measured.log[:, None] - model
+    normal = np.log(2.0 * np.pi * variance)[:, None] + difference**2 / variance[:, None]
+    inside = (model >= low) & (model <= high)
+    match = (normal - 2.0 * np.log(1.0 - SPURIOUS) - np.where(inside, 2.0 * np.log(1.0 - MISSED), 0.0)).tolist()
+    alone = -2.0 * np.log(SPURIOUS / (high - low))
+    missed = np.where(inside, -2.0 * np.log(MISSED), 0.0).tolist()
+    rows, columns = difference.shape
+    best = [[0.0] * (columns + 1) for _ in range(rows + 1)]
+    for j in range(columns):
+        best[0][j + 1] = best[0][j] + missed[j]
+    for i in range(rows):
+        row, above, costs = best[i + 1], best[i], match[i]
+        row[0] = above[0] + alone
+        for j in range(columns):
+            row[j + 1] = min(above[j] + costs[j], above[j + 1] + alone, row[j] + missed[j])
+    pairs, i, j, unseen = [], rows, columns, 0
+    while i and j:
+        here = best[i][j]
+        if here == best[i - 1][j - 1] + match[i - 1][j - 1]:
+            i, j = i - 1, j - 1
+            pairs.append((i, j))
+        elif here == best[i - 1][j] + alone:
+            i -= 1
+        else:
+            j -= 1
+            unseen += bool(inside[j])
+    unseen += int(inside[:j].sum())
+    both = np.array(pairs[::-1], dtype=np.intp).reshape(-1, 2)
+    return Pairing(both[:, 0], both[:, 1], best[rows][columns], unseen)
+
+
+# ---- the residual ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One list of measured modes beside the model's.
+
+    Attributes
+    ----------
+    pose : int
+        Number of the pose in the table.
+    measured : ModeList
+    model_hz : array
+        All elastic modes of the model, ascending.
+    pairing : Pairing
+    """
+
+    pose: int
+    measured: ModeList
+    model_hz: Array
+    pairing: Pairing
+
+    @property
+    def errors(self) -> Array:
+        """Logarithm of measured over model of each pair."""
+        return np.log(self.measured.hz[self.pairing.measured] / self.model_hz[self.pairing.model])
+
+    @property
+    def in_order(self) -> Array:
+        """The same with the n-th measured mode as the model's n-th, as far as both go."""
+        count = min(len(self.measured.hz), len(self.model_hz))
+        return np.log(self.measured.hz[:count] / self.model_hz[:count])
+
+
+@dataclass(frozen=True, eq=False)
+class _Paired:
+    """One list of measured modes with the model's, for a fit."""
+
+    pose: int
+    measured: ModeList
+    model: Array  # logarithms of Hz
+    pairing: Pairing
+    residual: Array  # of each pair
+    variance: Array
+    slopes: Array  # (pairs, p)
+
+
+class ModalResidual(Residual):
+    """Logarithms of measured over model frequencies.
+
+    Parameters
+    ----------
+    structure : Structure
+        At the poses of `poses`, in their order.
+    poses : sequence of ModalPose
+    band_hz : (low, high)
+    model_error : float
+        Relative error of a frequency that is always allowed for.
+    """
+
+    def __init__(
+        self, structure: Structure, poses: Sequence[ModalPose], band_hz: tuple[float, float], model_error: float
+    ) -> None:
+        self.structure = structure
+        self.poses = tuple(poses)
+        self.band_hz = band_hz
+        self.smallest_error = model_error
+
+    @cached_property
+    def _lists(self) -> list[tuple[int, ModeList]]:
+        return [(k, m) for k, pose in enumerate(self.poses) for m in pose.lists]
+
+    @property
+    def size(self) -> float:
+        return float(sum(len(m.hz) for _, m in self._lists))
+
+    def _paired(self, changes: tuple[Change, ...], x: Array, error: float) -> list[_Paired]:
+        out = []
+        for k, pose in enumerate(self.poses):
+            matrices = self.structure.matrices(k, changes, x)
+            for measured in pose.lists:
+                model, slopes = modes_of(self.structure, changes, matrices, measured.locked)
+                found = pair(measured, model, error, self.band_hz)
+                residual = measured.log[found.measured] - model[found.model]
+                variance = measured.variance[found.measured]
+                out.append(_Paired(k, measured, model, found, residual, variance, slopes[found.model]))
+        return out
+
+    def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
+        error = max(model_error, self.smallest_error)
+        paired = self._paired(changes, x, error)
+        residual, variance = (np.concatenate([getattr(p, n) for p in paired]) for n in ("residual", "variance"))
+        slopes = np.concatenate([p.slopes for p in paired])
+        weighted = slopes / (variance + error**2)[:, None]
+        deviance = sum(p.pairing.cost for p in paired)
+        return State(deviance, -weighted.T @ residual, weighted.T @ slopes, self._model_error(residual, variance))
+
+    def _model_error(self, residual: Array, variance: Array) -> float:
+        """Most likely model error of these pairs."""
+        errors = np.append(ERRORS[self.smallest_error < ERRORS], self.smallest_error)
+        total = variance[:, None] + errors**2
+        return float(errors[np.argmin((np.log(total) + residual[:, None] ** 2 / total).sum(axis=0))])
+
+    def _of(self, fit: Fit) -> list[_Paired]:
+        return self._paired(fit.changes, fit.x, max(fit.model_error, self.smallest_error))
+
+    def chance(self, fit: Fit) -> float:
+        """By chi-squared of all pairs at the stated errors; a measured mode without a partner counts as four standard deviations."""
+        total, count = 0.0, 0
+        for p in self._of(fit):
+            alone = len(p.measured.hz) - len(p.residual)
+            total += float((p.residual**2 / (p.variance + self.smallest_error**2)).sum()) + 16.0 * alone
+            count += len(p.measured.hz)
+        return float(stats.chi2.sf(total, max(count - len(fit.x), 1)))
+
+    def compare(self, fit: Fit) -> tuple[Compared, ...]:
+        """Every list of the table beside a fitted model's modes."""
+        return tuple(Compared(p.pose, p.measured, np.exp(p.model), p.pairing) for p in self._of(fit))
+
+    def left_out(self, fit: Fit) -> float:
+        """Root mean square of the errors with which each measured mode is predicted by a fit to the others.
+
+        To first order: an error over ``1 - h``, h its leverage in the fit.
+        """
+        paired = self._of(fit)
+        residual, variance = (np.concatenate([getattr(p, n) for p in paired]) for n in ("residual", "variance"))
+        slopes = np.concatenate([p.slopes for p in paired])
+        weight = 1.0 / (variance + max(fit.model_error, self.smallest_error) ** 2)
+        leverage = np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes) * weight
+        return rms(residual / np.maximum(1.0 - leverage, 1e-3))
+
+
+def rms(values: Array) -> float:
+    """Root mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(np.asarray(values) ** 2))) if len(values) else float("nan")

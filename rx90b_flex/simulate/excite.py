@@ -1,0 +1,320 @@
+"""What ``rx90b-flex excite`` does: the references of an identification from motor signals, as files for a robot's controller.
+
+One file a run: joint references and feed-forward torque of one period, to be repeated. Beside them a campaign file that names the
+logs which the robot will bring, so that ``rx90b-flex frf`` needs nothing else; or, if asked for, simulated logs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from rx90b_flex.effects import close_match
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.excitation import (
+    crest_factor,
+    hadamard,
+    identity,
+    lines_in_band,
+    minus_below_first,
+    scaled,
+    whitening,
+)
+from rx90b_flex.export import save_robot
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals.folders import check_folder, fill_folder
+from rx90b_flex.simulate.campaign import Plan, RunFile, campaign_text, run_campaign
+from rx90b_flex.simulate.closed_loop import Noise
+from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, save_cs8
+from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
+
+Matrix = Literal["ones", "hadamard", "identity"]
+MATRICES: dict[Matrix, Callable[[int], Array]] = {
+    "ones": minus_below_first,
+    "hadamard": hadamard,
+    "identity": identity,
+}
+SHARE = 0.1  # of a joint's torque limit, where no peak is given: the source's 45 N m on the RX90B's first joints
+NOISE = Noise(torque=0.1, position=1e-6, velocity=1e-4)  # of a simulated log
+LOGGED = ("motor_position", "torque", "feedforward_torque")  # what a robot's log must hold
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user asks for.
+
+    Attributes
+    ----------
+    robot : str
+        As `load_robot` takes it.
+    poses : tuple of tuples of float, rad
+        One angle a joint; by default the source's horizontal arm, joint 2 at 90 degrees.
+    joints : tuple of str
+        Those that are excited; the first three by default.
+    matrix : ``ones`` (6.50), ``hadamard`` or ``identity``
+    peak : tuple of float, N m
+        Largest feed-forward torque, one for all or one a joint; by default `SHARE` of each joint's torque limit.
+    band_hz : (low, high)
+        Odd lines between these are excited.
+    period_s : float
+        A longer one has finer lines.
+    speed : float, rad/s
+        Of the joints between two reversals.
+    swings : int
+        Odd number of times that the joints go to and fro in a period.
+    realisations, periods : int
+        The first period of each run is for the transient.
+    both_signs : bool
+    white : bool
+        Whether the spectrum is divided by the loop's sensitivity, so that the drive torques are white.
+    controller : Path or None
+        Controller file, for `white` and for a simulation; the CS8's where the robot has its joints, else gains designed for it.
+    seed : int
+    """
+
+    robot: str
+    poses: tuple[tuple[float, ...], ...] = ()
+    joints: tuple[str, ...] = ()
+    matrix: Matrix = "ones"
+    peak: tuple[float, ...] = ()
+    band_hz: tuple[float, float] = (2.5, 80.0)
+    period_s: float = PERIOD_S
+    speed: float = SQUARE_SPEED
+    swings: int = 1
+    realisations: int = 16
+    periods: int = 9
+    both_signs: bool = True
+    white: bool = False
+    controller: Path | None = None
+    seed: int = 0
+
+
+def excitation_plans(request: Request) -> tuple[Plan, ...]:
+    """A plan for each pose.
+
+    Raises
+    ------
+    ValueError
+        One line that names what does not fit: a joint, a pose beyond its limits, a torque beyond its limit, lines beyond Nyquist.
+    """
+    robot = load_robot(request.robot)
+    joints = request.joints or robot.joints[:3]
+    for joint in joints:
+        if joint not in robot.joints:
+            raise ValueError(f"joint {joint!r}: {close_match(joint, robot.joints)}")
+    if request.matrix not in MATRICES:
+        raise ValueError(f"matrix is {request.matrix!r}; expected {', '.join(MATRICES)}")
+    controller = _controller(robot, request.controller)
+    low, high = request.band_hz
+    nyquist = 0.5 * controller.reference_rate_hz
+    lines = lines_in_band(low, high, request.period_s)
+    if not 0.0 < low < high < nyquist or not lines:
+        raise ValueError(
+            f"the band is {low:g} to {high:g} Hz with lines {2.0 / request.period_s:.3g} Hz apart; expected odd lines between 0 and "
+            f"{nyquist:g} Hz, half the references' rate"
+        )
+    matrix = scaled(MATRICES[request.matrix](len(joints)), _peaks(robot, joints, request.peak))
+    horizontal = tuple(0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints)))
+    plans = []
+    for place, pose in enumerate(request.poses or (horizontal,)):
+        reference = _reference(robot, controller, joints, pose, request, f"pose {place + 1}")
+        plan = Plan(
+            robot,
+            controller,
+            reference,
+            joints,
+            tuple(map(tuple, matrix.tolist())),
+            lines=lines,
+            peak=1.0,
+            signs=(1, -1) if request.both_signs else (1,),
+            realisations=request.realisations,
+            periods=request.periods,
+            # poses get other multisines, as other realisations do
+            seed=request.seed + 1000 * place,
+        )
+        plans.append(dataclasses.replace(plan, amplitudes=white_amplitudes(plan)) if request.white else plan)
+    return tuple(plans)
+
+
+def white_amplitudes(plan: Plan) -> tuple[tuple[float, ...], ...]:
+    """Spectra of the multisines, one a moving joint, that reach the drives flat through the plan's loop (section 7.2)."""
+    robot, reference = plan.robot, plan.reference
+    speed = np.abs(reference.velocity).max(axis=0)
+    at = robot.linearize(robot.input_matrix @ reference.position.mean(axis=0), v=robot.input_matrix @ speed)
+    hz = np.array(plan.lines) / (reference.period_s or PERIOD_S)
+    places = [robot.joints.index(joint) for joint in plan.moving]
+    sensitivity = plan.controller.sensitivity(at, hz)[:, places][:, :, places]
+    return tuple(map(tuple, whitening(sensitivity).tolist()))
+
+
+def _controller(robot: Robot, file: Path | None) -> CS8:
+    if file is not None:
+        return load_cs8(file).for_joints(robot.joints)
+    own = load_cs8()
+    if _has_own(robot, own):
+        return own.for_joints(robot.joints)
+    return design_cs8(robot, np.zeros(len(robot.joints)))
+
+
+def _has_own(robot: Robot, controller: CS8) -> bool:
+    return robot.name.startswith("rx90b") and set(robot.joints) <= {joint.name for joint in controller.joints}
+
+
+def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
+    limit = np.array([robot.tree.effortLimit[robot.joints.index(joint)] for joint in joints])
+    if not peak:
+        unknown = [joint for joint, size in zip(joints, limit, strict=True) if not 0.0 < size < np.inf]
+        if unknown:
+            raise ValueError(f"joint {unknown[0]!r} has no torque limit in its URDF; give the peak torque")
+        return np.asarray(SHARE * limit)
+    if len(peak) not in (1, len(joints)):
+        raise ValueError(f"{len(peak)} peak torques for {len(joints)} joints; expected one, or one a joint")
+    wanted = np.broadcast_to(np.asarray(peak, dtype=float), len(joints))
+    for joint, size, largest in zip(joints, wanted, limit, strict=True):
+        if not size > 0.0 or (0.0 < largest < size):
+            raise ValueError(
+                f"peak torque of {joint} is {size:g} N m; expected more than 0, up to its limit of {largest:g}"
+            )
+    return np.asarray(wanted)
+
+
+def _reference(
+    robot: Robot, controller: CS8, joints: Sequence[str], pose: Sequence[float], request: Request, name: str
+) -> Trajectory:
+    if len(pose) != len(robot.joints):
+        raise ValueError(f"{name} has {len(pose)} angles; expected {len(robot.joints)}: {', '.join(robot.joints)}")
+    reference = square_wave(
+        robot,
+        pose,
+        speed=request.speed,
+        moving=joints,
+        rate_hz=controller.reference_rate_hz,
+        period_s=request.period_s,
+        swings=request.swings,
+    )
+    model = robot.tree
+    for j, joint in enumerate(robot.joints):
+        reached = reference.position[:, j]
+        low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
+        if low < high and not (low <= reached.min() and reached.max() <= high):
+            raise ValueError(
+                f"{name}: {joint} moves from {np.rad2deg(reached.min()):.1f} to {np.rad2deg(reached.max()):.1f} degrees; "
+                f"its limits are {np.rad2deg(low):.1f} and {np.rad2deg(high):.1f}"
+            )
+        fastest, allowed = np.abs(reference.velocity[:, j]).max(), model.velocityLimit[j]
+        if 0.0 < allowed < fastest:
+            raise ValueError(f"{joint} moves at {fastest:.3g} rad/s; its limit is {allowed:.3g}")
+    return reference
+
+
+# ---- files ----------------------------------------------------------------------------------------------------
+
+
+def excite_into(request: Request, folder: Path, simulated: bool, tell: Progress) -> list[str]:
+    """Write references, robot and campaign file; nothing unless all of it. Returns what is worth knowing, one line each.
+
+    Parameters
+    ----------
+    simulated : bool
+        Whether the logs are simulated, too (perturbation method, noise `NOISE`).
+    """
+    check_folder(folder)
+    taken = [name for name in ("references", "logs", "campaign.toml") if (folder / name).exists()]
+    if taken:
+        raise ValueError(f"{folder}: has {taken[0]} already; give another folder, so that no logs are lost")
+    tell("designing", 0.0)
+    plans = excitation_plans(request)
+    if simulated:
+        plans = tuple(dataclasses.replace(p, noise=NOISE, method="perturbation") for p in plans)
+    said: list[str] = []
+
+    def fill(at: Path) -> None:
+        files: list[RunFile] = []
+        crests = []
+        for place, plan in enumerate(plans):
+            name = f"pose_{place + 1}" if len(plans) > 1 else "runs"
+            (at / "references" / name).mkdir(parents=True)
+            for k, key in enumerate(plan.runs):
+                tell("writing references", (place + k / len(plan.runs)) / len(plans) * (0.3 if simulated else 1.0))
+                once = dataclasses.replace(plan, periods=1).trajectory(key)
+                crests.append(crest_factor(once.torque[:, [plan.robot.joints.index(j) for j in plan.moving]]).max())
+                write_reference(once, at / "references" / name / f"{key.name}.csv")
+                files.append(RunFile(f"logs/{name}/{key.name}.csv", plan.role(key)))
+            if simulated:
+                part = (0.3 + 0.7 * place / len(plans), 0.7 / len(plans))
+                logs = at / "logs" / name
+                result = run_campaign(plan, logs, progress=lambda text, done, p=part: tell(text, p[0] + p[1] * done))  # type: ignore[misc]
+                if result.failed:
+                    raise ValueError(f"{name}, {result.failed[0].run}: {result.failed[0].reason}")
+        first = plans[0]
+        save_robot(first.robot, at, allow_inconsistent=True)
+        if request.controller is not None or simulated or _has_own(first.robot, load_cs8()):
+            save_cs8(first.controller, at / "controller.toml")
+        (at / "logs").mkdir(exist_ok=True)
+        (at / "campaign.toml").write_text(_campaign(plans, files, simulated), encoding="utf-8")
+        said.extend(_words(plans, files, float(max(crests))))
+
+    fill_folder(folder, fill)
+    return said
+
+
+def write_reference(trajectory: Trajectory, path: Path) -> None:
+    """One period as a table: `time`, one column a joint (rad), `v_<joint>` (rad/s), `ff_<joint>` (N m).
+
+    ``rx90b-flex simulate --trajectory`` reads it.
+    """
+    names = [
+        "time",
+        *trajectory.joints,
+        *(f"v_{j}" for j in trajectory.joints),
+        *(f"ff_{j}" for j in trajectory.joints),
+    ]
+    time = np.arange(len(trajectory.position)) / trajectory.rate_hz
+    values = np.column_stack([time, trajectory.position, trajectory.velocity, trajectory.torque])
+    rows = (",".join(f"{x:.10g}" for x in row) for row in values)
+    path.write_text("\n".join([",".join(names), *rows]) + "\n", encoding="utf-8")
+
+
+def _campaign(plans: Sequence[Plan], files: Sequence[RunFile], simulated: bool) -> str:
+    first = plans[0]
+    if simulated:
+        return campaign_text(first, [RunFile(_log_of(f.file), f.role) for f in files])
+    robot = first.robot
+    columns = [f"{name}_{robot.joints[0]}, ..." for name in ("q", "tau", "ff")]
+    how = [
+        "Run each file of references/ over and over without a pause, as often as the log has periods:",
+        f"{first.periods} of {first.reference.period_s:g} s; the first one, in which the transient dies, is left out below.",
+        "Log at even steps into the file of the same name under logs/, with the columns",
+        f"{columns[0]} (motor angles, rad, joint side), {columns[1]} (motor torques, N m, joint side) and",
+        f"{columns[2]} (feed-forward torques as sent, N m). Other names, sides of the gear or rates: change them here.",
+        "Filter against aliasing before the log's rate. Then: rx90b-flex frf campaign.toml --out results",
+    ]
+    return "\n".join(f"# {line}" for line in how) + "\n" + campaign_text(first, files, LOGGED)
+
+
+def _log_of(file: str) -> str:
+    folder, name = file.rsplit("/", 1)
+    return f"{folder}/runs/{name.removesuffix('.csv')}.parquet"
+
+
+def _words(plans: Sequence[Plan], files: Sequence[RunFile], crest: float) -> list[str]:
+    first = plans[0]
+    period = first.reference.period_s or PERIOD_S
+    minutes = len(files) * first.periods * period / 60.0
+    peaks = np.abs(first.trajectory(first.runs[0]).torque).max(axis=0)
+    each = ", ".join(f"{j} {p:.3g}" for j, p in zip(first.robot.joints, peaks, strict=True) if p > 0.0)
+    swing = np.ptp(first.reference.position, axis=0).max()
+    return [
+        f"{len(files)} runs of {first.periods} periods of {period:g} s: {minutes:.0f} min of motion; "
+        f"{len(plans)} pose{'s' if len(plans) > 1 else ''}",
+        f"{len(first.lines)} odd lines from {first.lines[0] / period:.3g} to {first.lines[-1] / period:.3g} Hz, "
+        f"{2.0 / period:.3g} Hz apart; crest factor at most {crest:.2f}",
+        f"Feed-forward torque at most, N m: {each}; joints swing by {np.rad2deg(swing):.1f} degrees",
+    ]

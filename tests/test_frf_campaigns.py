@@ -1,0 +1,214 @@
+"""Claims about campaigns as users have them: several poses in one run, and recordings that are missing, short or unfit, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from linear_campaign import BENT, HZ, LINES, SAMPLES, changed, recordings_at, viscous_robot, write
+
+from rx90b_flex import cli
+from rx90b_flex.identify import frf_command
+from rx90b_flex.identify.frf import POSE_SPREAD, confidence_radius, estimate_frequency_response, group_poses
+from rx90b_flex.identify.frf_command import Options, frf_json, identify_from_motors
+from rx90b_flex.signals import Recording
+from rx90b_flex.view import frf_report
+from rx90b_flex.view.page import Image
+
+QUICK = Options(starts=0, modes=(5,), bending_alike_std=0.0)
+STRETCHED = np.array([0.0, 0.5 * np.pi, 0.0])
+ROBOT = viscous_robot()
+
+
+def first_samples(r: Recording, count: int) -> Recording:
+    assert r.feedforward_torque is not None
+    return dataclasses.replace(
+        r,
+        time=r.time[:count],
+        position=r.position[:count],
+        torque=r.torque[:count],
+        feedforward_torque=r.feedforward_torque[:count],
+    )
+
+
+def alike_at_a_line(runs: Sequence[Recording], line: int) -> list[Recording]:
+    """Experiment 2 repeats experiment 1 at one line."""
+    by_name = {r.name: r for r in runs}
+
+    def with_other(r: Recording) -> Recording:
+        if "_2_" not in r.name:
+            return r
+        new = {}
+        for field in ("torque", "position", "feedforward_torque"):
+            waves = [getattr(x, field).reshape(-1, SAMPLES, 3) for x in (r, by_name[r.name.replace("_2_", "_1_")])]
+            own, other = np.fft.rfft(waves, axis=2)
+            own[:, line] = other[:, line]
+            new[field] = np.fft.irfft(own, SAMPLES, axis=1).reshape(-1, 3)
+        return dataclasses.replace(r, **new)
+
+    return [with_other(r) for r in runs]
+
+
+def run(campaign: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr("sys.argv", ["rx90b-flex", "frf", str(campaign), "--out", str(out), *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+# ---- several poses --------------------------------------------------------------------------------------------
+
+
+def test_recordings_are_grouped_by_mean_angle_in_any_order() -> None:
+    rng = np.random.default_rng(0)
+    runs = [r for k, pose in enumerate(BENT) for r in recordings_at(ROBOT, pose, rng, realisations=2, name=f"p{k}")]
+    near = [dataclasses.replace(r, name=f"near_{r.name}", position=r.position + 0.5 * POSE_SPREAD) for r in runs[:1]]
+    shuffled = [[*runs, *near][i] for i in rng.permutation(len(runs) + 1)]
+    groups = group_poses(shuffled)
+    assert sorted(len(g) for g in groups) == [len(runs) // 2, len(runs) // 2 + 1]
+    for group in groups:
+        assert len({r.name.replace("near_", "")[:2] for r in group}) == 1
+
+
+def test_two_poses_tell_what_a_stretched_arm_alone_cannot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stretched, joints 2 and 3 bend about the same axis; one more pose parts them, and links and hinges are those of both."""
+    rng = np.random.default_rng(1)
+    poses = (STRETCHED, BENT[0])
+    runs = [r for k, q in enumerate(poses) for r in recordings_at(ROBOT, q, rng, noise=0.01, name=f"p{k}")]
+    both = identify_from_motors(write(tmp_path / "both", ROBOT, runs), QUICK)
+    alone = identify_from_motors(write(tmp_path / "alone", ROBOT, runs[: len(runs) // 2]), QUICK)
+    assert both.left_out == alone.left_out == ()
+    assert both.grey is not None and alone.grey is not None
+    vague = [e.name for e in alone.grey.estimates if not e.determined]
+    assert vague and all(both.grey[name].determined for name in vague)
+    for e in both.grey.estimates:
+        where, kind = e.name.rsplit(".", 1)
+        if not kind.startswith("friction_slope"):
+            # the robot is declared as it is: start is the truth; thirty normal errors stay below four deviations
+            assert abs(np.log(e.value / e.start)) < 4.0 * e.std / e.value, (where, kind)
+    found = frf_json(both)
+    assert [p["pose_rad"] for p in found["poses"]] == [pytest.approx(q, abs=1e-3) for q in poses]
+    for p, q in zip(found["poses"], poses, strict=True):
+        value = np.array(p["frequency_response"]["real"]) + 1j * np.array(p["frequency_response"]["imag"])
+        truth = ROBOT.linearize(ROBOT.input_matrix @ q).frf(HZ)
+        assert np.max(np.abs(value - truth) / np.array(p["frequency_response"]["std"])) < 6.0
+        assert p["transfer_functions"] and p["drives"] and len(p["recordings"]) == 24
+    assert found["grey_box"]["poses"] == ["pose 1", "pose 2"]
+    monkeypatch.setattr(
+        frf_report, "image", lambda figure, alt, caption="": Image("", alt, 1, 1, caption)
+    )  # drawing is slow
+    frf_report.write_frf_report(both, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    for words in ("Pose 1: Frequency response", "Pose 2: Frequency response", "Pose 2: Transfer functions"):
+        assert words in page
+
+
+# ---- what is missing or unfit ---------------------------------------------------------------------------------
+
+
+def test_a_campaign_with_many_faults_is_used_where_it_is_sound_and_each_fault_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(2)
+    first = recordings_at(ROBOT, BENT[0], rng, realisations=6, noise=0.01, name="one")
+    first = changed(first, lambda name: not name.startswith("one_001_2") and name != "one_002_3_plus")
+    first = [first_samples(r, SAMPLES) if r.name == "one_003_1_minus" else r for r in alike_at_a_line(first, LINES[5])]
+    second = recordings_at(ROBOT, BENT[1], rng, noise=0.01, name="two")
+    file = write(tmp_path / "c", ROBOT, [*first, *changed(second, lambda name: "_3_" not in name)])
+    # one number of modes, one start and no figures: none of them are what this is about, all take long
+    monkeypatch.setattr(frf_command, "Options", functools.partial(Options, starts=0, modes=(5,)))
+    monkeypatch.setattr("rx90b_flex.view.frf_report.write_frf_report", lambda result, path: path.write_text("report"))
+    assert run(file, tmp_path / "out", monkeypatch, "--high-hz", "300") == 0
+    said = capsys.readouterr().out
+    for words in (
+        "pose 1: realisation 2 has 2 of 3 experiments and is left out",
+        "pose 1: realisation 3: one_002_3_minus lacks the run of opposite sign and is left out",
+        "pose 1: recording one_003_1_minus has 1 of 2 periods and is left out",
+        f"pose 1: 1 line is left out, the experiments' torques are dependent there: {HZ[5]:.4g} Hz",
+        "pose 1: the band is asked for up to 300 Hz, and ends below Nyquist (125 Hz)",
+        "pose 1: 3 realisations: 9 neighbouring lines count for each line's covariance",
+        "pose 2: frequency response: 2 experiments a realisation for 3 joints (joint_1, joint_2, joint_3)",
+    ):
+        assert words in said
+    found = json.loads((tmp_path / "out" / "frf.json").read_text())
+    (pose,) = found["poses"]
+    assert pose["frequency_response"]["hz"] == pytest.approx(np.delete(HZ, 5))
+    assert found["grey_box"]["parameters"]["joint_2.drive_stiffness"]["determined"]
+
+
+def without(field: str) -> list[Recording]:
+    return [dataclasses.replace(r, **{field: None}) for r in SMALL]
+
+
+SMALL = recordings_at(ROBOT, BENT[0], np.random.default_rng(3), realisations=2, noise=0.01)
+UNFIT = {
+    "an experiment is missing everywhere": (
+        changed(SMALL, lambda name: "_2_" not in name),
+        (),
+        "2 experiments a realisation for 3 joints (joint_1, joint_2, joint_3); expected 3 or more",
+    ),
+    "one realisation of one period": (
+        [first_samples(r, SAMPLES) for r in SMALL[:6]],
+        (),
+        "one realisation of one period: no covariance can be estimated; record more periods or realisations",
+    ),
+    "two columns of the input matrix depend on each other": (
+        recordings_at(
+            ROBOT,
+            BENT[0],
+            np.random.default_rng(4),
+            realisations=2,
+            noise=0.01,
+            matrix=np.array([[1.0, 0.5, 1.0], [1.0, 0.5, -1.0], [1.0, 0.5, 1.0]]),
+        ),
+        (),
+        "the experiments' torques are linearly dependent at every line; check the input matrix",
+    ),
+    "a band beyond Nyquist": (
+        SMALL,
+        ("--low-hz", "150", "--high-hz", "200"),
+        "no line is left between 150 and 200 Hz; excited lines lie from 8.057 to 78.37 Hz, Nyquist is 125 Hz",
+    ),
+    "no period": (without("period_s"), (), "'run_000_1_plus' has no period_s"),
+    "no feed-forward": (
+        without("feedforward_torque"),
+        (),
+        "'run_000_1_plus' has no feedforward_torque, which tells the excited lines; log it",
+    ),
+    "a run that is there twice": (
+        [*SMALL, dataclasses.replace(SMALL[0], name="again")],
+        (),
+        "recordings run_000_1_plus, again have the same excitation",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", UNFIT)
+def test_what_cannot_be_used_at_all_is_one_line_and_nothing_is_written(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs, arguments, words = UNFIT[fault]
+    assert run(write(tmp_path / "c", ROBOT, runs), tmp_path / "out", monkeypatch, *arguments) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_realisations_still_give_a_covariance_that_can_be_inverted_and_bands_that_hold() -> None:
+    """By the departures of more lines, compared as torques: where these are alike over the window, as friction's are."""
+    truth = ROBOT.linearize(ROBOT.input_matrix @ BENT[0]).frf(HZ)
+    rng = np.random.default_rng(5)
+    inside = []
+    for _ in range(10):
+        r = estimate_frequency_response(recordings_at(ROBOT, BENT[0], rng, realisations=2, torque_noise=0.05))
+        assert r.degrees_of_freedom >= 2 * 9
+        assert np.linalg.eigvalsh(r.covariance).min() > 0.0
+        inside.append(np.abs(r.value - truth) < confidence_radius(r))
+    # 10 * 37 circles of each entry, alike in 19 neighbours' radius: deviation 1.1 % of the circles, about as much of the radii
+    by_entry = np.mean(inside, axis=(0, 1))
+    assert np.all(np.abs(by_entry - 0.95) < 3.0 * 0.011 * np.sqrt(2.0))
