@@ -282,6 +282,9 @@ def simulate_command(
     line: Annotated[bool, typer.Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
     excitation: Annotated[bool, typer.Option("--excitation", help="The excitation of section 4.2.2.")] = False,
     square_wave: Annotated[bool, typer.Option("--square-wave", help="The square wave of section 6.6.2.")] = False,
+    harmonics: Annotated[
+        bool, typer.Option("--harmonics", help="Random harmonics of every joint, within any robot's limits.")
+    ] = False,
     controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
     periods: Annotated[int, typer.Option(help="Periods of an excitation that repeats.")] = 1,
     perturbation: Annotated[bool, typer.Option("--perturbation", help="Use the perturbation method.")] = False,
@@ -295,9 +298,11 @@ def simulate_command(
     from rx90b_flex.simulate.command import Request, simulate_into, summary
 
     chosen = [*([str(trajectory)] if trajectory else []), *["line"] * line, *["excitation"] * excitation]
-    chosen += ["square-wave"] * square_wave
+    chosen += [*["square-wave"] * square_wave, *["harmonics"] * harmonics]
     if len(chosen) > 1:
-        raise ValueError(f"{' and '.join(chosen)}: choose one of --trajectory, --line, --excitation, --square-wave")
+        raise ValueError(
+            f"{' and '.join(chosen)}: choose one of --trajectory, --line, --excitation, --square-wave, --harmonics"
+        )
     noise = Noise(torque_noise, position_noise, velocity_noise)
     request = Request(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
     with _progress() as tell:

@@ -27,7 +27,7 @@ from rx90b_flex.identify.command import identify_campaign
 from rx90b_flex.identify.regression import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign, write_campaign
-from rx90b_flex.simulate import CS8, Noise, Simulation, design_cs8, harmonics, rigid_inertia, simulate
+from rx90b_flex.simulate import Noise, Simulation, design_cs8, harmonics, rigid_inertia, simulate
 
 ARMS = ("ur10", "panda", "kinova", "xarm7", "tiago", "own_file")
 
@@ -206,11 +206,7 @@ def run(name: str, folder: Path) -> Simulation:
     """Half a second of harmonics."""
     robot = flexible(name, folder)
     motion = harmonics(robot, np.random.default_rng(4)).part(0.0, 0.5)
-    return simulate(robot, controller(robot), motion)
-
-
-def controller(robot: Robot) -> CS8:
-    return design_cs8(robot, middle(robot))
+    return simulate(robot, design_cs8(robot), motion)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -258,7 +254,7 @@ def campaign(name: str, folder: Path, with_hidden: bool) -> Campaign:
     noise = Noise(torque=tuple(2e-3 * rigid.tree.effortLimit))
     recordings = []
     for i, role in enumerate(("identification", "identification", "validation")):
-        result = simulate(true, controller(true), harmonics(true, rng), noise=noise, rng=rng)
+        result = simulate(true, design_cs8(true), harmonics(true, rng), noise=noise, rng=rng)
         assert result.ended is None
         recordings.append(dataclasses.replace(result.recording, name=f"run_{i}", role=role))  # type: ignore[arg-type]
     at = folder / f"{name}_{'hidden' if with_hidden else 'declared'}"

@@ -98,8 +98,19 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert not out.exists()
 
 
+def test_another_robot_follows_harmonics_under_a_controller_designed_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # at zero this arm points up, and its first joint turns a hundredth of what it turns stretched out
+    assert run("example-robot-data:kinova", "--out", tmp_path / "o", "--harmonics", monkeypatch=monkeypatch) == 0
+    assert "went to its end" in capsys.readouterr().out
+    (recording,) = load_campaign(tmp_path / "o" / "campaign.toml").recordings
+    assert recording.reference_position is not None
+    assert np.abs(recording.position - recording.reference_position).max() < 0.02  # rad; 0.3 with that pose's inertia
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", ["--line", "--excitation", "--square-wave"])
+@pytest.mark.parametrize("motion", ["--line", "--excitation", "--square-wave", "--harmonics"])
 def test_the_built_in_motions_run_to_their_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], motion: str
 ) -> None:

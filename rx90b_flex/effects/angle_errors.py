@@ -99,6 +99,20 @@ class ResolverError(_AngleError):
     """The measured angle is wrong by ``amplitude * sin(order * q + phase)``.
 
     Link, drive and friction move by the true angle, so everything that the model makes of the measured one is wrong.
+
+    Signature
+    ---------
+    A sine of the measured angle that grows with the square of the speed; friction and drive inertia follow the
+    wrong angle too.
+
+    Neighbours
+    ----------
+    `transmission_error` leaves friction and drive inertia alone; `gear_ripple` does not grow with speed. First
+    order in the amplitude: an error that bends the velocity by a quarter shows harmonics.
+
+    Source
+    ------
+    Not in Hardeman 2008; eccentricity and imbalance of resolvers, one and two cycles a turn of theirs.
     """
 
     needs_model: ClassVar[bool] = True
@@ -118,6 +132,20 @@ class TransmissionError(_AngleError):
     """The gear's ratio varies: the link turns by ``amplitude * sin(order * q + phase)`` more than the motor says.
 
     Only the links follow the error, not the drive; and the motor feels their torque times the varying ratio.
+
+    Signature
+    ---------
+    A sine of the joint's angle that grows with the square of the speed and with the inertia behind the joint, and
+    with the load.
+
+    Neighbours
+    ----------
+    `gear_ripple` is as high at creeping speed. `resolver_error` also shows in the drive's inertia and friction,
+    where the link alone follows a transmission error: told apart where the drive's part is large.
+
+    Source
+    ------
+    Hardeman 2008, section 7.2, left open there: a gear ratio that depends on the angle.
     """
 
     needs_model: ClassVar[bool] = True
@@ -183,6 +211,19 @@ class Backlash(JointEffect):
     """Lost motion: as the load changes sign the link goes from one end of the gap to the other.
 
     The link's angle is the motor's less ``gap / 2 * tanh(load / LOAD_SCALE)``; the load is the torque that the links ask for.
+
+    Signature
+    ---------
+    Short kicks where the load through the gear changes sign, stronger where it changes quickly.
+
+    Neighbours
+    ----------
+    `coulomb_friction` and `presliding_friction` act where the velocity changes sign. A joint that always carries weight
+    one way shows no backlash: the motion must unload it.
+
+    Source
+    ------
+    Not in Hardeman 2008; lost motion between the flanks of teeth, smoothed over a small load.
     """
 
     acts_on: ClassVar[str] = "signals"

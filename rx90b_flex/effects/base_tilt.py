@@ -20,6 +20,20 @@ class BaseTilt(Effect):
 
     To first order in the angles (error: half their square, 1e-4 of gravity at 0.8 degrees) the force is
     ``angle_x * g_x(q) + angle_y * g_y(q)``, each the torque that the links would need if gravity pulled along -y, +x.
+
+    Signature
+    ---------
+    About an upright first axis a sine of its angle, larger with the arm stretched out, at rest too; small changes
+    of gravity elsewhere.
+
+    Neighbours
+    ----------
+    `torque_offset` does not change as the robot turns; `payload` does not load an upright first axis at rest. Needs
+    the first joint to turn far.
+
+    Source
+    ------
+    Not in Hardeman 2008; gravity of the links (equation 3.47) in a turned base, to first order.
     """
 
     on: ClassVar[str] = "robot"

@@ -21,6 +21,20 @@ class JointCoupling(PairEffect):
     The motor's angle is q_a + q_b (joint side of b), so its rotor's inertia, its viscous and its dry friction
     act on that sum, and load both joints alike:
     ``inertia*(a_a + a_b) + viscous*(v_a + v_b) + coulomb*sign(v_a + v_b)`` in both rows.
+
+    Signature
+    ---------
+    The same residual in two joints, following the sum of their accelerations, velocities and signs of velocity.
+
+    Neighbours
+    ----------
+    `drive_inertia` and friction follow one joint's motion alone. Moving joint a with b at rest gives a torque in b
+    that a link's inertia alone does not: friction, and the same in every pose.
+
+    Source
+    ------
+    Not in Hardeman 2008; the wrist of the Stäubli TX40, see A. Janot, P.-O. Vandanjon, M. Gautier, IEEE
+    Transactions on Control Systems Technology 22(1), 2014.
     """
 
     adds_inertia: ClassVar[bool] = True

@@ -14,7 +14,24 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 @dataclass(frozen=True, kw_only=True)
 class DriveInertia(JointEffect):
-    """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.1, after Spong)."""
+    """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.2, after Spong).
+
+    Signature
+    ---------
+    A residual proportional to the joint's acceleration: largest where the motion reverses, zero at constant speed,
+    the same in every pose.
+
+    Neighbours
+    ----------
+    A link's inertia loads other joints too and changes with the pose; about the axis of the first joint the two can
+    only be told together. Friction follows the velocity. Where two joints' residuals follow the sum of both
+    accelerations it is `joint_coupling`.
+
+    Source
+    ------
+    Hardeman 2008, section 2.1.2 and equation 3.55; M. W. Spong, ASME Journal of Dynamic Systems, Measurement, and
+    Control 109(4), 1987.
+    """
 
     side: ClassVar[str] = "drive"
     adds_inertia: ClassVar[bool] = True
@@ -36,7 +53,23 @@ class DriveInertia(JointEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueOffset(JointEffect):
-    """A constant torque: an offset of the current sensor, or friction that never changes sign."""
+    """A constant torque: an offset of the current sensor, or friction that never changes sign.
+
+    Signature
+    ---------
+    The same residual at every angle, speed and time, at standstill too.
+
+    Neighbours
+    ----------
+    Dry friction changes its sign with the velocity, gravity and springs change with the angle. A preloaded
+    `joint_spring` has the same constant in it, so beside an offset its rest angle stays open; `base_tilt` turns
+    into an offset where joint 1 hardly moves.
+
+    Source
+    ------
+    Not in Hardeman 2008; usual in identification (W. Khalil, E. Dombre, *Modeling, Identification and Control of
+    Robots*, 2002).
+    """
 
     side: ClassVar[str] = "drive"
     law = staticmethod(constant)

@@ -79,7 +79,23 @@ class _FlexibilityOfJoint(_Flexibility):
 
 @dataclass(frozen=True, kw_only=True)
 class DriveFlexibility(_FlexibilityOfJoint):
-    """Torsion of a drive, equation 3.58: ``stiffness * eps1 + damping * d(eps1)/dt`` on the coordinate ``torsion``."""
+    """Torsion of a drive, equation 3.58: ``stiffness * eps1 + damping * d(eps1)/dt`` on the coordinate ``torsion``.
+
+    Signature
+    ---------
+    In a frequency response an antiresonance followed by a resonance in this drive's own entry; in a rigid model's
+    residual a rise with frequency.
+
+    Neighbours
+    ----------
+    `joint_flexibility` bends across the axis and is shared by several drives; the trace of poles less zeros of a
+    drive holds its torsion alone (equation 5.53). Below a third of the first antiresonance a rigid model with more
+    inertia does as well.
+
+    Source
+    ------
+    Hardeman 2008, equations 3.58, 3.68 and 3.70.
+    """
 
     virtual: ClassVar[tuple[str, ...]] = ("torsion",)
 
@@ -89,7 +105,21 @@ class DriveFlexibility(_FlexibilityOfJoint):
 
 @dataclass(frozen=True, kw_only=True)
 class JointFlexibility(_FlexibilityOfJoint):
-    """Bending of a joint about the two axes across its own, equation 3.60, on ``bend_1`` and ``bend_2``."""
+    """Bending of a joint about the two axes across its own, equation 3.60, on ``bend_1`` and ``bend_2``.
+
+    Signature
+    ---------
+    Resonances that several drives share and that move with the pose; nothing in a motor's signals at rest.
+
+    Neighbours
+    ----------
+    `drive_flexibility` turns about the joint's own axis. Bendings of two joints about parallel axes cannot be told
+    apart in one pose; a second pose, or bearings that are known to be round, tells.
+
+    Source
+    ------
+    Hardeman 2008, equations 3.60, 3.68 and 3.70.
+    """
 
     virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
 
@@ -99,7 +129,21 @@ class JointFlexibility(_FlexibilityOfJoint):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseFlexibility(_Flexibility):
-    """Floor and mounting (section 7.2): the base tilts about its x and its y, ``base:bend_1`` and ``base:bend_2``."""
+    """Floor and mounting (section 7.2): the base tilts about its x and its y, ``base:bend_1`` and ``base:bend_2``.
+
+    Signature
+    ---------
+    A low resonance in the drives that shake the whole arm, there in every pose.
+
+    Neighbours
+    ----------
+    `joint_flexibility` of the first joint bends about axes that turn with it, the base about fixed ones: compare
+    frequency responses with the arm turned.
+
+    Source
+    ------
+    Hardeman 2008, section 7.2, left open there.
+    """
 
     on: ClassVar[str] = "robot"
     virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
@@ -118,7 +162,22 @@ class BaseFlexibility(_Flexibility):
 
 @dataclass(frozen=True, kw_only=True)
 class StiffnessHardening(JointEffect):
-    """A drive that gets stiffer as it twists, ``cubic * eps1^3``; beside the `drive_flexibility` of the same joint."""
+    """A drive that gets stiffer as it twists, ``cubic * eps1^3``; beside the `drive_flexibility` of the same joint.
+
+    Signature
+    ---------
+    Resonances that rise with the load or with the excitation; a static line that bends upwards, moment against
+    angle.
+
+    Neighbours
+    ----------
+    `drive_flexibility` alone gives the same resonance at any amplitude. `backlash` softens at small loads, at zero
+    load altogether.
+
+    Source
+    ------
+    Not in Hardeman 2008; the cubic term of a hardening gear, as strain-wave gears have it.
+    """
 
     side: ClassVar[str] = "torsion"
     needs: ClassVar[tuple[str, ...]] = ("drive_flexibility",)

@@ -43,7 +43,23 @@ class VelocityFriction(JointEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class CoulombFriction(VelocityFriction):
-    """Dry friction, ``torque * sign(v)``, smoothed at reversal."""
+    """Dry friction, ``torque * sign(v)``, smoothed at reversal.
+
+    Signature
+    ---------
+    Against velocity two levels, ``-torque`` and ``+torque``, with a jump at reversal.
+
+    Neighbours
+    ----------
+    `viscous_friction` grows with speed and `stribeck_friction` fades with it; the jump of `load_friction` is higher
+    where the joint carries more; `presliding_friction` turns over gradually, along an angle. At standstill dry
+    friction holds any torque up to its own, which no column shows.
+
+    Source
+    ------
+    Hardeman 2008, equations 3.53 and 3.54: the asperity torque that does not fade, its sign smoothed by an
+    arctangent.
+    """
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
 
@@ -68,7 +84,22 @@ class CoulombFriction(VelocityFriction):
 
 @dataclass(frozen=True, kw_only=True)
 class ViscousFriction(VelocityFriction):
-    """Friction linear in velocity, ``coefficient * v``."""
+    """Friction linear in velocity, ``coefficient * v``.
+
+    Signature
+    ---------
+    A straight line through the origin against velocity.
+
+    Neighbours
+    ----------
+    `viscous_power_friction` is a bent line, `asymmetric_friction` has another slope each way, `friction_drift`
+    another slope early than late. A log that is late (`torque_delay`) follows the torque's rate of change, not the
+    velocity.
+
+    Source
+    ------
+    Hardeman 2008, equation 3.53 with delta_v = 0.
+    """
 
     coefficient: float | None = linear("N m s/rad", lower=0.0, rank=FRICTION)
 
@@ -85,7 +116,21 @@ class ViscousFriction(VelocityFriction):
 
 @dataclass(frozen=True, kw_only=True)
 class AsymmetricFriction(VelocityFriction):
-    """Viscous friction that differs by direction, ``coefficient * |v|``."""
+    """Viscous friction that differs by direction, ``coefficient * |v|``.
+
+    Signature
+    ---------
+    A V against velocity: the residual has one sign whichever way the joint turns, and grows with speed.
+
+    Neighbours
+    ----------
+    `torque_offset` has one sign too but does not grow with speed; `viscous_friction` changes sign. Needs both
+    directions at several speeds.
+
+    Source
+    ------
+    Not in Hardeman 2008; the even part of viscous friction that differs by direction.
+    """
 
     coefficient: float | None = linear("N m s/rad", rank=FRICTION)
 
@@ -107,6 +152,19 @@ class ViscousPowerFriction(VelocityFriction):
     """Viscous part of equation 3.53, ``coefficient * sign(v) * |v|^power``, power = 1 - delta_v.
 
     It stands in for `viscous_friction` at the same joint.
+
+    Signature
+    ---------
+    An odd curve against velocity: with a power below one steep at low speed and flatter at high speed.
+
+    Neighbours
+    ----------
+    Over a narrow range of speed it looks like `viscous_friction` with `coulomb_friction`; slow and fast passages
+    together tell. `stribeck_friction` falls with speed before viscous friction takes over, this one only rises.
+
+    Source
+    ------
+    Hardeman 2008, equation 3.53, where power is 1 - delta_v.
     """
 
     replaces: ClassVar[tuple[str, ...]] = ("viscous_friction",)
@@ -146,7 +204,22 @@ class ViscousPowerFriction(VelocityFriction):
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckFriction(VelocityFriction):
-    """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed."""
+    """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed.
+
+    Signature
+    ---------
+    A bump at low speed on both sides of zero velocity, gone above a few times ``velocity``.
+
+    Neighbours
+    ----------
+    `coulomb_friction` stays at all speeds. `presliding_friction` is also about reversals, but turns over along an
+    angle whatever the speed, where this one depends on speed alone: slow and quick reversals tell them apart. Needs
+    samples at low speed that are not reversals.
+
+    Source
+    ------
+    Hardeman 2008, equation 3.53, asperity part; after R. Stribeck, 1902.
+    """
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     velocity: float | None = shape("rad/s", start=0.1, lower=1e-3, upper=20.0)
@@ -201,6 +274,20 @@ class FrictionDrift(JointEffect):
     """Viscous friction that fades as the joint warms up, ``coefficient * exp(-t / time_constant) * v``.
 
     The time is the file's, from its start.
+
+    Signature
+    ---------
+    Proportional to velocity, with a slope that decays from the start of a file: large early, gone late.
+
+    Neighbours
+    ----------
+    `viscous_friction` has the same slope all through. Recordings must be long beside the time constant; over a
+    fraction of it the drift is a constant slope.
+
+    Source
+    ------
+    Not in Hardeman 2008; friction of a warming robot joint: A. C. Bittencourt, S. Gunnarsson, ASME Journal of
+    Dynamic Systems, Measurement, and Control 134(5), 2012.
     """
 
     coefficient: float | None = linear("N m s/rad", rank=FRICTION)

@@ -23,6 +23,20 @@ class GravitySpring(JointEffect):
     The anchors are points in the joint's own frame at zero angle, m: the first fixed to the parent link, the second
     to the child. They are geometry and cannot be estimated, so no search tries this effect. The length follows the
     joint angle theta = e + eps1 alone; what the bending of the joint (about 1e-3 rad) adds to it is left out.
+
+    Signature
+    ---------
+    A curve against the joint's own angle, near a sine, at rest too, against the links' weight.
+
+    Neighbours
+    ----------
+    `joint_spring` is a straight line. Gravity depends on how the link lies in space, the spring only on its own joint's
+    angle: tilt the link by a joint before it. Where nothing else tilts it, as the upper arm of an upright robot, a
+    fitted link takes the spring up.
+
+    Source
+    ------
+    Hardeman 2008, equations 3.9 and 3.61.
     """
 
     part: ClassVar[str] = "spring"

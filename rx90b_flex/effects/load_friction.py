@@ -17,6 +17,21 @@ class LoadFriction(JointEffect):
     """Gear friction, ``coefficient * |load| * sign(v)``; the load is the torque that the links ask of the joint.
 
     The load comes from the tree as it is known, so the column is linear in the coefficient alone.
+
+    Signature
+    ---------
+    A jump at reversal whose height follows the torque that the joint carries: against velocity the residual fans
+    out by load.
+
+    Neighbours
+    ----------
+    `coulomb_friction` jumps by the same in every pose. Told apart by stretched and folded poses, or with and
+    without payload.
+
+    Source
+    ------
+    Not in Hardeman 2008; load dependence of friction in a robot joint: A. C. Bittencourt, S. Gunnarsson, ASME
+    Journal of Dynamic Systems, Measurement, and Control 134(5), 2012.
     """
 
     needs_load: ClassVar[bool] = True

@@ -21,6 +21,19 @@ class Payload(FrameEffect):
     The force is linear in the mass. About the frame a point mass at c has the first moment ``mass * c`` and the
     inertia ``mass * (c.c I - c c^T)``, so the place c is three shape parameters: with the frame's ten body columns Y
     (3.47) the one column is ``Y @ (1, c, c.c I - c c^T)``.
+
+    Signature
+    ---------
+    Gravity and inertia torques in every joint before the frame, in the proportions of a mass there.
+
+    Neighbours
+    ----------
+    Fitted links take a payload up: the last link's own ten parameters hold it. It shows where links are ``known``,
+    or between recordings with and without the tool. `base_tilt` also loads an upright first axis at rest.
+
+    Source
+    ------
+    Hardeman 2008, equations 3.47 to 3.52 for a point mass.
     """
 
     adds_inertia: ClassVar[bool] = True

@@ -25,6 +25,22 @@ class PreslidingFriction(JointEffect):
 
     ``dF/dq = stiffness * (1 - F / torque * sign(v))``. Where samples do not follow each other in time there is no memory, and it
     is what it comes to after sliding: ``torque * sign(v)``.
+
+    Signature
+    ---------
+    After each reversal the torque turns over gradually, along the same small angle whatever the speed: a loop
+    against position.
+
+    Neighbours
+    ----------
+    `coulomb_friction` turns over at once; `stribeck_friction` depends on the speed reached since. `backlash` acts
+    where the load changes sign, not the velocity. A log with few samples a reversal cannot tell it from dry
+    friction behind a slow filter.
+
+    Source
+    ------
+    Not in Hardeman 2008; P. R. Dahl, *A Solid Friction Model*, The Aerospace Corporation, TOR-0158(3107-18)-1,
+    1968.
     """
 
     remembers: ClassVar[bool] = True

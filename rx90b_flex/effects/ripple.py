@@ -127,7 +127,21 @@ class PeriodicEffect(SineEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class GearRipple(PeriodicEffect):
-    """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
+    """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn.
+
+    Signature
+    ---------
+    A sine of the joint's angle, of the same height at every speed; in time its frequency follows the speed.
+
+    Neighbours
+    ----------
+    `line_interference` keeps its frequency in time. `transmission_error` and `resolver_error` grow with the square
+    of the speed, since they bend the acceleration.
+
+    Source
+    ------
+    Not in Hardeman 2008; meshing of teeth and cogging of motors.
+    """
 
     part: ClassVar[str] = "spring"
     law_stores: ClassVar[bool] = True

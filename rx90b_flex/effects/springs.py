@@ -20,6 +20,19 @@ class JointSpring(JointEffect):
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
     the same joint, the preload cannot be told from it and the rest angle stays unknown.
+
+    Signature
+    ---------
+    A straight line against the joint's own angle, at rest too, whatever the other joints do.
+
+    Neighbours
+    ----------
+    Gravity bends over a radian and depends on the joints before it as well. `gravity_spring` is a curve. A constant
+    torque on the same joint (`torque_offset`) takes the preload's place.
+
+    Source
+    ------
+    Not in Hardeman 2008; the linear case of equation 3.61 between two neighbouring links.
     """
 
     part: ClassVar[str] = "spring"

@@ -22,6 +22,20 @@ class TorqueDelay(Effect):
     Its column is the secant ``(tau(t - d) - tau(t)) / d`` of the present model's torque, d the present delay or, before there is
     one, a sample, which no step of dry friction slips through. The model is asked for the torque of the motion of d ago: between
     samples a step of friction has its own instant.
+
+    Signature
+    ---------
+    Proportional to the torque's rate of change: where the torque jumps or rises, on all joints alike if one clock
+    is at fault.
+
+    Neighbours
+    ----------
+    `drive_inertia` follows the acceleration, `viscous_friction` the velocity; torque that changes with neither, as
+    at a reversal of dry friction, tells.
+
+    Source
+    ------
+    Not in Hardeman 2008; current measured, filtered and logged after the position.
     """
 
     on: ClassVar[str] = "robot or joint"
@@ -93,7 +107,21 @@ def _late(x: Array, time: Array, delay: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class MotorSaturation(JointEffect):
-    """The motor gives ``tau - coefficient * tau^3`` where the log, which knows its current, says tau."""
+    """The motor gives ``tau - coefficient * tau^3`` where the log, which knows its current, says tau.
+
+    Signature
+    ---------
+    Proportional to the third power of the logged torque: at the torque's peaks only, whatever causes them.
+
+    Neighbours
+    ----------
+    A wrong motor constant scales all torques alike and cannot be told from the links' scale. `load_friction` needs
+    motion and changes sign with the velocity.
+
+    Source
+    ------
+    Not in Hardeman 2008; the first odd term by which a saturating motor falls short of its current.
+    """
 
     acts_on: ClassVar[str] = "signals"
     in_dynamics: ClassVar[bool] = False
@@ -144,6 +172,18 @@ class LineInterference(SineEffect):
     """Mains or another fixed frequency in the torque signal, ``amplitude * sin(2 pi frequency_hz t + phase)``.
 
     The time is the file's, so that recordings of one clock share the phase.
+
+    Signature
+    ---------
+    One frequency in time, the same whether the robot moves or stands; a line in the residual's spectrum.
+
+    Neighbours
+    ----------
+    `gear_ripple` and the angle errors change their frequency with the speed. At one constant speed they look alike.
+
+    Source
+    ------
+    Not in Hardeman 2008; mains and switching in current sensors.
     """
 
     acts_on: ClassVar[str] = "signals"

@@ -23,13 +23,14 @@ from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_PEAK,
     PERIOD_S,
     Trajectory,
+    harmonics,
     sine_excitation,
     square_wave,
     straight_line,
 )
 
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
-BUILT_IN = ("line", "excitation", "square-wave")
+BUILT_IN = ("line", "excitation", "square-wave", "harmonics")
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def controller_of(robot: Robot, file: Path | None) -> CS8:
     own = load_cs8()
     if set(robot.joints) <= {joint.name for joint in own.joints} and robot.name.startswith("rx90b"):
         return own.for_joints(robot.joints)
-    return design_cs8(robot, np.zeros(len(robot.joints)))
+    return design_cs8(robot)
 
 
 def _of_robot(controller: CS8, robot: Robot, where: str) -> CS8:
@@ -121,6 +122,8 @@ def _trajectory(robot: Robot, controller: CS8, request: Request) -> Trajectory:
         return straight_line(robot, rate_hz=rate)
     if request.motion == "excitation":
         return sine_excitation(robot, rng, periods=request.periods, rate_hz=rate)
+    if request.motion == "harmonics":
+        return harmonics(robot, rng, periods=request.periods, rate_hz=rate)
     if request.motion == "square-wave":
         moving = robot.joints[:3]
         pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]

@@ -244,15 +244,31 @@ def design_gains(inertia: Array, bandwidth_hz: float, damping: float, integral_h
     return inertia * (w * w + velocity * slow), inertia * (velocity + slow), inertia * w * w * slow
 
 
+def mean_rigid_inertia(robot: Robot, poses: int = 32) -> Array:
+    """`rigid_inertia` averaged over poses spread evenly at random within the limits of position, shape (joints,), kg m^2.
+
+    One pose would not do: stretched straight up, an arm's first joint turns next to nothing.
+    """
+    low, high = (np.clip(x, -np.pi, np.pi) for x in (robot.tree.lowerPositionLimit, robot.tree.upperPositionLimit))
+    drawn = np.random.default_rng(0).uniform(low, np.maximum(low, high), (poses, len(robot.joints)))
+    return np.mean([rigid_inertia(robot, pose) for pose in drawn], axis=0)
+
+
 def design_cs8(
-    robot: Robot, pose: Array, bandwidth_hz: float = 5.0, damping: float = 0.8, integral_hz: float = 0.5
+    robot: Robot,
+    pose: Array | None = None,
+    bandwidth_hz: float = 5.0,
+    damping: float = 0.8,
+    integral_hz: float = 0.5,
 ) -> CS8:
     """A controller for any robot: gains from `design_gains` on its rigid inertia, limits from its URDF.
+
+    The inertia is that at `pose`, (joints,), rad; without one `mean_rigid_inertia`.
 
     Quantisation: a 16-bit resolver behind a gear of 100 (1e-6 rad), speed from its difference over about 1/100 s, and
     12 bits of current.
     """
-    inertia = rigid_inertia(robot, pose)
+    inertia = mean_rigid_inertia(robot) if pose is None else rigid_inertia(robot, pose)
     gains = design_gains(inertia, bandwidth_hz, damping, integral_hz)
     limits = np.asarray(robot.tree.upperEffortLimit, dtype=float)
     joints = []

@@ -160,7 +160,7 @@ def _controller(robot: Robot, file: Path | None) -> CS8:
     own = load_cs8()
     if _has_own(robot, own):
         return own.for_joints(robot.joints)
-    return design_cs8(robot, np.zeros(len(robot.joints)))
+    return design_cs8(robot)
 
 
 def _has_own(robot: Robot, controller: CS8) -> bool:

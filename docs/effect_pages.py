@@ -1,0 +1,147 @@
+"""The effect catalogue: one page per effect type, made from its class alone, so that a new effect needs no edit here."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+from rx90b_flex.effects import Effect, Parameter, Sites, catalogue
+
+SECTIONS = ("Signature", "Neighbours", "Source")
+HEADINGS = ("Signature in the residual", "Told from its neighbours", "Source")
+PLACES = {
+    "forces": "a force of the robot",
+    "coordinates": "adds coordinates to the robot",
+    "signals": "between robot and log",
+}
+KINDS = {
+    "linear": "the torque is proportional to it",
+    "shape": "gives the torque its shape",
+    "derived": "made from the coefficients that are fitted",
+    "given": "stated, never estimated",
+}
+LEAD = """# Effect catalogue
+
+A robot is a rigid tree and a list of effects. Each type has one page: what it is, its parameters, what it leaves in the residual of a
+model that lacks it, and what tells it from its neighbours.
+"""
+EXAMPLE = "In a robot file (the numbers only show the form; a value that is left out is identified):"
+ANYWHERE = Sites(("joint_1", "joint_2"), "tool0")
+KEYS = {
+    "joint": 'joint = "joint_2"',
+    "joints": 'joints = ["joint_5", "joint_6"]',
+    "frame": 'frame = "tool0"',
+    "robot": "",
+    "robot or joint": 'joint = "joint_2"  # left out: all joints alike',
+}
+
+
+@dataclass(frozen=True)
+class Text:
+    """A class's docstring: what it is, and the text of each of `SECTIONS`."""
+
+    what: str
+    sections: tuple[str, ...]
+
+
+def text_of(cls: type[Effect]) -> Text:
+    """The parts of an effect's docstring.
+
+    Raises
+    ------
+    ValueError
+        The class, and the section that is missing or empty.
+    """
+    doc = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
+    found: dict[str, str] = {}
+    parts = re.split(rf"^({'|'.join(SECTIONS)})\n-+\n", doc, flags=re.MULTILINE)
+    for title, body in zip(parts[1::2], parts[2::2], strict=True):
+        found[title] = body.strip()
+    for title in SECTIONS:
+        if not found.get(title):
+            raise ValueError(f"{cls.__name__}: its docstring has no section {title!r}")
+    return Text(parts[0].strip(), tuple(found[title] for title in SECTIONS))
+
+
+def page(cls: type[Effect]) -> str:
+    """The page of an effect type, Markdown."""
+    text = text_of(cls)
+    lines = [f"# `{cls.type_name()}`", "", _linked(text.what, cls), "", f"*{_place(cls)}.*", "", "## Parameters", ""]
+    lines += ["| name | unit | bounds | |", "|---|---|---|---|"]
+    for name, p in cls.parameters().items():
+        size = f" [{p.size}]" if p.size > 1 else ""
+        lines.append(f"| `{name}`{size} | {p.unit} | {_bounds(p)} | {KINDS[p.kind]} |")
+    lines += ["", EXAMPLE, "", "```toml", *_table(cls), "```", ""]
+    for heading, body in zip(HEADINGS, text.sections, strict=True):
+        lines += [f"## {heading}", "", _linked(body, cls), ""]
+    return "\n".join(lines)
+
+
+def index() -> str:
+    """The catalogue's first page, Markdown."""
+    lines = [LEAD]
+    for place, words in PLACES.items():
+        lines += [f"## {words[0].upper()}{words[1:]}", "", "| type | on | what it is |", "|---|---|---|"]
+        for name, cls in catalogue().items():
+            if cls.acts_on == place:
+                first = " ".join(text_of(cls).what.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
+                lines.append(f"| [`{name}`]({name}.md) | {cls.on} | {first} |")
+        lines.append("")
+    return "\n".join([*lines, "```{toctree}", ":hidden:", "", *catalogue(), "```", ""])
+
+
+def write_pages(folder: Path) -> None:
+    """Write index and pages; files that are already right keep their time, so that a second build is quick."""
+    folder.mkdir(exist_ok=True)
+    pages = {"index": index()} | {name: page(cls) for name, cls in catalogue().items()}
+    for name, text in pages.items():
+        path = folder / f"{name}.md"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    for path in folder.glob("*.md"):
+        if path.stem not in pages:
+            path.unlink()
+
+
+def _place(cls: type[Effect]) -> str:
+    on = {"joint": "a joint", "joints": "two joints", "frame": "a frame", "robot": "the robot"}.get(
+        cls.on, f"the {cls.on}"
+    )
+    said = [f"On {on}; {PLACES[cls.acts_on]}"]
+    if cls.replaces:
+        said.append("stands in for " + " and ".join(f"`{name}`" for name in cls.replaces) + " there")
+    if cls.needs:
+        said.append("beside " + " and ".join(f"`{name}`" for name in cls.needs))
+    if cls.repeats:
+        said.append("may stand there more than once")
+    searched = not cls.virtual and cls.everywhere(ANYWHERE)
+    said.append("closing the loop tries it" if searched else "closing the loop on torques does not try it")
+    return "; ".join(said)
+
+
+def _linked(text: str, own: type[Effect]) -> str:
+    """The docstring's text as Markdown: names of effect types become links to their pages."""
+    text = text.replace("``", "\0")
+    others = set(catalogue()) - {own.type_name()}
+    text = re.sub(r"`(\w+)`", lambda m: f"[`{m[1]}`]({m[1]}.md)" if m[1] in others else m[0], text)
+    return text.replace("\0", "`")
+
+
+def _bounds(p: Parameter) -> str:
+    low, high = (f"{x:g}" if abs(x) < float("inf") else "" for x in (p.lower, p.upper))
+    if low and high:
+        return f"{low} to {high}"
+    return f"{low} or more" if low else ""
+
+
+def _table(cls: type[Effect]) -> list[str]:
+    """An effect in a robot file, with numbers that only show the form."""
+    lines = ["[[effects]]", f'type = "{cls.type_name()}"', KEYS[cls.on]]
+    for name, p in cls.parameters().items():
+        number = f"{float(p.start) if isfinite(p.start) else 1.0}"
+        value = number if p.size == 1 else "[" + ", ".join([number] * p.size) + "]"
+        lines.append(f"{name} = {value}  # {p.unit}")
+    return [line for line in lines if line]
