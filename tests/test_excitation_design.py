@@ -374,9 +374,9 @@ def test_figures_have_axes_with_units() -> None:
 
 
 @pytest.mark.slow
-def test_a_designed_excitation_is_conditioned_better_than_that_of_section_422() -> None:
+def test_a_designed_excitation_is_conditioned_five_times_better_than_that_of_section_422() -> None:
     """At equal duration, within limits that the other does not keep; by simulated motion of both."""
     design = design_excitation(robot(), seed=0, controller=controller())
     assert design.margins().kept
     other = design.assess(section_422())
-    assert other.condition / design.assess().condition >= 3.0
+    assert other.condition / design.assess().condition >= 5.0
