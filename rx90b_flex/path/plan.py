@@ -131,6 +131,7 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
         raise ValueError(f"{seam.name}: {arm.out_of_reach(0.0, point[0])}")
 
     def follow(start: Array, rows: slice) -> Plan | Problem:
+        arm.choose_joints(start)
         wanted = np.tile(arm.frame(start), (len(point), 1, 1)) if seam.orientation == "keep" else frames
         followed = arm.follow(start, distance[rows], point[rows], None if wanted is None else wanted[rows])
         if isinstance(followed, Problem):
@@ -159,7 +160,11 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
 
 
 class _Arm:
-    """Inverse kinematics of the rigid robot's tip by Newton's method; redundant joints turn as little as they can."""
+    """Inverse kinematics of the rigid robot's tip by Newton's method.
+
+    Where the orientation is free, the three joints that move the tip best at the start do it, and the others stand still: asked for a
+    little motion, they would stick. With an orientation, redundant joints turn as little as they can.
+    """
 
     def __init__(self, robot: Robot, seam: Seam) -> None:
         self.robot, self.seam = robot, seam
@@ -167,10 +172,20 @@ class _Arm:
         self.tip = self.model.getFrameId(robot.tip_frame)
         self.size = max(sum(float(np.linalg.norm(x.translation)) for x in self.model.jointPlacements), 0.1)  # m
         self.lower, self.upper = (np.asarray(x) for x in (self.model.lowerPositionLimit, self.model.upperPositionLimit))
+        self.used = np.ones(self.model.nv)
         if seam.orientation != "free" and self.model.nv < 6:
             raise ValueError(
                 f"{seam.name}: an orientation needs 6 joints or more, {robot.name} has {self.model.nv}; expected orientation 'free'"
             )
+
+    def choose_joints(self, q: Array) -> None:
+        """Choose the joints that carry the tip, at a start."""
+        if self.seam.orientation != "free":
+            return
+        jacobian = pin.computeFrameJacobian(self.model, self.data, q, self.tip, pin.LOCAL_WORLD_ALIGNED)[:3]
+        sets = itertools.combinations(range(self.model.nv), min(3, self.model.nv))
+        best = max(sets, key=lambda joints: float(np.linalg.svd(jacobian[:, list(joints)], compute_uv=False)[-1]))
+        self.used = np.isin(np.arange(self.model.nv), best).astype(float)
 
     def frame(self, q: Array) -> Array:
         """Rotation of the tip frame."""
@@ -179,7 +194,7 @@ class _Arm:
 
     def task(self, q: Array, point: Array, frame: Array | None) -> tuple[Array, Array]:
         """What is missing, and its Jacobian; turns are counted in metres at the end of the arm."""
-        jacobian = pin.computeFrameJacobian(self.model, self.data, q, self.tip, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = pin.computeFrameJacobian(self.model, self.data, q, self.tip, pin.LOCAL_WORLD_ALIGNED) * self.used
         pin.updateFramePlacement(self.model, self.data, self.tip)
         at = self.data.oMf[self.tip]
         missing = point - at.translation

@@ -8,7 +8,7 @@ A path file (TOML) has
     acceleration = 1.0             m/s^2, the largest along the path, and across it on a blend
     corner = "stop"                or "blend": an arc that leaves each corner's sides blend_mm before it
     blend_mm = 5.0
-    orientation = "free"           only the tip's place matters; "keep": that of the start;
+    orientation = "free"           only the tip's place matters, three joints carry it; "keep": that of the start;
                                    or rpy_deg = [[r, p, y], ...] or quaternion_xyzw = [[x, y, z, w], ...], one a point or one for all
     start_deg = [0, 40, 80, 0]     joint angles near the start, where the robot can reach it in several ways
     robot = "rx90b_4dof"           whose path it is, where the command does not say
