@@ -37,6 +37,7 @@ from rx90b_flex.identify.starting_values import (
 
 TURN = 2 * np.pi
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
+BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: what lies beside the band may need one
 EDGE_HZ = 0.01  # by which an antiresonance may leave its bounds at a cost of 1
 
 
@@ -254,8 +255,8 @@ class Candidate:
     started : str
         Where its poles came from.
     bound : bool
-        Whether a mode not above the lines ended on a bound: then it is no mode of the band, and candidates without such
-        modes go before.
+        Whether a mode not above the lines ended on a bound: then it is no mode of the band, and the criterion counts
+        `BOUND_PRICE` times.
     """
 
     modes: int
@@ -441,7 +442,7 @@ def fit_transfer_functions(
         sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
     price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
     spread = efficiency(response)[0]
-    best: tuple[tuple[bool, float], Array, float, _Layout] | None = None
+    best: tuple[float, Array, float, _Layout] | None = None
     candidates: list[Candidate] = []
     before: TransferFunctions | None = None
     for m in tried:
@@ -451,8 +452,9 @@ def fit_transfer_functions(
             fits.append((*_climb(problem, layout, layout.pack(model), bounds), told))
         x, cost, told = min(fits, key=lambda fit: fit[1])
         before = layout.unpack(x)
-        score = (_on_bound(layout, x, bounds), float(cost / spread + price * layout.count))
-        candidates.append(Candidate(m, cost, layout.count, score[1], told, score[0]))
+        on_bound, value = _on_bound(layout, x, bounds), float(cost / spread + price * layout.count)
+        candidates.append(Candidate(m, cost, layout.count, value, told, on_bound))
+        score = value * (BOUND_PRICE if on_bound else 1.0)
         if best is None or score < best[0]:
             best = (score, x, cost, layout)
         elif m - best[3].modes >= 2:
