@@ -372,7 +372,9 @@ class _Rounds:
                 return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
             errors = self.data.errors(candidate)
             rivals = tuple(t for t in trials if t is not best)
-            steps = (*outcome.steps, _Step(best, rivals, errors))
+            # what the new effect stands in for is no longer in the model, even if an earlier round added it
+            kept = [s for s in outcome.steps if added([s.trial.effect], best.effect)[0] is s.trial.effect]
+            steps = (*kept, _Step(best, rivals, errors))
             outcome = self._pruned(_Outcome(candidate, errors, steps, ()))
         return outcome
 

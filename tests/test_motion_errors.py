@@ -1,0 +1,53 @@
+"""Claims about the motion before and after: an RX90B under its controller, with a spring that its file does not declare."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rx90b_flex as rf
+from rx90b_flex.diagnose.motion import MotionErrors, motion_errors
+from rx90b_flex.effects import effect_from_table
+from rx90b_flex.export import save_robot
+from rx90b_flex.signals import write_campaign
+from rx90b_flex.simulate import Noise, load_cs8, simulate, sine_excitation
+from rx90b_flex.view.report import report_html
+
+SPRING = {"type": "joint_spring", "joint": "joint_3", "stiffness": 60.0, "rest_angle": 0.0}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> rf.ClosedLoop:
+    folder: Path = tmp_path_factory.mktemp("motion")
+    declared = rf.load_robot("rx90b_3dof")
+    true = declared.with_effects([*declared.effects, effect_from_table(SPRING, "test", declared.joints)])
+    rng = np.random.default_rng(0)
+    recordings = []
+    for number, role in enumerate(("identification", "identification", "validation")):
+        motion = sine_excitation(declared, rng)
+        run = simulate(true, load_cs8(), motion, noise=Noise(torque=0.5, position=1e-6), rng=rng, role=role)  # type: ignore[arg-type]
+        recordings.append(dataclasses.replace(run.recording, name=f"run_{number}"))
+    save_robot(declared, folder, "declared.toml", allow_inconsistent=True)
+    return rf.close_loop(write_campaign(folder, "declared.toml", recordings, cutoff_hz=20.0))
+
+
+@pytest.mark.slow
+def test_the_simulated_motion_comes_nearer_to_the_log_when_the_spring_is_added(result):
+    assert "joint_3.joint_spring" in [e.effect.label for e in result.effects]
+    motion = motion_errors(result)
+    assert isinstance(motion, MotionErrors), motion
+    assert motion.motor_after_mrad[2] < motion.motor_before_mrad[2]
+    assert motion.link_before_mrad is None and motion.tip_before_mm is None
+    assert motion.tip_apart_mm > 0
+    page = report_html(result, motion)
+    assert "Motion in closed loop" in page and "No link side was measured" in page
+
+
+@pytest.mark.slow
+def test_without_references_it_is_said_that_no_motion_can_be_compared(result):
+    runs = [dataclasses.replace(r, reference_position=None) for r in result.campaign.recordings]
+    blind = dataclasses.replace(result, campaign=dataclasses.replace(result.campaign, recordings=tuple(runs)))
+    assert "no references" in str(motion_errors(blind))
