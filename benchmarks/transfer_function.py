@@ -1,10 +1,9 @@
-"""Time and errors of the parametric identification, from a frequency response on: python benchmarks/transfer_function.py [FRF.npz]
+"""Time and errors of the parametric identification: python benchmarks/transfer_function.py [--folder DIR --seeds 0 1 2]
 
-FRF.npz holds `hz`, `value`, `covariance`, `dof` of the campaign of section 6.6.2 on rx90b_3dof (16 realisations, both signs).
-Without it the linearised arm with independent noise of 1 % is used. Tables: resonances and antiresonances between 8 and 80 Hz
-beside the truth, linearised at the mean pose and moving at 0.11 rad/s; drive parameters beside
-what the true modes would give when cut at the same
-number; the tests of the fit.
+With a folder, from campaigns of section 6.6.2 on rx90b_3dof, one a seed, simulated where they are not there (`--method nonlinear`
+takes minutes each; `benchmarks/grey_box.py` uses the same ones). Without it, from the linearised arm with independent noise of 1 %.
+Tables: resonances and antiresonances between 8 and 80 Hz beside the truth, linearised at the mean pose and moving at 0.11 rad/s;
+drive parameters beside what the true modes would give when cut at the same number; the tests of the fit.
 """
 
 from __future__ import annotations
@@ -12,6 +11,8 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from pathlib import Path
+from typing import Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -19,10 +20,13 @@ import numpy as np
 
 import rx90b_flex as rf
 from rx90b_flex.identify.frequency_response import FrequencyResponse
+from rx90b_flex.identify.frf import estimate_frequency_response
 from rx90b_flex.identify.inverse_eigenvalue import identify_drives, truncated_drive_parameters
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.identify.validation import validate
 from rx90b_flex.linearize import Linearization
+from rx90b_flex.signals import load_campaign
+from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
 
 BAND_HZ = (8.0, 80.0)
 SOURCE_WORST_HZ = 1.54  # table 6.1
@@ -48,23 +52,40 @@ def made_response(line: Linearization) -> FrequencyResponse:
     return FrequencyResponse(hz, value + error, covariance, line.joints, np.array([0.0, np.pi / 2, 0.0]))
 
 
+def campaign_response(folder: Path, seed: int, method: Literal["nonlinear", "perturbation"]) -> FrequencyResponse:
+    """Of a campaign, made where it is not there."""
+    path = folder / f"{method}_{seed}"
+    if not (path / "campaign.toml").exists():
+        noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
+        result = run_campaign(
+            section_662(rf.load_robot("rx90b_3dof"), load_cs8(), noise=noise, seed=seed, method=method), path
+        )
+        assert not result.failed, result.failed[0]
+    return estimate_frequency_response(load_campaign(path / "campaign.toml"), band_hz=BAND_HZ)
+
+
 def main() -> None:
+    """Fit and compare, seed by seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("file", nargs="?")
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--method", choices=("perturbation", "nonlinear"), default="perturbation")
     parser.add_argument("--modes", type=int, nargs="*", default=list(range(2, 9)))
     arguments = parser.parse_args()
     line = moving_arm()
-    if arguments.file is None:
-        response = made_response(line)
-    else:
-        with np.load(arguments.file) as data:
-            dof = float(data["dof"])
-            response = FrequencyResponse(
-                data["hz"], data["value"], data["covariance"], line.joints, data["pose"], degrees_of_freedom=dof
-            )
+    if arguments.folder is None:
+        show(made_response(line), line, arguments.modes)
+        return
+    for seed in arguments.seeds:
+        print(f"\n==== seed {seed}")
+        show(campaign_response(arguments.folder, seed, arguments.method), line, arguments.modes)
+
+
+def show(response: FrequencyResponse, line: Linearization, modes: list[int]) -> None:
+    """Fit one response; print its tables."""
     response = response.band(*BAND_HZ)
     start, cpu = time.perf_counter(), time.process_time()
-    fit = fit_transfer_functions(response, arguments.modes)
+    fit = fit_transfer_functions(response, modes)
     validation, drives = validate(fit), identify_drives(fit)
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
     print(f"{wall:.1f} s ({cpu:.1f} s of one core) for {len(response.hz)} lines, fit, tests and drives together\n")

@@ -45,12 +45,27 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
 
 @app.command("close-loop")
 def close_loop_command(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    campaign: Annotated[
+        Path, typer.Argument(help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`.")
+    ],
     out: Out,
     seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
+    robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
+    model_error: Annotated[
+        float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
+    ] = None,
 ) -> None:
-    """Find what the recordings of CAMPAIGN hold that its declared robot does not, and add it to the model."""
+    """Find what the data of CAMPAIGN hold that its declared robot does not, and add it to the model."""
+    from rx90b_flex.diagnose.close_flexible import speaks_of_frequency
+
+    if speaks_of_frequency(campaign):
+        _close_over_frequency(campaign, out, robot, model_error)
+        return
+    for name, value in (("--robot", robot), ("--model-error", model_error)):
+        if value is not None:
+            raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
     from rx90b_flex.diagnose.close import close_loop
+    from rx90b_flex.diagnose.motion import motion_errors
     from rx90b_flex.diagnose.output import write_result
     from rx90b_flex.signals.folders import check_folder
     from rx90b_flex.view.report import write_report
@@ -58,10 +73,28 @@ def close_loop_command(
     check_folder(out)
     with _progress() as tell:
         result = close_loop(campaign, seed=seed, progress=tell)
-        tell("writing the report", 0.98)
-        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html")])
+        tell("simulating the closed loop and writing the report", 1.0)
+        motion = motion_errors(result)
+        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)])
     console = Console()
     _print_result(console, result)
+    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+
+
+def _close_over_frequency(source: Path, out: Path, robot: str | None, model_error: float | None) -> None:
+    from rx90b_flex.diagnose.close_flexible import change_words, close_over_frequency, write_loop
+    from rx90b_flex.signals.folders import check_folder
+    from rx90b_flex.view.flexible_report import headline, write_flexible_report
+
+    check_folder(out)
+    with _progress() as tell:
+        loop = close_over_frequency(source, robot, model_error, tell)
+        tell("writing the report", 0.98)
+        write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")])
+    console = Console()
+    console.print(f"[bold]{loop.source.name}: {loop.verdict.replace('_', ' ')}[/bold]")
+    for text in (*(change_words(f) for f in loop.found), headline(loop), *loop.doubts()):
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
 
 
@@ -116,6 +149,10 @@ def frf(
     bending_alike_std: Annotated[
         float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
     ] = 0.1,
+    references: Annotated[
+        Path | None,
+        typer.Option(help="Folder references/ of `rx90b-flex excite`, where the logs lack the feed-forward torque."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
 ) -> None:
     """Identify stiffness, damping and drive inertia from the motor signals of CAMPAIGN alone."""
@@ -130,7 +167,7 @@ def frf(
         raise ValueError(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
         )
-    options = Options((low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed)
+    options = Options((low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references)
     with _progress() as tell:
         result = identify_from_motors(campaign, options, tell)
         tell("writing the report", 0.97)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from xml.etree import ElementTree
 
 import numpy as np
 from mujoco_engine import Engine
 from scipy.linalg import eigh
 
 from rx90b_flex.diagnose.modal import ModalPose, ModalTable, ModeList
-from rx90b_flex.robot import Robot
+from rx90b_flex.effects.flexibility import BaseFlexibility
+from rx90b_flex.identify.frequency_response import FrequencyResponse
+from rx90b_flex.robot import Robot, load_robot
 
 Array = np.ndarray
 BAND = (8.0, 75.0)
@@ -30,26 +33,55 @@ class Truth:
     stiffness: dict[str, float]
     coupling: tuple[str, str, float] | None = None  # two coordinates and an inertia that turns with their sum
 
-    def modes(self, angles: dict[str, float], measured: tuple[str, ...], locked: str | None) -> Array:
-        """Undamped elastic frequencies, Hz."""
+    def _matrices(self, angles: dict[str, float]) -> tuple[tuple[str, ...], Array, Array]:
+        """Coordinates, mass, and stiffness with gravity's."""
         engine = Engine(self.urdf, self.torsion, self.bending, self.base, self.armature, self.stiffness)
         names = engine.coordinates
         q = np.array([angles.get(n.split(":")[0], 0.0) if n.endswith(":drive") else 0.0 for n in names])
-        free = [i for i, n in enumerate(names) if not n.endswith(":drive") or n.split(":")[0] in measured]
-        free = [i for i in free if names[i] != f"{locked}:drive"]
         mass, zero, steps = engine.mass_matrix(q), np.zeros(len(q)), 1e-4 * np.eye(len(q))
         if self.coupling is not None:
             a, b, inertia = self.coupling
             row = np.array([float(n in (a, b)) for n in names])
             mass += inertia * np.outer(row, row)
-        force = [
-            (engine.inverse_dynamics(q + d, zero, zero) - engine.inverse_dynamics(q - d, zero, zero)) / 2e-4
-            for d in steps
-        ]
-        stiff = 0.5 * (np.array(force) + np.array(force).T)
+        force = np.array(
+            [engine.inverse_dynamics(q + d, zero, zero) - engine.inverse_dynamics(q - d, zero, zero) for d in steps]
+        )
+        return names, mass, (force + force.T) / 4e-4
+
+    def response(self, angles: dict[str, float], measured: tuple[str, ...], hz: Array, slope: float = 30.0) -> Array:
+        """Acceleration of the measured drives over their torque; dampings 1 ms times the stiffness, viscous friction."""
+        names, mass, stiff = self._matrices(angles)
+        damping = np.diag([1e-3 * self.stiffness.get(n, 0.0) for n in names])
+        for joint in measured:
+            port = np.array([float(n in (f"{joint}:drive", f"{joint}:torsion")) for n in names])
+            damping += slope * np.outer(port, port)
+        free = [i for i, n in enumerate(names) if not n.endswith(":drive") or n.split(":")[0] in measured]
+        drives = np.array([[float(names[i] == f"{j}:drive") for j in measured] for i in free])
+        at = np.ix_(free, free)
+        s = 2j * np.pi * hz[:, None, None]
+        return s**2 * (drives.T @ np.linalg.inv(s**2 * mass[at] + s * damping[at] + stiff[at]) @ drives)
+
+    def modes(self, angles: dict[str, float], measured: tuple[str, ...], locked: str | None) -> Array:
+        """Undamped elastic frequencies, Hz."""
+        names, mass, stiff = self._matrices(angles)
+        free = [i for i, n in enumerate(names) if not n.endswith(":drive") or n.split(":")[0] in measured]
+        free = [i for i in free if names[i] != f"{locked}:drive"]
         at = np.ix_(free, free)
         squares = eigh(stiff[at], mass[at], eigvals_only=True)
         return np.sqrt(squares[len(measured) - (locked is not None) :]) / (2 * np.pi)
+
+
+def measured_response(
+    truth: Truth, rng: np.random.Generator, noise: float, angles: dict[str, float], joints: tuple[str, ...]
+) -> FrequencyResponse:
+    """On the lines of section 6.6.2 from 8 to 78 Hz; each entry's error of that part of its magnitude."""
+    hz = np.arange(33, 322, 2) / 4.096
+    clean = truth.response(angles, MEASURED, hz)
+    size = noise * np.abs(clean)
+    drawn = rng.standard_normal((2, *clean.shape)) / np.sqrt(2.0)
+    covariance = (size.reshape(len(hz), -1) ** 2)[:, :, None] * np.eye(9).astype(complex)
+    pose = np.array([angles.get(j, 0.0) for j in joints])
+    return FrequencyResponse(hz, clean + size * (drawn[0] + 1j * drawn[1]), covariance, MEASURED, pose)
 
 
 def truth_of(robot: Robot) -> Truth:
@@ -84,3 +116,63 @@ def measured(
             lists.append(ModeList(locked, seen, noise * seen))
         out.append(ModalPose(angles, tuple(lists)))
     return ModalTable(MEASURED, BAND, tuple(out))
+
+
+# ---- causes to hide -------------------------------------------------------------------------------------------------
+
+
+def without_springs(name: str = "rx90b") -> Robot:
+    """What both the package and the generator have: links, drives and hinges."""
+    robot = load_robot(name)
+    return robot.with_effects([e for e in robot.effects if e.part in ("drives", "flexibility")])
+
+
+PLAIN = without_springs()
+
+
+def scaled(robot: Robot, kind: str, joint: str, factor: float) -> Robot:
+    """The robot with the values of one effect multiplied."""
+    here = (kind, (joint,))
+    return robot.with_effects(
+        [
+            e.with_coefficients(factor * e.coefficients) if (e.type_name(), e.joints) == here else e
+            for e in robot.effects
+        ]
+    )
+
+
+def lacking(robot: Robot, kind: str, joint: str) -> Robot:
+    """The robot without one effect."""
+    return robot.with_effects([e for e in robot.effects if (e.type_name(), e.joints) != (kind, (joint,))])
+
+
+# declared, true, and what is to be found
+CAUSES = {
+    "nothing": (PLAIN, PLAIN, []),
+    "drive that twists": (lacking(PLAIN, "drive_flexibility", "joint_3"), PLAIN, ["joint_3.drive_flexibility"]),
+    "joint that bends": (lacking(PLAIN, "joint_flexibility", "joint_2"), PLAIN, ["joint_2.joint_flexibility"]),
+    "softer joint": (PLAIN, scaled(PLAIN, "joint_flexibility", "joint_2", 0.8), ["joint_2.joint_stiffness"]),
+    "softer drive": (PLAIN, scaled(PLAIN, "drive_flexibility", "joint_3", 0.8), ["joint_3.drive_stiffness"]),
+    "heavier rotor": (PLAIN, scaled(PLAIN, "drive_inertia", "joint_2", 1.3), ["joint_2.drive_inertia"]),
+    # unlike about its two axes: one that is alike is joint 1's bending, a little softer
+    "floor": (
+        PLAIN,
+        PLAIN.with_effects([*PLAIN.effects, BaseFlexibility(stiffness=(2e6, 8e6), damping=(2e3, 8e3))]),
+        ["base.base_flexibility"],
+    ),
+}
+
+
+def heavier(urdf: str, link: str, factor: float) -> str:
+    """A URDF in which one link has `factor` times the mass; its centre and its inertia about that stay."""
+    root = ElementTree.fromstring(urdf)
+    (mass,) = (m for x in root.findall("link") if x.get("name") == link for m in x.iter("mass"))
+    mass.set("value", repr(factor * float(mass.get("value", ""))))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+# what no change of the search can be
+OUTSIDE = {
+    "coupled drives": dataclasses.replace(truth_of(PLAIN), coupling=("joint_2:drive", "joint_3:drive", 0.6)),
+    "heavier forearm": dataclasses.replace(truth_of(PLAIN), urdf=heavier(PLAIN.urdf, "link_3", 1.15)),
+}

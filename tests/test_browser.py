@@ -19,9 +19,11 @@ import pytest
 from PIL import Image
 from test_report import HIDDEN, NOISE, closed_loop
 
+from rx90b_flex.path import Options, Seam, check_path
 from rx90b_flex.robot import load_robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, straight_line
 from rx90b_flex.view import compare, show, show_modes, write_report
+from rx90b_flex.view.path_report import write_path_report
 
 SIZE = {"width": 1000, "height": 640}
 ARGUMENTS = [
@@ -219,6 +221,22 @@ def test_the_report_opens_without_a_request(browser: Any, tmp_path: Path, pictur
     shown = page.page.evaluate(images)
     assert shown and all(shown)
     page.picture("report")
+    assert asked_outside(page, report.as_uri()) == [] and page.complaints == []
+    assert page.page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    page.page.close()
+
+
+def test_the_report_of_a_path_opens_without_a_request(browser: Any, tmp_path: Path, pictures: Path) -> None:
+    robot = load_robot("rx90b_3dof")
+    seam = Seam("seam", np.array([[0.55, -0.01, 0.35], [0.55, 0.01, 0.35]]), speed=0.1, start=np.deg2rad([0, 34, 69]))
+    report = tmp_path / "report.html"
+    write_path_report(
+        check_path(seam, robot, load_cs8().for_joints(robot.joints), Options(contributions=False)), report
+    )
+    page = opened(browser, report.as_uri(), pictures)
+    shown = page.page.evaluate("[...document.images].map(i => i.complete && i.naturalWidth > 0)")
+    assert len(shown) == 3 and all(shown)
+    page.picture("path_report")
     assert asked_outside(page, report.as_uri()) == [] and page.complaints == []
     assert page.page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     page.page.close()

@@ -183,6 +183,16 @@ def test_what_no_effect_explains_is_traced_to_the_signal_that_it_depends_on(outs
     assert outside.result.unexplained.where[0].signal == "wrist_1_joint position"
 
 
+def test_what_no_effect_explains_repeats_with_the_motion_in_bands_of_its_joint(outside):
+    """Where recordings repeat: friction that follows slow harmonics has its power below 5 Hz, under a low-pass of 15 Hz."""
+    found = outside.result.unexplained.bands
+    if outside.runs[0].period_s is None:
+        assert found == ()
+    else:
+        assert {b.joint for b in found} == {"elbow_joint"}
+        assert found[0].low_hz < 5.0 and found[0].score > 0.1
+
+
 # ---- files --------------------------------------------------------------------------------------------------
 
 
@@ -241,7 +251,11 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
         "after": roles,
         "noise_floor": {"torque_rms": [float, 6]},
         "verdict": str,
-        "unexplained": {"relative_error": float, "where": [{"joint": str, "signal": str, "score": float}, len(left)]},
+        "unexplained": {
+            "relative_error": float,
+            "where": [{"joint": str, "signal": str, "score": float}, len(left)],
+            "bands": [dict, 0],
+        },
     }
     assert_form(content, form)
     assert list(written.content) == [*list(form)[:6], "effects", *list(form)[6:]]
@@ -256,6 +270,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
         form |= {"joints": [str, 2]} if on_two else {}
         form |= {"parameters": dict.fromkeys(names, parameter)}
         form |= {"validation_relative_error_before": float, "validation_relative_error_after": float, "p_value": float}
+        form |= {"alternatives": [dict, len(entry["alternatives"])]}
         assert_form(entry, form, entry["type"])
     (pair,) = (e for e in effects if e["type"] == "joint_coupling")
     assert pair["joints"] == ["wrist_2_joint", "wrist_3_joint"]
@@ -264,7 +279,11 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
 def test_an_empty_result_has_the_form_of_the_interface_too(nothing):
     content = closed_loop_json(nothing.result)
     assert (content["effects"], content["noise_floor"], content["verdict"]) == ([], None, "nothing_missing")
-    assert content["unexplained"] == {"relative_error": content["after"]["validation"]["relative_error"], "where": []}
+    assert content["unexplained"] == {
+        "relative_error": content["after"]["validation"]["relative_error"],
+        "where": [],
+        "bands": [],
+    }
 
 
 def test_units_in_the_json_are_those_of_the_effect_types(written):

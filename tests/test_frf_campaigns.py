@@ -10,13 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from linear_campaign import BENT, HZ, LINES, SAMPLES, changed, recordings_at, viscous_robot, write
+from linear_campaign import BENT, HZ, LINES, RATE, SAMPLES, changed, recordings_at, viscous_robot, write
 
 from rx90b_flex import cli
 from rx90b_flex.identify import frf_command
 from rx90b_flex.identify.frf import POSE_SPREAD, confidence_radius, estimate_frequency_response, group_poses
 from rx90b_flex.identify.frf_command import Options, frf_json, identify_from_motors
-from rx90b_flex.signals import Recording
+from rx90b_flex.signals import Recording, load_campaign
+from rx90b_flex.simulate.excite import write_reference
+from rx90b_flex.simulate.trajectories import Trajectory
 from rx90b_flex.view import frf_report
 from rx90b_flex.view.page import Image
 
@@ -197,6 +199,39 @@ def test_what_cannot_be_used_at_all_is_one_line_and_nothing_is_written(
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_logs_without_feedforward_take_it_from_the_references_that_were_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = write(tmp_path / "c", ROBOT, without("feedforward_torque"))
+    sent = tmp_path / "references"
+    sent.mkdir()
+    for r in SMALL:
+        period = Trajectory(r.name, r.joints, r.sample_rate_hz, r.position, r.torque, r.feedforward_torque).part(
+            0, SAMPLES / RATE
+        )
+        write_reference(period, sent / f"{r.name}.csv")
+    logs = load_campaign(file).identification
+    with_it = [frf_command.with_reference(r, sent) for r in logs]
+    found, meant = (estimate_frequency_response(x) for x in (with_it, SMALL))
+    np.testing.assert_allclose(found.value, meant.value, rtol=1e-9)
+    assert found.places == meant.places
+    late = [frf_command.with_reference(begun_later(r, 100), sent) for r in logs]
+    # as good, with other noise at the ends of the periods
+    np.testing.assert_allclose(
+        estimate_frequency_response(late).value, meant.value, atol=6.0 * float(np.max(meant.std()))
+    )
+    (sent / f"{SMALL[4].name}.csv").unlink()
+    assert run(file, tmp_path / "out", monkeypatch, "--references", str(sent)) == 2
+    assert f"no {SMALL[4].name}.csv" in capsys.readouterr().err
+
+
+def begun_later(r: Recording, samples: int) -> Recording:
+    """The same log, begun so much later in the period."""
+    return dataclasses.replace(
+        r, position=np.roll(r.position, -samples, axis=0), torque=np.roll(r.torque, -samples, axis=0)
+    )
 
 
 def test_two_realisations_still_give_a_covariance_that_can_be_inverted_and_bands_that_hold() -> None:

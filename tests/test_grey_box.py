@@ -9,7 +9,7 @@ import pytest
 
 from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.identify.frequency_response import FrequencyResponse
-from rx90b_flex.identify.grey_box import GreyBox, _problem, grey_box, poses_along, smoothed_covariance
+from rx90b_flex.identify.grey_box import REACH_HZ, GreyBox, _problem, grey_box, poses_along, smoothed_covariance
 from rx90b_flex.robot import Robot, load_robot
 
 HZ = np.arange(33, 322, 2) / 4.096
@@ -87,7 +87,7 @@ def test_the_jacobian_is_the_derivative(motion):
 
     given = (response(true, STRETCHED, 0.03),)
     problem = _problem(true, given, (8.0, 80.0), 0.02, (), along, feedback, torques, 0.1)
-    problem = problem.with_bias(problem.declared, 0.01, 0.5)
+    problem = problem.with_bias(problem.declared, (0.01, 0.5))
     x = problem.declared + 0.1 * rng.standard_normal(len(problem.declared))
     jacobian = problem.jacobian(x[problem.free])
     direction = rng.standard_normal(len(x))
@@ -182,6 +182,24 @@ def test_friction_of_each_experiment_is_told_apart():
     for k, own in enumerate(slopes):
         for joint, slope in zip(true.joints, own, strict=True):
             assert grey[f"{joint}.friction_slope_{k + 1}"].value == pytest.approx(slope, rel=0.01)
+
+
+def test_the_size_of_a_smooth_error_is_estimated():
+    true, rng = robot(), np.random.default_rng(11)
+    data = response(true, BENT, 0.003, rng)
+    alike = np.exp(-0.5 * ((HZ[:, None] - HZ) / REACH_HZ) ** 2)
+    values, vectors = np.linalg.eigh(alike)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    drawn = rng.standard_normal((2, len(HZ), 9)) / np.sqrt(2.0)
+    smooth = (root @ (drawn[0] + 1j * drawn[1])).reshape(data.value.shape)
+    size = 0.02
+    off = dataclasses.replace(data, value=data.value + size * np.abs(data.value) * smooth)
+    # some 14 independent values an entry, of 9 entries: 126 complex numbers, less 24 real parameters
+    assert grey_box(true, off, starts=0, model_error=None, friction_error=0.0).model_error == pytest.approx(
+        size, rel=0.3
+    )
+    none = grey_box(true, data, starts=0, model_error=None, friction_error=0.0)
+    assert none.model_error < 0.003  # not above the noise
 
 
 def test_covariances_of_few_degrees_of_freedom_are_smoothed_and_an_interfering_line_kept():

@@ -27,7 +27,7 @@ from rx90b_flex.view.report import headline, measured, number, p_value, percent
 JOINTS = ("shoulder", 'elbow <b>"1" & $x_1$</b>')  # names that break HTML or mathematics if they are not escaped
 RATE_HZ, DURATION_S, NOISE = 100.0, 6.0, 0.02
 HIDDEN = CoulombFriction(joint=JOINTS[1], torque=1.5)
-SECTIONS = ("found", "errors", "residuals", "tried", "remains", "next", "parameters", "how")
+SECTIONS = ("found", "errors", "residuals", "alternatives", "tried", "remains", "next", "parameters", "how")
 
 
 def arm_urdf() -> str:

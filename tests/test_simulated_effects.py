@@ -271,6 +271,17 @@ def test_lost_motion_is_what_the_gap_and_the_spring_leave_to_the_load():
     assert np.ptp(m.q[:, at]) > 0.004
 
 
+def test_the_tip_follows_the_link_and_not_the_motor():
+    m, p = moved("transmission_error"), VALUES["transmission_error"]
+    run, model = m.run, m.run.robot.model
+    q = run.q.copy()
+    q[:, ELBOW] += p["amplitude"] * np.sin(p["order"] * q[:, ELBOW] + p["phase"])  # type: ignore[operator]
+    data, frame = model.createData(), model.getFrameId(run.robot.tip_frame)
+    for k in (100, 500):
+        ind.pin.framesForwardKinematics(model, data, q[k])
+        np.testing.assert_allclose(run.tip[k], data.oMf[frame].homogeneous, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["transmission_error", "backlash", "presliding_friction"])
 def test_energy_is_neither_made_nor_lost(kind, tmp_path):
     needed = [FLEXIBLE] if kind == "backlash" else []

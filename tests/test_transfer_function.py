@@ -122,6 +122,25 @@ def test_bounds_hold() -> None:
     assert any(c.bound for c in fit.candidates)  # the true ones lie below, and the fit says so
 
 
+def test_bounds_hold_an_antiresonance() -> None:
+    measured = noisy(truth(HZ), HZ, 0.02, np.random.default_rng(8))
+    free = fit_transfer_functions(measured, 3)
+    joint, true = measured.joints[0], float(LOCKED[0][0])
+    kept = fit_transfer_functions(
+        measured, start=free.model, bounds=Bounds(antiresonances=((joint, true - 1.0, true + 1.0),))
+    )
+    np.testing.assert_allclose(
+        kept.antiresonances(0)[0][0], free.antiresonances(0)[0][0], atol=0.2 * free.antiresonances(0)[1][0]
+    )
+    low = true + 0.5
+    held = fit_transfer_functions(measured, start=free.model, bounds=Bounds(antiresonances=((joint, low, low + 2.0),)))
+    found, std = held.antiresonances(0)
+    # at the edge to within what the data would pay for: the slope of the cost there, 2 (0.5 Hz) / std^2, over that of the price
+    assert low - 0.5 * (0.01 / free.antiresonances(0)[1][0]) ** 2 - 1e-3 < found[0] < low + 1e-3
+    assert std[0] < 0.01 * np.sqrt(held.inflation)  # the price counts as a measurement to 0.01 Hz / sqrt(2)
+    assert held.cost > free.cost + 1.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -130,6 +149,7 @@ def test_bounds_hold() -> None:
         ({"modes": 80}, "expected modes"),
         ({"modes": ()}, "expected modes"),
         ({"leave_out_hz": [(40.0, 100.0)]}, "0 lines"),
+        ({"bounds": Bounds(antiresonances=(("joint_9", 10.0, 20.0),))}, "antiresonance of 'joint_9'"),
     ],
 )
 def test_bad_requests_are_refused_by_name(arguments: dict[str, object], said: str) -> None:

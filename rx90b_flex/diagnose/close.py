@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from rx90b_flex.diagnose.evidence import Dependence, dependences
+from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.residual import Errors, Replay, noise_floor
 from rx90b_flex.diagnose.search import Search, Trial, added, choose
 from rx90b_flex.effects import Effect, Sites
@@ -52,6 +53,8 @@ class FoundEffect:
         What else was tried in that round, best first.
     trial : Trial
         The trial that won that round, in the same units as its rivals.
+    alternatives : tuple of Alternative
+        What this data cannot tell from it in the final model, each with the experiment that would; best first.
     """
 
     effect: Effect
@@ -62,6 +65,7 @@ class FoundEffect:
     gain_t: float
     rivals: tuple[Trial, ...]
     trial: Trial
+    alternatives: tuple[Alternative, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,11 +99,14 @@ class Unexplained:
         What it depends on, strongest first.
     data : tuple of (Regression, array of shape (N, joints))
         Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m.
+    bands : tuple of Band
+        Frequencies in which it repeats with the motion, strongest first; empty where no recording repeats.
     """
 
     relative_error: float
     where: tuple[Dependence, ...]
     data: tuple[tuple[Regression, Array], ...]
+    bands: tuple[Band, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -233,7 +240,19 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _closed(source, robot, seed, progress or (lambda _text, _part: None))
+        return _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)))
+
+
+def _rising(tell: Progress) -> Progress:
+    """Fractions that never go back: how many rounds there will be is not known before."""
+    highest = 0.0
+
+    def told(text: str, part: float) -> None:
+        nonlocal highest
+        highest = max(highest, part)
+        tell(text, highest)
+
+    return told
 
 
 def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress) -> ClosedLoop:
@@ -262,7 +281,8 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     declared = identify(data.regression, data.regression.robot.effects, fit_links=fit_links)
     before = data.errors(declared)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
-    outcome = _Rounds(data, campaign, sites, fit_links, tell).run(declared, before)
+    rounds = _Rounds(data, campaign, sites, fit_links, tell)
+    outcome = rounds.settled(rounds.run(declared, before))
     model, after = outcome.model, outcome.errors
     floor = data.noise_floor(model, campaign)
     tell("looking at what remains", 0.95)
@@ -282,9 +302,9 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         before,
         after,
         None if floor is None else tuple(float(x) for x in floor),
-        _found(outcome.steps, model, before),
+        _found(outcome.steps, search, before),
         verdict,
-        Unexplained(after.validation.relative_error, where, left),
+        Unexplained(after.validation.relative_error, where, left, bands(left)),
         model,
         declared,
         predictions,
@@ -304,11 +324,15 @@ def _check_joints(campaign: Campaign, robot: Robot) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """One addition: the trial that won, what it beat, and the errors with everything identified again."""
+    """One addition: the trial that won, what it beat, and the errors with everything identified again.
+
+    In the end also how the rivals do in its place in the final model.
+    """
 
     trial: Trial
     rivals: tuple[Trial, ...]
     errors: RoleErrors
+    compared: tuple[Comparison, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +371,7 @@ class _Rounds:
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
             errors = self.data.errors(candidate)
-            rivals = tuple(t for t in trials if t is not best)[:RIVALS]
+            rivals = tuple(t for t in trials if t is not best)
             steps = (*outcome.steps, _Step(best, rivals, errors))
             outcome = self._pruned(_Outcome(candidate, errors, steps, ()))
         return outcome
@@ -364,6 +388,37 @@ class _Rounds:
             return False
         return bool((np.array(outcome.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
 
+    def settled(self, outcome: _Outcome) -> _Outcome:
+        """Give an effect its look-alike's name where that explains more, now that everything else is in the model."""
+        first = outcome.model
+        search = Search(first, self.sites)
+        looked_at: list[list[Comparison]] = []
+        for step in outcome.steps:
+            named = _find(outcome.model.effects, step.trial.effect)
+            looked_at.append(compared(search, named, step.trial, step.rivals))
+            better = [c for c in looked_at[-1] if c.rival_wins]
+            if not better:
+                continue
+            best = min(better, key=lambda c: c.behind)
+            self.tell(f"comparing {named.label} with {best.rival.effect.label}", 0.92)
+            model = self._identified(swapped(outcome.model.effects, named, best, search), outcome.model)
+            if not _weighted_better(model, outcome.model):
+                continue
+            errors = self.data.errors(model)
+            # the loser is a rival from now on
+            rivals_of_winner = (step.trial, *(t for t in step.rivals if t.effect is not best.rival.effect))
+            new = dataclasses.replace(step, trial=best.rival, rivals=rivals_of_winner)
+            steps = [new if s is step else s for s in outcome.steps]
+            steps[-1] = dataclasses.replace(steps[-1], errors=errors)
+            outcome = dataclasses.replace(outcome, model=model, errors=errors, steps=tuple(steps))
+            search = Search(model, self.sites)
+        if search.model is not first:
+            looked_at = [
+                compared(search, _find(outcome.model.effects, s.trial.effect), s.trial, s.rivals) for s in outcome.steps
+            ]
+        steps = [dataclasses.replace(s, compared=tuple(c)) for s, c in zip(outcome.steps, looked_at, strict=True)]
+        return dataclasses.replace(outcome, steps=tuple(steps))
+
     def _pruned(self, outcome: _Outcome) -> _Outcome:
         """Take out what the latest effect made needless."""
         for step in outcome.steps[:-1]:
@@ -371,7 +426,7 @@ class _Rounds:
             effect = _find(model.effects, step.trial.effect)
             if effect.replaces or Search(model, self.sites).without(effect).accepted:
                 continue
-            self.tell(f"taking out {effect.label}", 0.9)
+            self.tell(f"taking out {effect.label}", 0.1 + 0.8 * (1.0 - 0.8 ** len(outcome.steps)))
             model = self._identified([e for e in model.effects if e is not effect], model)
             errors = self.data.errors(model)
             kept = [s for s in outcome.steps if s is not step]
@@ -391,9 +446,10 @@ def _find(effects: Sequence[Effect], like: Effect) -> Effect:
     return min(same, key=lambda e: float(np.abs(e.shape - like.shape).sum()) if len(e.shape) else 0.0)
 
 
-def _found(steps: Sequence[_Step], model: Identification, before: RoleErrors) -> tuple[FoundEffect, ...]:
+def _found(steps: Sequence[_Step], search: Search, before: RoleErrors) -> tuple[FoundEffect, ...]:
     out = []
     last = before
+    model = search.model
     for step in steps:
         effect = _find(model.effects, step.trial.effect)
         out.append(
@@ -404,8 +460,9 @@ def _found(steps: Sequence[_Step], model: Identification, before: RoleErrors) ->
                 step.errors.validation,
                 step.trial.p_value,
                 step.trial.gain_t,
-                step.rivals,
+                step.rivals[:RIVALS],
                 step.trial,
+                alternatives(search, effect, step.compared),
             )
         )
         last = step.errors

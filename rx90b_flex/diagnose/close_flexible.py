@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import os
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,7 +38,11 @@ from rx90b_flex.diagnose.modal import (
     modes_of,
     rms,
 )
+from rx90b_flex.diagnose.response import MODEL_ERROR as RESPONSE_ERROR
+from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, thinned
+from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import fill_folder
 
@@ -125,6 +131,12 @@ class FlexibleLoop:
         per = self.residual.size / max(len(after.x), 1)
         if len(after.x) and per < FEW_MODES:
             out.append(f"{self.residual.size:.0f} independent numbers for {len(after.x)} parameters.")
+        distinct = self._distinct()
+        if self.found and distinct is not None and distinct < 0.7 * self.residual.size:
+            out.append(
+                f"The {self.residual.size:.0f} modes lie at {distinct} frequencies, apart by more than the scatter that is left: "
+                "a resonance and the antiresonances beside it share their error, and the chances given here take them as independent."
+            )
         for found in self.found:
             factor = float(np.exp(np.log(found.values) - found.change.usual).mean())
             hinge = found.change.adds and any(
@@ -140,6 +152,10 @@ class FlexibleLoop:
                 others = ", ".join(t.change.words for t in found.alternatives)
                 out.append(f"Instead of {found.change.words} the data allow: {others}.")
         return out
+
+    def _distinct(self) -> int | None:
+        """How many groups of modes the data hold, apart by more than the scatter; None where it is no list of modes."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +183,13 @@ class ModalLoop(FlexibleLoop):
     left_out_after: float
     separations: Mapping[tuple[str, str], Separation]
 
+    def _distinct(self) -> int | None:
+        groups = 0
+        for pose in {c.pose for c in self.after}:
+            logs = np.sort(np.concatenate([c.measured.log for c in self.after if c.pose == pose]))
+            groups += 1 + int((np.diff(logs) > self.result.after.model_error).sum())
+        return groups
+
 
 def close_modal(
     table: ModalTable | str | os.PathLike[str],
@@ -174,6 +197,7 @@ def close_modal(
     *,
     model_error: float = MODEL_ERROR,
     new_std: float = NEW_STD,
+    only: Sequence[str] = (),
     most: int = MOST_CHANGES,
     progress: Progress | None = None,
 ) -> ModalLoop:
@@ -187,6 +211,8 @@ def close_modal(
         Relative error of every frequency that is allowed for beside the stated standard deviations.
     new_std : float
         Prior standard deviation of the logarithm of a new stiffness about those declared of its kind.
+    only : sequence of str
+        Labels of changes to try (``base.base_flexibility``, ``joint_2.drive_stiffness``); all where empty.
     most : int
         Changes at the most.
     progress : callable, optional
@@ -210,6 +236,13 @@ def close_modal(
         return ModalResidual(structure, poses, read.band_hz, model_error)
 
     data = residual(fitted)
+    if only:
+        labels = [c.label for c in data.structure.changes]
+        for label in only:
+            if label not in labels:
+                raise ValueError(f"only: no change {label!r} of {source.name}; {close_match(label, labels)}")
+        kept = tuple(c for c in data.structure.changes if c.label in only)
+        data.structure = dataclasses.replace(data.structure, changes=kept)
     result = search(data, progress, most)
     held_out = read.role("validation")
     other = residual(held_out) if held_out else None
@@ -251,6 +284,125 @@ def _separation(robot: Robot, table: ModalTable, pose: ModalPose, found: Fit, tr
                 name = "resonances" if locked is None else f"antiresonances of {locked}"
                 best = float(gap[at]), Separation(angles, name, float(np.exp(a[at])), float(np.exp(b[at])))
     return best[1] if best else None
+
+
+# ---- frequency responses ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseErrors:
+    """Errors of one model on lines of one response.
+
+    Attributes
+    ----------
+    relative : float
+        Root mean square error over that of P about each line and entry.
+    weighted : float
+        Root mean square error over the stated errors; 1 where these are all that there is.
+    """
+
+    relative: float
+    weighted: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseLoop(FlexibleLoop):
+    """The loop closed on frequency responses.
+
+    Attributes
+    ----------
+    responses : tuple of FrequencyResponse
+        As given; those that were not fitted last.
+    fitted : int
+        How many of them were fitted (at a part of their lines).
+    before, after : tuple of complex array
+        The model's responses at all lines of each.
+    errors_before, errors_after : tuple of ResponseErrors
+        On the fitted lines of each fitted response.
+    held_out_before, held_out_after : tuple of ResponseErrors
+        On what was not fitted: the lines between, and other responses.
+    """
+
+    responses: tuple[FrequencyResponse, ...]
+    fitted: int
+    before: tuple[ComplexArray, ...]
+    after: tuple[ComplexArray, ...]
+    errors_before: tuple[ResponseErrors, ...]
+    errors_after: tuple[ResponseErrors, ...]
+    held_out_before: tuple[ResponseErrors, ...]
+    held_out_after: tuple[ResponseErrors, ...]
+
+
+def close_response(
+    responses: FrequencyResponse | Sequence[FrequencyResponse],
+    robot: Robot | str,
+    *,
+    held_out: Sequence[FrequencyResponse] = (),
+    band_hz: tuple[float, float] = (8.0, 80.0),
+    model_error: float = RESPONSE_ERROR,
+    new_std: float = NEW_STD,
+    most: int = MOST_CHANGES,
+    progress: Progress | None = None,
+) -> ResponseLoop:
+    """Find what a robot lacks to have measured frequency responses.
+
+    Friction is one viscous slope a joint, and all dampings share a factor; both are fitted with every model. Each response is held
+    against the robot at its mean pose: what a motion through several poses does to it is part of the model error.
+
+    Parameters
+    ----------
+    responses : FrequencyResponse or sequence of them
+        Of the same joints, each with its pose.
+    robot : Robot or what `load_robot` takes
+    held_out : sequence of FrequencyResponse
+        At other poses or of other experiments: predicted, not fitted.
+    band_hz : (low, high)
+        Lines used.
+    model_error : float
+        Part of |P| about a line that is allowed for beside the covariance.
+    new_std, most, progress
+        As for `close_modal`.
+
+    Raises
+    ------
+    ValueError
+        Responses of other joints or without a pose; fewer than two lines in the band.
+    """
+    given = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
+    source = robot if isinstance(robot, Robot) else load_robot(robot)
+    if not given:
+        raise ValueError("no frequency response to hold the robot against")
+    if not model_error > 0:
+        raise ValueError(f"model_error is {model_error:g}; expected a relative error above 0, as {RESPONSE_ERROR:g}")
+    everything = [r.band(*band_hz) for r in (*given, *held_out)]
+    for r in everything:
+        if r.joints != given[0].joints:
+            raise ValueError(f"responses of joints {given[0].joints} and {r.joints}; expected the same joints")
+        if len(r.hz) < 2:
+            raise ValueError(f"{len(r.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz; expected 2 or more")
+    split = [thinned(r) for r in everything[: len(given)]]
+    between = [(k, rest) for k, (_, rest) in enumerate(split) if rest is not None]
+    others = [*between, *enumerate(everything[len(given) :], start=len(given))]
+
+    def residual(parts: Sequence[FrequencyResponse]) -> ResponseResidual:
+        structure = Structure.of(source, given[0].joints, [r.pose for r in parts], band_hz, new_std)
+        return ResponseResidual(structure, parts, model_error)
+
+    data = residual([used for used, _ in split])
+    result = search(data, progress, most)
+    whole = residual(everything)
+    rest = residual([r for _, r in others]) if others else None
+    fits = (result.before, result.after)
+    before, after = (whole.predict(f) for f in fits)
+    errors = [_response_errors(data, f) for f in fits]
+    left = [_response_errors(rest, f) if rest else () for f in fits]
+    return ResponseLoop(
+        source, given[0].joints, data, result, tuple(everything), len(given), before, after, *errors, *left
+    )
+
+
+def _response_errors(residual: ResponseResidual, fit: Fit) -> tuple[ResponseErrors, ...]:
+    return tuple(ResponseErrors(*pair) for pair in residual.errors(fit))
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
@@ -326,6 +478,7 @@ def _found_json(found: Found) -> dict[str, Any]:
             for name, unit, v, s in zip(change.names, change.units, found.values, found.stds, strict=True)
         },
         "deviance_gain": found.gain,
+        "criterion": found.criterion,
         "p_value": found.p_value,
         "alternatives": [_trial_json(t) for t in found.alternatives],
     }
@@ -363,21 +516,86 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def write_modal(
-    loop: ModalLoop, folder: str | os.PathLike[str], extra: Iterable[Callable[[ModalLoop, Path], None]] = ()
+def response_json(loop: ResponseLoop) -> dict[str, Any]:
+    """The content of ``closed_loop.json`` for frequency responses."""
+
+    def errors(
+        fitted: tuple[ResponseErrors, ...], held_out: tuple[ResponseErrors, ...], fit: Fit, chance: float
+    ) -> Any:
+        lists = {"identification": fitted, "validation": held_out}
+        return {
+            **{
+                role: [{"relative_error": e.relative, "weighted_error": e.weighted} for e in x]
+                for role, x in lists.items()
+            },
+            "model_error": fit.model_error,
+            "p_value": chance,
+        }
+
+    result = loop.result
+    return {
+        "schema": SCHEMA,
+        "residual": "frequency_response",
+        **_shared_json(loop),
+        "before": errors(loop.errors_before, loop.held_out_before, result.before, result.chance_before),
+        "after": errors(loop.errors_after, loop.held_out_after, result.after, result.chance_after),
+        "responses": [
+            {
+                "pose_rad": r.pose.tolist(),
+                "fitted": k < loop.fitted,
+                "hz": r.hz.tolist(),
+                **{f"{name}_{part}": getattr(value, part).tolist() for name, value in
+                   (("measured", r.value), ("before", loop.before[k]), ("after", loop.after[k])) for part in ("real", "imag")},
+            }
+            for k, r in enumerate(loop.responses)
+        ],
+    }  # fmt: skip
+
+
+def write_loop(
+    loop: ModalLoop | ResponseLoop,
+    folder: str | os.PathLike[str],
+    extra: Iterable[Callable[[ModalLoop | ResponseLoop, Path], None]] = (),
 ) -> Path:
     """Write ``closed_loop.json``, the robot with what was found, and what else is given; all of it or nothing."""
     folder = Path(folder)
 
     def fill(at: Path) -> None:
-        text = json.dumps(modal_json(loop), indent=2, allow_nan=False)
-        (at / "closed_loop.json").write_text(text + "\n", encoding="utf-8")
+        content = modal_json(loop) if isinstance(loop, ModalLoop) else response_json(loop)
+        (at / "closed_loop.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         save_robot(loop.robot, at, allow_inconsistent=True)
         for write in extra:
             write(loop, at)
 
     fill_folder(folder, fill)
     return folder
+
+
+def speaks_of_frequency(source: str | os.PathLike[str]) -> bool:
+    """Whether a file or folder is a modal table or a result of ``rx90b-flex frf``, not a campaign of recordings."""
+    path = Path(source)
+    if path.is_dir():
+        return (path / "frf.json").is_file()
+    try:
+        return path.suffix == ".toml" and "pose" in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False  # the campaign's reader says what is wrong with it
+
+
+def close_over_frequency(
+    source: str | os.PathLike[str],
+    robot: str | None = None,
+    model_error: float | None = None,
+    progress: Progress | None = None,
+) -> ModalLoop | ResponseLoop:
+    """Close the loop on a modal table or on a folder of ``rx90b-flex frf``: `close_modal` or `close_response`.
+
+    A folder's robot is the one of that name, unless another is given.
+    """
+    if Path(source).is_dir():
+        responses, name = load_frequency_responses(source)
+        return close_response(responses, robot or name, model_error=model_error or RESPONSE_ERROR, progress=progress)
+    return close_modal(source, robot, model_error=model_error or MODEL_ERROR, progress=progress)
 
 
 def change_words(found: Found) -> str:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from rx90b_flex.effects.motion import Array, Indices, Mask
-from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.regression import Regression, Stretch
 
 BINS = 12
 SHUFFLES = 200
@@ -18,6 +19,12 @@ STANDSTILL = "standstill"  # name of the signal "no joint moves"
 REST = 1.0e-3  # of a joint's largest speed, below which it rests
 SMALLEST_PART = 0.02  # of the samples, at rest or moving, for the other to be told apart
 SMALLEST_SCORE = 0.05  # share of a residual's power; less is not worth a line in a report
+
+FEWEST_CYCLES = 4.0  # over a joint's range, from which a curve of `BINS` bins no longer follows an order
+HIGHEST_ORDER = 240.0  # as effects that are periodic in an angle have it
+ORDER_SHUFFLES = 40
+BANDS = 10  # of equal width up to the low-pass
+FREE_LINES = 0.5  # part of a spectrum's lines that are independent under Hann's window
 
 
 @dataclass(frozen=True)
@@ -29,7 +36,7 @@ class Dependence:
     joint : str
         Whose residual.
     signal : str
-        What it depends on, as in ``joint_3 position``.
+        What it depends on, as in ``joint_3 position`` or ``joint_3 order 18.2``.
     score : float
         Share of the residual's power that a free curve over the signal explains, 0 to 1, less what chance explains.
     p_value : float
@@ -86,7 +93,115 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
                 real[j] = _explained(rest[order, j : j + 1], edges)[0]
                 chance[j] = _explained(shifted[j][order], edges)
             found += _dependences(joints, name, real, chance, (rest**2).sum(axis=0), tests)
+        angles = [values[names.index(f"{joint} position")][at] for joint in joints]
+        for j, joint in enumerate(joints):
+            repeats = order_dependence(joint, rest[:, j], angles[j], len(joints), rng)
+            found += [repeats] if repeats else []
     return tuple(sorted(found, key=lambda d: -d.score))
+
+
+def order_dependence(joint: str, rest: Array, angle: Array, tests: int, rng: np.random.Generator) -> Dependence | None:
+    """The order, cycles a turn of the joint itself, whose sine explains most of its residual (N,); None where chance does.
+
+    The largest of many orders under shifts follows Gumbel's law, fitted by its moments.
+    """
+    span, power = float(np.ptp(angle)), float((rest**2).sum())
+    orders = np.arange(2 * np.pi * FEWEST_CYCLES / max(span, 1e-9), HIGHEST_ORDER, np.pi / max(span, 1e-9))
+    if len(orders) < 2 or power == 0.0:
+        return None
+    shifts = np.r_[0, _shifts(len(rest), rng)[:ORDER_SHUFFLES]]
+    shifted = np.stack([np.roll(rest, s) for s in shifts], axis=1)
+    highest, at = np.zeros(len(shifts)), 0.0
+    for part in np.array_split(orders, len(orders) // 100 + 1):
+        turn = np.outer(part, angle)
+        explained = 2.0 * ((np.cos(turn) @ shifted) ** 2 + (np.sin(turn) @ shifted) ** 2) / len(rest) / power
+        if explained[:, 0].max() > highest[0]:
+            at = float(part[explained[:, 0].argmax()])
+        highest = np.maximum(highest, explained.max(axis=0))
+    chance = highest[1:]
+    scale = max(float(chance.std(ddof=1)) * np.sqrt(6.0) / np.pi, 1e-12)
+    p_value = min(1.0, tests * float(stats.gumbel_r.sf(highest[0], chance.mean() - np.euler_gamma * scale, scale)))
+    score = float(highest[0] - chance.mean())
+    found = p_value < SIGNIFICANCE and score > SMALLEST_SCORE
+    return Dependence(joint, f"{joint} order {at:.1f}", score, p_value) if found else None
+
+
+@dataclass(frozen=True)
+class Band:
+    """A band of frequencies in which a joint's residual repeats with the motion: there the model lacks something.
+
+    Attributes
+    ----------
+    joint : str
+    low_hz, high_hz : float
+    score : float
+        Share of the residual's power that repeats in this band, less what noise adds.
+    p_value : float
+        That only noise is there, corrected for the number of bands and joints.
+    """
+
+    joint: str
+    low_hz: float
+    high_hz: float
+    score: float
+    p_value: float
+
+
+def bands(data: Sequence[tuple[Regression, Array]]) -> tuple[Band, ...]:
+    """Bands in which residuals repeat from period to period beyond what differs between periods (an F-test each).
+
+    Only recordings of two or more whole periods tell; neighbouring bands are put together. Strongest first.
+
+    Parameters
+    ----------
+    data : sequence of (Regression, array of shape (N, joints))
+    """
+    joints = data[0][0].joints
+    stretches = [s for regression, _ in data for s in regression.stretches]
+    residuals = [left[span] for regression, left in data for span in regression.spans]
+    top = min(s.cutoff_hz or s.rate_hz / 2 for s in stretches)
+    edges = np.linspace(0.0, top, BANDS + 1)
+    repeated, noise, whole = (np.zeros((BANDS, len(joints))) for _ in range(3))
+    above, below = np.zeros(BANDS), np.zeros(BANDS)  # degrees of freedom
+    for stretch, left in zip(stretches, residuals, strict=True):
+        samples = _period_samples(stretch)
+        if samples is None:
+            continue
+        # a fit leaves out both ends, so the last period is seldom whole
+        count = max(2, len(left) // samples)
+        long = min(samples, len(left) - (count - 1) * samples)
+        if long < samples / 2:
+            continue
+        parts = np.stack([left[k * samples : k * samples + long] for k in range(count)])
+        spectra = np.fft.rfft(parts * np.hanning(long)[:, None], axis=1)
+        mean = spectra.mean(axis=0)
+        band = np.digitize(np.fft.rfftfreq(long, 1 / stretch.rate_hz), edges) - 1
+        for b in range(BANDS):
+            at = (band == b) & (np.arange(len(band)) > 0)
+            repeated[b] += count * (np.abs(mean[at]) ** 2).sum(axis=0)
+            noise[b] += (np.abs(spectra[:, at] - mean[at]) ** 2).sum(axis=(0, 1)) / (count - 1)
+            whole[b] += (np.abs(spectra[:, at]) ** 2).sum(axis=(0, 1))
+            above[b] += FREE_LINES * 2 * at.sum()
+            below[b] += FREE_LINES * 2 * at.sum() * (count - 1)
+    out: list[Band] = []
+    for j, joint in enumerate(joints):
+        p = stats.f.sf(repeated[:, j] / np.maximum(noise[:, j], 1e-300), np.maximum(above, 1), np.maximum(below, 1))
+        p = np.where(above > 0, np.minimum(1.0, p * BANDS * len(joints)), 1.0)
+        score = np.maximum(repeated[:, j] - noise[:, j], 0.0) / max(whole[:, j].sum(), 1e-300)
+        loud = np.flatnonzero((p < SIGNIFICANCE) & (score > SMALLEST_SCORE / 2))
+        for run in np.split(loud, np.flatnonzero(np.diff(loud) > 1) + 1):
+            if len(run) and score[run].sum() > SMALLEST_SCORE:
+                low, high = float(edges[run[0]]), float(edges[run[-1] + 1])
+                out.append(Band(joint, low, high, float(score[run].sum()), float(p[run].min())))
+    return tuple(sorted(out, key=lambda b: -b.score))
+
+
+def _period_samples(stretch: Stretch) -> int | None:
+    """Samples of the fit in a period; None where it does not repeat, or not on a whole number of them."""
+    if stretch.recording.period_s is None:
+        return None
+    samples = stretch.recording.period_s * stretch.rate_hz
+    return round(samples) if abs(samples - round(samples)) < 1e-6 * samples else None
 
 
 def _bins(value: Array) -> Indices:

@@ -557,6 +557,8 @@ class Found:
         Against the final model without it.
     before, after : Fit
         Of the round in which it was added.
+    criterion : float
+        Extended BIC of the final model.
     alternatives : tuple of Trial
         Changes that in its stead do nearly as well: the data cannot tell them apart.
     """
@@ -568,6 +570,7 @@ class Found:
     p_value: float
     before: Fit
     after: Fit
+    criterion: float
     alternatives: tuple[Trial, ...]
 
 
@@ -636,7 +639,7 @@ class _Search:
                 break
             rounds[best.change] = (present, best.fit)
             present, refused = self._pruned(best.fit), ()
-        present = self._swapped(present, rounds)
+        present = self._pruned(self._swapped(present, rounds))
         found = tuple(self._found(present, change, rounds) for change in present.changes)
         chance = self.residual.chance(present)
         return SearchResult(
@@ -681,11 +684,14 @@ class _Search:
     def _pruned(self, present: Fit) -> Fit:
         """Without what the rest can do without."""
         while len(present.changes) > 1:
-            less = [self._refit(tuple(c for c in present.changes if c is not out), present) for out in present.changes]
-            best = min(less, key=self._criterion)
-            if self._criterion(best) > self._criterion(present):
+            trials = []
+            for change in present.changes:
+                less = self._refit(tuple(c for c in present.changes if c is not change), present)
+                trials.append((self._trial(change, less, present), less))
+            trial, less = max(trials, key=lambda pair: pair[0].p_value)
+            if trial.p_value < SIGNIFICANCE and trial.criterion < self._criterion(less):
                 break
-            present = best
+            present = less
         return present
 
     def _swapped(self, present: Fit, rounds: dict[Change, tuple[Fit, Fit]]) -> Fit:
@@ -714,7 +720,7 @@ class _Search:
         own = slice(at, at + change.size)
         value = np.exp(present.x[own])
         std = value * np.sqrt(np.diag(present.covariance)[own])
-        return Found(change, value, std, trial.gain, trial.p_value, *rounds[change], tuple(near))
+        return Found(change, value, std, trial.gain, trial.p_value, *rounds[change], trial.criterion, tuple(near))
 
 
 def _verdict(found: bool, chance: float) -> str:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
+from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.physical import possible_coefficients
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import fill_folder
@@ -32,6 +34,10 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
         "unexplained": {
             "relative_error": result.unexplained.relative_error,
             "where": [{"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where],
+            "bands": [
+                {"joint": b.joint, "low_hz": b.low_hz, "high_hz": b.high_hz, "score": b.score}
+                for b in result.unexplained.bands
+            ],
         },
     }
 
@@ -44,17 +50,34 @@ def _roles(errors: RoleErrors) -> dict[str, Any]:
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:
-    joints = found.effect.joints
-    out: dict[str, Any] = {"type": found.effect.type_name(), "joint": joints[0] if len(joints) == 1 else None}
-    if len(joints) > 1:
-        out["joints"] = list(joints)
-    if found.effect.on == "frame":
-        out["frame"] = found.effect.place[0]
-    return out | {
+    return _named(found.effect) | {
         "parameters": {p.name: _estimate(p) for p in found.parameters},
         "validation_relative_error_before": found.before.relative_error,
         "validation_relative_error_after": found.after.relative_error,
         "p_value": found.p_value,
+        "alternatives": [_alternative(a) for a in found.alternatives],
+    }
+
+
+def _named(effect: Effect) -> dict[str, Any]:
+    joints = effect.joints
+    out: dict[str, Any] = {"type": effect.type_name(), "joint": joints[0] if len(joints) == 1 else None}
+    if len(joints) > 1:
+        out["joints"] = list(joints)
+    if effect.on == "frame":
+        out["frame"] = effect.place[0]
+    return out
+
+
+def _alternative(other: Alternative) -> dict[str, Any]:
+    return _named(other.effect) | {
+        "parameters": {
+            name: {"value": None if np.isnan(value) else float(value), "unit": unit}
+            for name, unit, value in other.effect.public_values()
+        },
+        "gain_share": other.share,
+        "standard_errors_behind": other.behind,
+        "experiment": other.advice,
     }
 
 
@@ -68,10 +91,14 @@ def closed_loop_robot(result: ClosedLoop) -> Robot:
     Fitted links that no body could have, and coefficients below their bounds, are replaced by the nearest that are possible,
     in the metric of the data's own information (see `rx90b_flex.identify.physical`).
     """
-    source, model = result.source, result.model
+    return identified_robot(result.source, result.model, result.joints)
+
+
+def identified_robot(source: Robot, model: Identification, joints: Sequence[str]) -> Robot:
+    """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
     flexible = [e for e in source.effects if e.virtual]
     if not model.links_fitted:
-        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(result.joints)]
+        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(joints)]
         return source.with_effects([*flexible, *held, *model.effects])
     links = len(model.link_parameters)
     theta, _ = possible_coefficients(model)

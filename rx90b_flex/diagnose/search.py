@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,6 +34,8 @@ UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the
 REFINEMENTS = 15  # steps of a refinement
 SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
+BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
+STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
 BATCH_BYTES = 64e6
 
@@ -109,7 +112,7 @@ class _Shared:
 
 
 @dataclass(frozen=True, eq=False)
-class _Base:
+class Base:
     """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
 
     shared: _Shared
@@ -272,18 +275,24 @@ class Search:
         return _Shared(columns, np.ascontiguousarray(self.target.T), self.model.solution.sigma**-2.0, self.blocks)
 
     @cached_property
-    def present(self) -> _Base:
+    def present(self) -> Base:
         """The present model as it is."""
         return self.base()
 
-    def base(self, replaced: Effect | None = None) -> _Base:
-        """The present model without `replaced`."""
+    def base(self, replaced: Effect | None = None, restored: Sequence[Effect] = ()) -> Base:
+        """The present model without `replaced`, and with effects beside it that are not in it."""
         kept = np.arange(len(self.model.theta))
         if replaced is not None:
             index = self.model.effects.index(replaced)
             first = self.model.first_column(index)
             kept = np.delete(kept, np.arange(first, first + len(replaced.coefficients)))
-        return _Base(self.shared, kept, self.model.theta[kept])
+        if not restored:
+            return Base(self.shared, kept, self.model.theta[kept])
+        more = [self.regression.columns(e).transpose(1, 0, 2) for e in restored]
+        columns = np.concatenate([self.shared.columns[:, :, kept], *more], axis=2)
+        shared = dataclasses.replace(self.shared, columns=np.ascontiguousarray(columns))
+        prior = np.concatenate([self.model.theta[kept], np.zeros(columns.shape[2] - len(kept))])
+        return Base(shared, np.arange(columns.shape[2]), prior)
 
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
         """Effects to try, each with the declared effect that it would replace."""
@@ -312,11 +321,13 @@ class Search:
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
         candidates = self.candidates()
-        bases: dict[Effect | None, _Base] = {None: self.present}
-        rough: list[tuple[float, Effect, _Base]] = []
+        bases: dict[Effect | None, Base] = {None: self.present}
+        rough: list[tuple[float, Effect, Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
             starts = self._starts(effect) if effect.shape_names() else np.zeros((1, 0))
+            if len(starts) == 0:
+                continue  # this motion is too small for any of its shapes to show
             best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
             # an effect that replaces another starts from a worse base: count only what it adds to the present model
             lost = float(base.squares.sum() - bases[None].squares.sum())
@@ -329,13 +340,13 @@ class Search:
             sure = max((t.sure_gain for t in trials if t.accepted), default=0.0)
             if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
                 break  # neither this one nor those behind it can win
-            trials.append(self._trial(effect, base, bases[None], self.tests))
+            trials.append(self.trial(effect, base, bases[None], self.tests))
         return sorted(trials, key=lambda t: -t.gain)
 
     def without(self, effect: Effect) -> Trial:
         """What an effect of the present model is worth: the trial of adding it to the model without it."""
         base = self.base(effect)
-        return self._trial(effect, base, base, self.tests)
+        return self.trial(effect, base, base, self.tests)
 
     @cached_property
     def longest(self) -> Motion:
@@ -365,7 +376,7 @@ class Search:
         beside = [(s.sampled, left[span]) for s, span in zip(stretches, self.regression.spans, strict=True)]
         return effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)
 
-    def _over_shapes(self, effect: Effect, starts: Array, base: _Base) -> Iterable[tuple[float, Effect]]:
+    def _over_shapes(self, effect: Effect, starts: Array, base: Base) -> Iterable[tuple[float, Effect]]:
         shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
         per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches)
@@ -378,7 +389,7 @@ class Search:
                 continue
             yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
 
-    def _refined(self, effect: Effect, base: _Base) -> Effect:
+    def _refined(self, effect: Effect, base: Base) -> Effect:
         """The shapes that gain most: Gauss-Newton steps with everything linear projected out (variable projection)."""
         if not effect.shape_names():
             return effect
@@ -407,7 +418,8 @@ class Search:
                 break
         return effect.with_shape(np.clip(back(x), *bounds))
 
-    def _trial(self, effect: Effect, base: _Base, present: _Base, tests: int) -> Trial:
+    def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> Trial:
+        """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
         effect = self._refined(effect, base)
         k, s = len(effect.coefficients), len(effect.shape)
         rows, beside = self.regression.compact([effect, *_neighbours(effect)])
@@ -422,6 +434,7 @@ class Search:
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
         p_value, lawful = self._evidence(effect, base, rows, beside, beta)
+        lawful = lawful and not (effect.by_clock and self._follows_motion(base.residual[rows], effect))
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
         return Trial(
@@ -434,7 +447,33 @@ class Search:
             lawful,
         )
 
-    def _held_out(self, base: _Base, b: Array, y: Array, d: Array) -> Array:
+    def _follows_motion(self, residual: Array, effect: Effect) -> bool:
+        """Whether a line sits among the harmonics of a motion that repeats, and does not stand out of those beside it.
+
+        What the model lacks repeats with the motion, so it has all of these harmonics; a clock of its own has one line.
+        Near the motion's own frequencies no data of that motion can tell one from the other.
+        """
+        (hz,) = effect.shape
+        for stretch, span in zip(self.regression.stretches, self.regression.spans, strict=True):
+            if stretch.recording.period_s is None:
+                continue
+            left = residual[:, span]
+            harmonics = round(hz * stretch.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
+            harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * stretch.recording.period_s))]
+            lines = np.append(harmonics / stretch.recording.period_s, hz)
+            turned = np.exp(-2j * np.pi * np.outer(stretch.time, lines)) * np.hanning(len(stretch.time))[:, None]
+            power = (np.abs(left @ turned) ** 2).sum(axis=0)
+            if power[-1] < STANDS_OUT * np.median(power[:-1]):
+                return True
+        return False
+
+    def left_with(self, effect: Effect, base: Base) -> Array:
+        """What a base and an effect, its shape as it is, leave together; shape (joints, N)."""
+        rows, columns = self.regression.compact([effect])
+        left, own, score = base.projected(rows, columns)
+        return base.residual - base.apart(rows, columns) @ _solve(left, own, score)
+
+    def _held_out(self, base: Base, b: Array, y: Array, d: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
         out = np.empty(len(self.blocks))
         for i, (theta, inverse) in enumerate(base.without):
@@ -450,7 +489,7 @@ class Search:
             )
         return out
 
-    def _evidence(self, effect: Effect, base: _Base, rows: Indices, beside: Array, beta: Array) -> tuple[float, bool]:
+    def _evidence(self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array) -> tuple[float, bool]:
         """Wald test of the coefficients under coloured residuals, and whether they can be what they claim to be.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
@@ -509,7 +548,7 @@ class _Look:
     score: Array  # (s,)
 
     @staticmethod
-    def at(base: _Base, rows: Indices, columns: Array, k: int, steps: Array) -> _Look:
+    def at(base: Base, rows: Indices, columns: Array, k: int, steps: Array) -> _Look:
         """From columns (N, rows, (1 + s) k): at the shape, and a step further in each of its parameters."""
         if len(rows) == 0:
             return _Look(0.0, np.eye(len(steps)), np.zeros(len(steps)))

@@ -180,6 +180,9 @@ class _VaryingRatio(Effect):
         )
         return moved, 1.0 + np.outer(slope, port)
 
+    def links_at(self, motion: Motion) -> Array:
+        return self._moved(motion)[0].q
+
     def columns(self, motion: Motion) -> Array:
         moved, ratio = self._moved(motion)
         return np.asarray(ratio * moved.on_tree.load() - motion.on_tree.load())[:, :, None]

@@ -102,6 +102,7 @@ class Effect(ABC):
     needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
     in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
     remembers: ClassVar[bool] = False  # its force depends on the motion before, which a simulation step does not know
+    by_clock: ClassVar[bool] = False  # its torque is a line at a frequency of its own, whatever the robot does
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
     needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
@@ -303,6 +304,10 @@ class Effect(ABC):
     def history_s(self) -> float:
         """How far `noted` looks back, s."""
         return 0.0
+
+    def links_at(self, motion: Motion) -> Array:
+        """Coordinates (N, n) that put the links where they are, where the robot's own do not."""
+        return motion.q
 
     def memory(self, motion: Motion) -> Array:
         """What an effect that remembers knows at rest before a motion, shape (N, m)."""
@@ -546,26 +551,26 @@ def _read_place(
 
 
 def _read_value(found: Any, parameter: Parameter, where: str) -> Any:
+    # a pure number has no unit to print
+    unit, unit_after = (f" in {parameter.unit}", f" {parameter.unit}") if parameter.unit != "-" else ("", "")
     if parameter.size == 1:
         if isinstance(found, bool) or not isinstance(found, int | float) or not np.isfinite(found):
-            raise ValueError(f"{where} is {found!r}; expected one finite number in {parameter.unit}")
+            raise ValueError(f"{where} is {found!r}; expected one finite number{unit}")
         if parameter.kind == "shape" and not parameter.lower <= found <= parameter.upper:
-            raise ValueError(
-                f"{where} is {found!r}; expected {parameter.lower:g} to {parameter.upper:g} {parameter.unit}"
-            )
+            raise ValueError(f"{where} is {found!r}; expected {parameter.lower:g} to {parameter.upper:g}{unit_after}")
         if found < parameter.lower:
-            raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g} {parameter.unit}")
+            raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g}{unit_after}")
         return float(found)
     try:
         values = np.asarray(found, dtype=float)
     except (TypeError, ValueError):
         values = np.array([])
     if values.size != parameter.size or not np.isfinite(values).all():
-        raise ValueError(f"{where} is {found!r}; expected {parameter.size} finite numbers in {parameter.unit}")
+        raise ValueError(f"{where} is {found!r}; expected {parameter.size} finite numbers{unit}")
     if (values < parameter.lower).any():
-        raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g} {parameter.unit}")
+        raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g}{unit_after}")
     if (values > parameter.upper).any():
-        raise ValueError(f"{where} is {found!r}; expected at most {parameter.upper:g} {parameter.unit}")
+        raise ValueError(f"{where} is {found!r}; expected at most {parameter.upper:g}{unit_after}")
     return tuple(float(x) for x in values.ravel())
 
 

@@ -14,7 +14,9 @@ from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import reversal, reversal_slope
 
-DEFLECTIONS = (1e-6, 0.3)  # rad, between which asperities of gears give way
+# rad, between which asperities of gears give way; samples at 150 Hz about a reversal at 5 rad/s^2 lie 1e-4 rad apart, and what turns
+# over within less is dry friction that a log shows up to a sample late
+DEFLECTIONS = (1e-4, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -18,8 +19,9 @@ from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 class TorqueDelay(Effect):
     """The logged torque is late: it shows what the motor gave `delay` ago. On one joint, or on all joints alike.
 
-    Its column is the secant ``(tau(t - d) - tau(t)) / d`` of the present model's torque at the present delay d, so that a long
-    delay is met exactly as the fit settles.
+    Its column is the secant ``(tau(t - d) - tau(t)) / d`` of the present model's torque, d the present delay or, before there is
+    one, a sample, which no step of dry friction slips through. The model is asked for the torque of the motion of d ago: between
+    samples a step of friction has its own instant.
 
     Signature
     ---------
@@ -40,7 +42,7 @@ class TorqueDelay(Effect):
     acts_on: ClassVar[str] = "signals"
     in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
-    SHORTEST: ClassVar[float] = 1e-4  # s; the secant over less is the slope
+    SHORTEST: ClassVar[float] = 1e-4  # s
 
     joint: str | None = None
     delay: float | None = linear("s", lower=0.0)
@@ -50,14 +52,28 @@ class TorqueDelay(Effect):
         return () if self.joint is None else (self.joint,)
 
     def columns(self, motion: Motion) -> Array:
-        step = max(self.SHORTEST, 0.0 if self.delay is None else self.delay)
-        torque = motion.model_torque
-        out = (_late(torque, motion.time, step) - torque) / step
-        return self._own(motion, out)[:, :, None]
+        step = _sample(motion) if self.delay is None else max(self.SHORTEST, self.delay)
+        return self._own(motion, self._change(motion, step) / step)[:, :, None]
 
     def logged(self, motion: Motion, torque: Array) -> Array:
         (delay,) = self.known_coefficients()
-        return torque + self._own(motion, _late(torque, motion.time, delay) - torque)
+        return torque + self._own(motion, self._change(motion, delay))
+
+    def _change(self, motion: Motion, delay: float) -> Array:
+        """Torque of the model `delay` ago less that of now, (N, n)."""
+        if len(motion) < 4 or not motion.time[1] > motion.time[0]:
+            return np.zeros_like(motion.q)
+        q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
+        ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay)
+        # links ask for smooth torques, which samples hold well enough; of effects each is asked for its own
+        smooth, out = np.array(motion.on_tree.load()), np.zeros_like(motion.q)
+        for effect in motion.effects:
+            now = effect.force(motion)
+            if effect.needs_load:
+                smooth += now
+            else:
+                out += effect.force(ago) - now
+        return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
     @property
     def history_s(self) -> float:
@@ -78,12 +94,15 @@ class TorqueDelay(Effect):
         return [cls(), *(cls(joint=j) for j in sites.joints)]
 
 
-def _late(torque: Array, time: Array, delay: float) -> Array:
-    """Torque (N, n) of `delay` ago; the first sample where there is none."""
-    if len(time) < 4 or not time[1] > time[0]:
-        return torque
-    shifted = np.maximum(time - delay, time[0])
-    return np.asarray(interpolate.CubicSpline(time, torque)(shifted))
+def _sample(motion: Motion) -> float:
+    """Time between samples, s; `TorqueDelay.SHORTEST` where they are not a motion in time."""
+    step = float(motion.time[1] - motion.time[0]) if len(motion) > 1 else 0.0
+    return max(step, TorqueDelay.SHORTEST)
+
+
+def _late(x: Array, time: Array, delay: float) -> Array:
+    """Smooth signals (N, m) of `delay` ago; the first sample where there is none."""
+    return np.asarray(interpolate.CubicSpline(time, x)(np.maximum(time - delay, time[0])))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +187,7 @@ class LineInterference(SineEffect):
     """
 
     acts_on: ClassVar[str] = "signals"
+    by_clock: ClassVar[bool] = True
     in_dynamics: ClassVar[bool] = False
     side: ClassVar[str] = "drive"
     repeats: ClassVar[bool] = True

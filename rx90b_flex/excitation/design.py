@@ -50,6 +50,7 @@ HARMONICS = 5  # of the references; 1.2 Hz for 4.096 s, far below the lowest ant
 BELOW = 0.5  # part of the lowest mode's frequency that "below" keeps under
 MODE_WIDTH = 0.1  # lines "on_modes" reach so far to either side, of the mode's frequency: modes move with the pose
 LINES_A_MODE = 5
+TORQUE_PART = (0.03, 0.3)  # of the largest feed-forward torque, root mean square of a random multisine
 TRIES = 1000  # random poses, until one keeps to the limits at rest
 RANK_TOLERANCE = 1e-7  # directions below this part of the largest singular value count as not there (`essential_space`)
 MEMORY = 30  # steps that the quasi-Newton method goes by
@@ -76,7 +77,7 @@ class Stage:
     share: float
 
 
-STAGES = (Stage(4.0, 0.25, 0.25), Stage(10.0, 0.375, 0.25), Stage(20.0, 0.5, 0.25), Stage(40.0, 1.0, 0.25))
+STAGES = (Stage(6.0, 0.25, 0.2), Stage(15.0, 0.3125, 0.3), Stage(30.0, 0.5, 0.3), Stage(40.0, 1.0, 0.2))
 
 
 # ---- what is optimised ------------------------------------------------------------------------------------------
@@ -203,7 +204,8 @@ class _Problem:
         else:
             raise ValueError(f"{self.frame.robot.name}: no pose of {TRIES} random ones keeps to the limits at rest")
         speed = 0.5 * rng.normal(size=(2 * self.frame.harmonics, joints)) / np.sqrt(order)
-        torque = 0.3 * rng.normal(size=(2, len(self.frame.hz), joints))
+        part = np.exp(rng.uniform(*np.log(TORQUE_PART)))
+        torque = part * rng.normal(size=(2, len(self.frame.hz), joints))
         return self.unknowns(np.vstack([centre, speed]), torque[0] + 1j * torque[1])
 
     def rests_within(self, centre: Array) -> bool:
@@ -357,9 +359,9 @@ def design_excitation(
     moving: tuple[str, ...] | None = None,
     samples: int = 1024,
     points: int = 8,
-    draws: int = 24,
-    starts: int = 2,
-    evaluations: int = 500,
+    draws: int = 48,
+    starts: int = 3,
+    evaluations: int = 450,
     progress: Progress | None = None,
 ) -> Design:
     """Design a periodic excitation for a robot, flexible or rigid.

@@ -103,7 +103,9 @@ def _of_links(robot: Robot, motion: Motion, weight: Array) -> Slopes:
     for t, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
         pin.computeForwardKinematicsDerivatives(model, data, q, v, a)
         for b, joint in enumerate(bodies):
-            rate_by_q[b, t], by_q[b, t], by_v[b, t], jacobian[b, t] = derivatives(model, data, joint, frame)
+            found = derivatives(model, data, joint, frame)
+            for out, part in zip((rate_by_q, by_q, by_v, jacobian), found, strict=True):
+                out[b, t] = part.reshape(6, n)
             twist[b, t], rate[b, t] = data.v[joint].vector, data.a[joint].vector
             down[b, t] = data.oMi[joint].rotation.T @ gravity
     order = np.argsort(robot.link_parameter_places.reshape(-1, 10) % 10, axis=1)

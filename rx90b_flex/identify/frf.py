@@ -581,8 +581,8 @@ def _lines(
     if hz is None:
         if any(r.feedforward_torque is None for r in recordings):
             raise ValueError(
-                f"recording {recordings[0].name!r} has no feedforward_torque, which tells the excited lines; log it, or from Python "
-                "give the excited lines as `hz`"
+                f"recording {recordings[0].name!r} has no feedforward_torque, which tells the excited lines; log it or give the "
+                "references that were sent, or from Python the excited lines as `hz`"
             )
         size = np.max([np.abs(_period_mean_spectrum(r)[:, columns]).max(axis=1) for r in recordings], axis=0)
         lines = np.flatnonzero(size > EXCITED * size.max())

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from scipy.signal import resample
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
@@ -28,6 +29,7 @@ from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.signals.folders import fill_folder
+from rx90b_flex.signals.tables import read_table
 
 if TYPE_CHECKING:
     from rx90b_flex.simulate.cs8 import CS8
@@ -56,6 +58,8 @@ class Options:
         Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
+    references : Path or None
+        Folder of the files that were sent (`rx90b-flex excite`), where the logs do not hold the feed-forward torque.
     """
 
     band_hz: tuple[float, float] = (8.0, 80.0)
@@ -65,6 +69,7 @@ class Options:
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
+    references: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -183,11 +188,14 @@ def identify_from_motors(
     robot = load_robot(campaign.robot_source)
     controller = _controller(Path(source), options.controller)
     stages = _Stages(tell)
-    groups = group_poses(campaign.identification)
+    recordings = campaign.identification
+    if options.references is not None:
+        recordings = tuple(with_reference(r, options.references) for r in recordings)
+    groups = group_poses(recordings)
     poses: list[AtPose] = []
     remarks: list[str] = []
-    for place, recordings in enumerate(groups):
-        found = _at_pose(f"pose {place + 1}", recordings, robot, options, stages, (place / len(groups), len(groups)))
+    for place, group in enumerate(groups):
+        found = _at_pose(f"pose {place + 1}", group, robot, options, stages, (place / len(groups), len(groups)))
         if found is not None:
             poses.append(found)
             remarks += [_of(found.name, remark, len(groups)) for remark in found.measured.remarks]
@@ -205,6 +213,37 @@ def identify_from_motors(
         Path(source), robot, options, tuple(poses), grey, fitted if grey is not None else (),
         tuple(stages.left_out), tuple(remarks), stages.seconds,
     )  # fmt: skip
+
+
+def with_reference(recording: Recording, folder: Path) -> Recording:
+    """A log with the feed-forward torque of the file that was sent: of its name, in the folder or in one of its own folder's name.
+
+    When the log began within the period does not matter, as long as all logs began alike.
+
+    Raises
+    ------
+    ValueError
+        No such file, or one of another period.
+    """
+    if recording.feedforward_torque is not None or recording.period_samples is None or recording.source is None:
+        return recording
+    file = f"{recording.source.name.split('.')[0]}.csv"
+    places = [folder / recording.source.parent.name / file, folder / file]
+    found = next((path for path in places if path.is_file()), None)
+    if found is None:
+        raise ValueError(
+            f"{folder}: no {file}, the reference of {recording.source.parent.name}/{recording.source.name}"
+        )
+    columns = ["time", *(f"ff_{joint}" for joint in recording.joints)]
+    values = read_table(found, columns).columns(columns)
+    lasts = len(values) * float(values[-1, 0] - values[0, 0]) / (len(values) - 1)
+    if abs(lasts - (recording.period_s or 0.0)) > 1e-3 * lasts:
+        raise ValueError(
+            f"{found}: lasts {lasts:.6g} s; expected one period_s of {recording.name}, {recording.period_s:g} s"
+        )
+    size = recording.period_samples
+    wave = values[:, 1:] if len(values) == size else resample(values[:, 1:], size, axis=0)
+    return dataclasses.replace(recording, feedforward_torque=np.resize(wave, recording.torque.shape))
 
 
 def _of(pose: str, text: str, poses: int) -> str:

@@ -31,8 +31,12 @@ NAMED = 0.4  # entries of a direction that are named, over its largest
 SMOOTHED = 8  # degrees of freedom that a line's covariance is given by its neighbours, per entry of the response
 OWN = 3.0  # a line whose variance exceeds its neighbours' mean by this keeps its own: an interfering line
 COARSE = 0.3  # part of |P| taken as an additional error where the search from many starts begins
-MODEL_ERROR = 0.01  # of |P|: what separates the response of a moving robot from the model after all that is averaged (see `grey_box`)
-FRICTION_ERROR = 0.5  # of a friction slope: what separates sliding friction with reversals from a viscous one
+# Of |P|, what separates the response of a moving robot from the model after all that is averaged: with viscous friction, 0.3 % at the
+# drive points and up to 1.2 % elsewhere (RMS over the lines of section 6.6.2's campaign).
+MODEL_ERROR = 0.005
+# Of a friction slope, what separates friction with reversals from a viscous one: it locks a joint for a part of the time.
+FRICTION_ERROR = 0.5
+ERROR_RANGE = (1e-3, 10.0)  # over these two: smaller errors are seen by no data, larger ones by every eye
 REACH_HZ = 5.0  # over which these errors stay alike
 KINDS = {
     "drive_inertia.inertia": "drive_inertia",
@@ -200,6 +204,12 @@ def _parameters(robot: Robot, joints: Sequence[str], experiments: int, link_mass
     return out
 
 
+def declared_parameters(robot: Robot) -> dict[str, float]:
+    """Drive and flexibility parameters of a robot by the grey box's names, as they stand in `start` and `fixed`."""
+    parts = [e for e in robot.effects if e.part in ("drives", "flexibility")]
+    return {name: float(value) for e in parts for name, value in zip(_names(e), e.coefficients, strict=True)}
+
+
 def _names(effect: Effect) -> list[str]:
     place = "_".join(effect.joints) or "base"
     out = []
@@ -273,6 +283,20 @@ def _of_link(motion: Motion, link: str, parameters: Array) -> tuple[Array, Array
     return motion.on_tree.body_derivatives(link, parameters)
 
 
+def response_derivatives(
+    robot: Robot, joints: Sequence[str], pose: Array, slopes: Mapping[str, float], hz: Array
+) -> ComplexArray:
+    """Derivatives of P at a pose by the logarithms of drive and flexibility parameters, (p, F, n, n); friction has viscous slopes."""
+    parameters = _parameters(robot, joints, 1, 0.0)
+    names = {joint: _slope_name(joint, 0, 1) for joint in joints}
+    values = np.array(
+        [slopes[p.name.partition(".")[0]] if p.name in names.values() else p.declared for p in parameters]
+    )
+    own = np.array([p.name not in names.values() for p in parameters])
+    by = _pose(robot, names, pose, parameters).derivatives(hz, values)
+    return np.asarray((by * values[:, None, None, None])[own])
+
+
 def poses_along(position: Array, count: int = 3) -> Array:
     """A few poses that stand for a motion to and fro: means of equal parts along its main direction, with each joint's variance.
 
@@ -337,6 +361,7 @@ class _Problem:
     free: Mask  # parameters that are fitted
     bending_alike_std: float
     bias: tuple[_Bias, ...] = ()  # of each response; empty: the model is taken as exact
+    bias_sizes: tuple[float, float] = (0.0, 0.0)  # model and friction error
 
     @cached_property
     def declared(self) -> Array:
@@ -383,12 +408,24 @@ class _Problem:
         """Errors or slopes with the bias, too, brought to unit variance."""
         return [bias.white(e) for bias, e in zip(self.bias, errors, strict=True)] if self.bias else errors
 
-    def with_bias(self, x: Array, model_error: float, friction_error: float) -> _Problem:
-        """The same problem with the bias that a response near x may have."""
-        rough = zip(self.whiteners, self.responses, self.predicted(x), self.derivatives(x), strict=True)
-        slope = np.array([f".{SLOPE}" in p.name for p in self.parameters])
-        bias = tuple(_bias(w, r.hz, model_error * model, friction_error * by_x[slope]) for w, r, model, by_x in rough)
-        return dataclasses.replace(self, bias=bias)
+    def with_bias(self, x: Array, sizes: tuple[float | None, float | None]) -> _Problem:
+        """The same problem with the bias that a response near x may have; sizes that are None are estimated there.
+
+        The estimate is the restricted likelihood's: of the sizes given what the parameters cannot explain.
+        """
+        functions = [
+            _bias_functions(w, r.hz, model, np.array([by_x[own].sum(axis=0) for own in self.slopes_of(r.joints)]))
+            for w, r, model, by_x in zip(
+                self.whiteners, self.responses, self.predicted(x), self.derivatives(x), strict=True
+            )
+        ]
+        found = _bias_sizes(self, x, functions, sizes)
+        bias = tuple(_bias(*pair, found) for pair in functions)
+        return dataclasses.replace(self, bias=bias, bias_sizes=found)
+
+    def slopes_of(self, joints: Sequence[str]) -> list[Mask]:
+        """Which parameters are friction slopes of each joint, one an experiment."""
+        return [np.array([p.name.startswith(f"{joint}.{SLOPE}") for p in self.parameters]) for joint in joints]
 
     # real residuals of unit variance, with the prior's
 
@@ -460,16 +497,75 @@ class _Bias:
         return errors - self.directions @ (self.shrink[:, None] * inside if errors.ndim == 2 else self.shrink * inside)
 
 
-def _bias(whitener: ComplexArray, hz: Array, size: ComplexArray, friction: ComplexArray) -> _Bias:
-    """Bias of independent entries, of standard deviation |size| (F, n, n), and of the frictions, (joints, F, n, n) each."""
+def _bias_functions(
+    whitener: ComplexArray, hz: Array, model: ComplexArray, friction: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Whitened functions whose random sums are errors of independent entries, as large as |model| (F, n, n), and of frictions.
+
+    A joint's friction torque acts on all drives alike whatever brings it about, so that its error is a column of the derivative by
+    its slope, (joints, F, n, n), on its own for each input. Returns two arrays (F * n*n, K).
+    """
     values, vectors = np.linalg.eigh(np.exp(-0.5 * ((hz[:, None] - hz) / REACH_HZ) ** 2))
     basis = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, values > 1e-3 * values[-1]]
-    lines, entries = len(hz), size[0].size
-    own = np.abs(size).reshape(lines, entries, 1, 1) * np.eye(entries)[:, :, None] * basis[:, None, None, :]
-    shared = friction.reshape(len(friction), lines, entries).transpose(1, 2, 0)[..., None] * basis[:, None, None, :]
-    functions = np.concatenate([own.reshape(lines, entries, -1), shared.reshape(lines, entries, -1)], axis=2)
-    directions, s, _ = np.linalg.svd((whitener @ functions).reshape(lines * entries, -1), full_matrices=False)
+    lines, entries = len(hz), model[0].size
+    own = np.abs(model).reshape(lines, entries, 1, 1) * np.eye(entries)[:, :, None] * basis[:, None, None, :]
+    inputs = friction[..., None] * np.eye(model.shape[-1])  # (joints, F, n, n, n): by the last, one column each
+    shared = np.moveaxis(inputs, 0, -1).reshape(lines, entries, -1)[..., None] * basis[:, None, None, :]
+    first, second = ((whitener @ f.reshape(lines, entries, -1)).reshape(lines * entries, -1) for f in (own, shared))
+    return first, second
+
+
+def _bias(model: ComplexArray, friction: ComplexArray, sizes: tuple[float, float]) -> _Bias:
+    functions = np.concatenate([sizes[0] * model, sizes[1] * friction], axis=1)
+    directions, s, _ = np.linalg.svd(functions, full_matrices=False)
     return _Bias(directions, 1.0 - 1.0 / np.sqrt(1.0 + s**2))
+
+
+def _bias_sizes(
+    problem: _Problem,
+    x: Array,
+    functions: list[tuple[ComplexArray, ComplexArray]],
+    given: tuple[float | None, float | None],
+) -> tuple[float, float]:
+    """Model and friction error, those not given of the highest restricted likelihood with the model linear about x."""
+    model, friction = given
+    if model is not None and friction is not None:
+        return model, friction
+    free = problem.free
+    rows = [np.column_stack([d[:, free], e]) for d, e in zip(problem.slopes(x), problem.errors(x), strict=True)]
+    products = []  # of functions with themselves, and with slopes and errors, once for all sizes
+    for pair, row in zip(functions, rows, strict=True):
+        f = np.concatenate(pair, axis=1)
+        products.append((f.conj().T @ f, f.conj().T @ row, len(pair[0].T)))
+    plain = sum(((row.conj().T @ row).real for row in rows), np.zeros((free.sum() + 1,) * 2))
+    begin, reach = np.log([MODEL_ERROR, FRICTION_ERROR]), np.log(ERROR_RANGE)
+    fixed = np.array([value is not None for value in given])
+
+    def sizes(logarithms: Array) -> tuple[float, float]:
+        own = iter(np.exp(begin[~fixed] + np.clip(logarithms, *reach)).tolist())
+        both = [next(own) if value is None else value for value in given]
+        return both[0], both[1]
+
+    def deviance(logarithms: Array) -> float:
+        moments, volume = 2.0 * plain, 0.0
+        pair = sizes(logarithms)
+        for gram, with_rows, number in products:
+            scale = np.where(np.arange(len(gram)) < number, *pair)
+            inner = np.linalg.cholesky(np.eye(len(gram)) + scale[:, None] * gram * scale)
+            seen = np.linalg.solve(inner, scale[:, None] * with_rows)
+            moments = moments - 2.0 * (seen.conj().T @ seen).real
+            volume += 4.0 * float(np.log(np.diag(inner).real).sum())
+        information = moments[:-1, :-1] + problem.prior.T @ problem.prior
+        slope = moments[:-1, -1] + problem.prior.T @ problem.prior @ (x - problem.declared)[free]
+        rest = moments[-1, -1] - slope @ np.linalg.solve(information, slope)
+        return float(volume + np.linalg.slogdet(information)[1] + rest)
+
+    count = int((~fixed).sum())
+    found = optimize.minimize(
+        deviance, np.zeros(count), method="Nelder-Mead",
+        options={"xatol": 0.05, "fatol": 0.1, "initial_simplex": np.vstack([np.zeros(count), -1.5 * np.eye(count)])},
+    )  # fmt: skip
+    return sizes(found.x)
 
 
 # ---- what comes out -------------------------------------------------------------------------------------------------
@@ -559,6 +655,8 @@ class GreyBox:
     cost_limit : float
         95 % of right models stay below.
     starts : tuple of Start
+    model_error, friction_error : float
+        Given or estimated: what bias the intervals allow for, of |P| and of the friction slopes.
     """
 
     estimates: tuple[GreyEstimate, ...]
@@ -573,6 +671,8 @@ class GreyBox:
     expected_cost: float
     cost_limit: float
     starts: tuple[Start, ...]
+    model_error: float
+    friction_error: float
 
     def __getitem__(self, name: str) -> GreyEstimate:
         for estimate in self.estimates:
@@ -607,8 +707,8 @@ def grey_box(
     along: Sequence[Array] | None = None,
     feedback: Feedback | None = None,
     torques: Sequence[ComplexArray] | None = None,
-    model_error: float = MODEL_ERROR,
-    friction_error: float = FRICTION_ERROR,
+    model_error: float | None = MODEL_ERROR,
+    friction_error: float | None = FRICTION_ERROR,
     progress: Progress | None = None,
 ) -> GreyBox:
     """Fit drive and joint stiffness, damping, drive inertia and friction slope to frequency responses, by maximum likelihood.
@@ -644,9 +744,11 @@ def grey_box(
     torques : sequence of complex array, shape (F, joints, experiments), optional
         Of each response, the torques of its experiments at one phase realisation. Friction with reversals is steeper where a joint
         vibrates less, and so differs between experiments; with their torques each has its own slopes (``joint_3.friction_slope_2``).
-    model_error, friction_error : float
+    model_error, friction_error : float or None
         Bias that is left, as random functions of frequency that stay alike over `REACH_HZ`: of each entry, over its magnitude, and of
-        each friction slope, over the slope. It weighs the lines and widens the intervals. 0: the model is exact.
+        each friction slope in each column, over the slope. It weighs the lines and widens the intervals. 0: the model is exact. None:
+        estimated from what the fit cannot explain, by restricted maximum likelihood. That sees no bias which parameters can take
+        up: with dry friction its intervals are too short, and those of the stated default are not.
     progress : callable, optional
 
     Raises
@@ -672,7 +774,7 @@ def grey_box(
     rng = np.random.default_rng(seed)
     centre = begin[0][1]
     begin += [(f"drawn {k + 1}", centre + _drawn(problem, spread, rng)) for k in range(starts)]
-    problem, best, ends = _search(problem, begin, model_error, friction_error, tell)
+    problem, best, ends = _search(problem, begin, (model_error, friction_error), tell)
     tell("information", 0.95)
     return _result(robot, problem, best, ends)
 
@@ -767,7 +869,7 @@ SAME = 1e-3  # of the logarithms: starts that are so near each other after the c
 
 
 def _search(
-    problem: _Problem, begin: list[tuple[str, Array]], model_error: float, friction_error: float, tell: Progress
+    problem: _Problem, begin: list[tuple[str, Array]], sizes: tuple[float | None, float | None], tell: Progress
 ) -> tuple[_Problem, Array, tuple[Start, ...]]:
     coarse, middle = problem.coarser(COARSE, 3), problem.coarser(0.1 * COARSE, 3)
     found = []
@@ -776,7 +878,9 @@ def _search(
         x = middle.minimum(coarse.minimum(x, 30), 20)
         found.append((middle.cost(x), name, x))
     order = sorted(range(len(found)), key=lambda k: found[k][0])
-    problem = problem.with_bias(found[order[0]][2], model_error, friction_error)
+    problem = problem.with_bias(found[order[0]][2], sizes)
+    if None in sizes:  # once more where the fit ends
+        problem = problem.with_bias(problem.minimum(found[order[0]][2], 60), sizes)
     ends: dict[int, tuple[float, Array]] = {}
     for k in order[:FOLLOWED]:
         same = [other for other in ends if np.abs(found[k][2] - found[other][2]).max() < SAME]
@@ -821,6 +925,7 @@ def _result(robot: Robot, problem: _Problem, x: Array, starts: tuple[Start, ...]
     return GreyBox(
         estimates, covariance, information, _directions(information, names), _fitted_robot(robot, problem.parameters, values),
         problem.responses, tuple(problem.predicted(x)), tuple(errors), cost, expected, expected + 1.645 * spread, starts,
+        *problem.bias_sizes,
     )  # fmt: skip
 
 

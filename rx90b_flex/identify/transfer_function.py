@@ -37,6 +37,7 @@ from rx90b_flex.identify.starting_values import (
 
 TURN = 2 * np.pi
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
+EDGE_HZ = 0.01  # by which an antiresonance may leave its bounds at a cost of 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,12 +227,16 @@ class Bounds:
     damping_ratio : (low, high).
     decay_hz : (low, high) of the friction's real pole; by default up to half the lowest line.
     delay_s : (low, high).
+    antiresonances : tuple of (joint, low, high)
+        The antiresonance of that joint's drive point which is nearest to the interval, Hz, stays in it. Zeros are functions of
+        modes and what stands beside them: a steep price keeps them.
     """
 
     frequency_hz: tuple[float, float] | None = None
     damping_ratio: tuple[float, float] = DAMPING
     decay_hz: tuple[float, float] | None = None
     delay_s: tuple[float, float] = (-0.01, 0.01)
+    antiresonances: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -347,19 +352,8 @@ class TransferFit:
         A zero moves with the parameters by ``dz = -(dP/dtheta) / (dP/ds)``.
         """
         z = self.model.complex_zeros(drive)
-        along = (z.conj() / np.abs(z))[:, None] * self._zero_derivatives(drive, z)
+        along = (z.conj() / np.abs(z))[:, None] * _zero_derivatives(self._layout, self.model, drive, z)
         return np.abs(z) / TURN, along.real / TURN
-
-    def _zero_derivatives(self, drive: int, z: ComplexArray) -> ComplexArray:
-        model, free = self.model, self._layout.count - self._layout.delays
-        rows, columns = np.triu_indices(self._layout.size)
-        entry = int(np.flatnonzero((rows == drive) & (columns == drive))[0])
-        out = np.zeros((len(z), self._layout.count), complex)
-        out[:, :free] = self._layout.jacobian(model, z)[:, entry]
-        q, p = model.shape[:, drive] ** 2, model.poles
-        by_s = model.slope[drive, drive] + model.drag[drive, drive] / (z + TURN * model.decay_hz) ** 2
-        by_s = by_s - (q / (z[:, None] - p) ** 2 + q.conj() / (z[:, None] - p.conj()) ** 2).sum(axis=1)
-        return -out / by_s[:, None]
 
     def frf_std(self, hz: Array) -> Array:
         """Standard deviation of the fitted FRF (6.48), ``sqrt(E |d|^2)``, shape (F, n, n), rad/s^2 per N m."""
@@ -368,6 +362,19 @@ class TransferFit:
         return np.sqrt(np.einsum("fap,pq,faq->fa", by, self.covariance, by.conj()).real).reshape(
             len(s), self._layout.size, -1
         )
+
+
+def _zero_derivatives(layout: _Layout, model: TransferFunctions, drive: int, z: ComplexArray) -> ComplexArray:
+    """Derivatives of zeros z of a drive point by the parameters, shape (z, p)."""
+    free = layout.count - layout.delays
+    rows, columns = np.triu_indices(layout.size)
+    entry = int(np.flatnonzero((rows == drive) & (columns == drive))[0])
+    out = np.zeros((len(z), layout.count), complex)
+    out[:, :free] = layout.jacobian(model, z)[:, entry]
+    q, p = model.shape[:, drive] ** 2, model.poles
+    by_s = model.slope[drive, drive] + model.drag[drive, drive] / (z + TURN * model.decay_hz) ** 2
+    by_s = by_s - (q / (z[:, None] - p) ** 2 + q.conj() / (z[:, None] - p.conj()) ** 2).sum(axis=1)
+    return -out / by_s[:, None]
 
 
 def fit_transfer_functions(
@@ -428,7 +435,7 @@ def fit_transfer_functions(
             "expected modes from 1 on and twice as many numbers as parameters"
         )
     bounds = _filled(bounds or Bounds(), response)
-    problem = _Problem(response)
+    problem = _Problem(response, _zero_bounds(bounds, response))
     sets: tuple[PoleSet, ...] = ()
     if start is None:
         sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
@@ -480,6 +487,18 @@ def _filled(bounds: Bounds, response: FrequencyResponse) -> Bounds:
     )
 
 
+def _zero_bounds(bounds: Bounds, response: FrequencyResponse) -> list[tuple[int, float, float]]:
+    out = []
+    for joint, low, high in bounds.antiresonances:
+        if joint not in response.joints or not 0.0 <= low < high:
+            raise ValueError(
+                f"antiresonance of {joint!r} between {low:g} and {high:g} Hz; expected a joint of {', '.join(response.joints)} "
+                "and an ascending pair"
+            )
+        out.append((response.joints.index(joint), low, high))
+    return out
+
+
 def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
     """What estimated weights do to the cost a line and entry: its mean, its variance, and the parameters' covariance.
 
@@ -499,16 +518,33 @@ def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
 class _Problem:
     """Residuals and Jacobian of the likelihood over one response."""
 
-    def __init__(self, response: FrequencyResponse) -> None:
+    def __init__(self, response: FrequencyResponse, zeros: Sequence[tuple[int, float, float]] = ()) -> None:
         self.response = response
+        self.zeros = zeros  # drive, lowest and highest frequency of an antiresonance, Hz
         self.data = symmetric_data(response)
         self.white = whitening(response)
         self.n = len(response.joints)
         self.upper = np.triu_indices(self.n)
 
     def cost(self, layout: _Layout, x: Array) -> float:
-        r = self.residual(layout, layout.unpack(x))
-        return float((np.abs(r) ** 2).sum()) + (0.0 if layout.delays else self.data.rest)
+        model = layout.unpack(x)
+        r, beyond = self.residual(layout, model), self.beyond(layout, model)[0]
+        return float((np.abs(r) ** 2).sum() + beyond @ beyond) + (0.0 if layout.delays else self.data.rest)
+
+    def beyond(self, layout: _Layout, model: TransferFunctions) -> tuple[Array, Array]:
+        """How far each bounded antiresonance is out of its bounds, over `EDGE_HZ`, and its derivatives, (z,) and (z, p)."""
+        values, slopes = [], []
+        for drive, low, high in self.zeros:
+            z = model.complex_zeros(drive)
+            hz = np.abs(z) / TURN
+            out = hz - np.clip(hz, low, high)
+            nearest = int(np.argmin(np.abs(out))) if len(out) else -1
+            if nearest >= 0 and out[nearest] != 0.0:
+                one = z[nearest : nearest + 1]
+                by = (one.conj() / np.abs(one) @ _zero_derivatives(layout, model, drive, one)).real / TURN
+                values.append(out[nearest] / EDGE_HZ)
+                slopes.append(by / EDGE_HZ)
+        return np.array(values), np.array(slopes).reshape(len(values), layout.count)
 
     def residual(self, layout: _Layout, model: TransferFunctions) -> ComplexArray:
         """Whitened model minus data: of the n*n entries with delays, of what a symmetric model reaches without."""
@@ -528,7 +564,8 @@ class _Problem:
         """Gauss-Newton Hessian and gradient of half the cost."""
         model = layout.unpack(x)
         j, r = self.jacobian(layout, model), self.residual(layout, model)
-        rows, target = real_rows(j), real_rows(r[:, :, None])[:, 0]
+        beyond, by = self.beyond(layout, model)
+        rows, target = np.vstack([real_rows(j), by]), np.append(real_rows(r[:, :, None])[:, 0], beyond)
         return rows.T @ rows, rows.T @ target
 
 

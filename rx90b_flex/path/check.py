@@ -231,8 +231,8 @@ class PathCheck:
             return f"Pass when corrected: {strays}, on the corrected path by {after.max_across:.3g} mm, within {tolerance}."
         bad = int((~after.within(self.options.tolerance_mm)).sum())
         return (
-            f"Fail: {strays}; correction brings it to {after.max_across:.3g} mm and no further, and {bad} of {len(after.by_mm)} "
-            f"millimetres stay over {tolerance}."
+            f"Fail: {strays}; correction in {len(self.iterations) - 1} steps brings it to {after.max_across:.3g} mm, and {bad} of "
+            f"{len(after.by_mm)} millimetres stay over {tolerance}."
         )
 
 
@@ -280,8 +280,9 @@ def check_path(
     if options.contributions and before.ended is None:
         contributions, left_over = _contributions(planned, controller, before, options.jobs, tell)
         clock.lap("contributions")
-    seconds = clock.seconds
-    return PathCheck(planned, options, before, after, correction, iterations, contributions, left_over, wrong, seconds)
+    return PathCheck(
+        planned, options, before, after, correction, iterations, contributions, left_over, wrong, clock.seconds
+    )
 
 
 class _Clock:

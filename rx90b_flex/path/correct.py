@@ -21,6 +21,7 @@ ComplexArray = NDArray[np.complex128]
 
 BAND_HZ = 20.0  # choice: Q is 1 up to here and falls to 0 at twice this
 REGULARISATION = 1e-2  # r; T is about 1 in the loop's bandwidth
+SLIDING = 0.05  # rad/s; choice: slowest speed at which friction is linearised
 POSE_EVERY = 0.15  # m along the path, between poses at which T is known; the tip moves by little of the arm's length
 GRID_HZ = 0.25  # of T's frequencies, a quarter of the sharpest resonance's width
 FADE_S = 0.5 * HOLD_S
@@ -35,10 +36,10 @@ class Learner:
         self.plan = plan
         self.knots = np.linspace(0.0, total, max(2, round(total / POSE_EVERY) + 1))
         self.hz = np.arange(0.0, 2.0 * BAND_HZ + GRID_HZ, GRID_HZ)
+        # friction's slope at standstill would hold the drives, but they slide as soon as a correction moves them
         velocity = rates(plan.position, plan.rate_hz)
-        # a little away from the ends, where the robot stands and friction would hold it
-        wanted = np.clip(self.knots, 0.02 * total, 0.98 * total)
-        places = np.searchsorted(plan.distance, wanted)
+        velocity = np.where(velocity < 0.0, -1.0, 1.0) * np.maximum(np.abs(velocity), SLIDING)
+        places = np.searchsorted(plan.distance, self.knots)
         self.inverse = np.stack(
             [self._inverse(tip_response(plan, controller, k, velocity[k], self.hz)) for k in places]
         )

@@ -220,7 +220,10 @@ class _Arm:
             solved = self.solve(q, point, frame)
             if solved is not None:
                 # a turn more or less is the same place
-                angle = solved[0] - 2.0 * np.pi * np.round((solved[0] - 0.5 * (low + high)) / (2.0 * np.pi))
+                turns = np.round((solved[0] - 0.5 * (low + high)) / (2.0 * np.pi))
+                angle = solved[0] - 2.0 * np.pi * np.where(
+                    (solved[0] < self.lower) | (solved[0] > self.upper), turns, 0.0
+                )
                 if not any(np.abs(angle - other).max() < 1e-3 for other in found):
                     found.append(angle)
         return sorted(found, key=lambda angle: -float(np.min(np.minimum(angle - low, high - angle) / (high - low))))

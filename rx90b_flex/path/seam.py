@@ -158,6 +158,12 @@ class Seam:
         if (sides < 1e-6).any():
             k = int(np.argmin(sides))
             raise ValueError(f"{self.name}: points {k + 1} and {k + 2} are the same; expected a path between them")
+        shape = None if self.rotations is None else np.shape(self.rotations)
+        if shape != ((len(points), 3, 3) if self.orientation == "given" else None):
+            raise ValueError(
+                f"{self.name}: orientation is {self.orientation!r} and rotations have shape {shape}; expected one matrix a point "
+                "where orientation is 'given', else none"
+            )
         if self.corner == "blend" and not self.blend > 0.0:
             raise ValueError(
                 f"{self.name}: corner is 'blend' and blend_mm is {1e3 * self.blend:g}; expected more than 0"

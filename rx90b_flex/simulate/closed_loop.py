@@ -141,14 +141,17 @@ class Simulation:
     @cached_property
     def tip(self) -> Array:
         """Pose of the tip frame, shape (N, 4, 4), in the base frame, m."""
-        return _tip_poses(self.robot.model, self.robot.tip_frame, self.q)
+        motion = self.robot.motion(self.q, self.v, np.zeros_like(self.v), self.time)
+        for effect in self.robot.effects:
+            motion = dataclasses.replace(motion, q=effect.links_at(motion))
+        return tip_poses(self.robot.model, self.robot.tip_frame, motion.q)
 
     @cached_property
     def reference_tip(self) -> Array:
         """Pose that the rigid robot's tip frame would have at the references, shape (N, 4, 4)."""
         reference = self.recording.reference_position
         assert reference is not None
-        return _tip_poses(self.robot.tree, self.robot.tip_frame, reference)
+        return tip_poses(self.robot.tree, self.robot.tip_frame, reference)
 
     @cached_property
     def tip_deviation_mm(self) -> Array:
@@ -511,7 +514,8 @@ class _Decimator:
         return done + self.stages[-1].finish(out[done:])
 
 
-def _tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
+def tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
+    """Poses of a frame at positions (N, n), shape (N, 4, 4), in the base frame, m."""
     data, tip = model.createData(), model.getFrameId(frame)
     out = np.empty((len(q), 4, 4))
     for k, row in enumerate(q):

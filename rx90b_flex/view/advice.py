@@ -9,7 +9,6 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop
 from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, signals
-from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate
@@ -89,19 +88,13 @@ def standstill(result: ClosedLoop) -> Standstill:
     )
 
 
-def alternatives(winner: Trial, rivals: Sequence[Trial]) -> tuple[Trial, ...]:
-    """Rivals that could be the winner by another name: accepted, on a joint of its, and no worse on held-out blocks."""
-    return tuple(
-        t
-        for t in rivals
-        if t.accepted and set(t.effect.joints) & set(winner.effect.joints) and winner.no_better_than(t)
-    )
-
-
 def dependence_words(dependence: Dependence) -> str:
     """What is left of a joint and on what it depends, as a sentence goes on after "what is left"."""
     if dependence.signal == STANDSTILL:
         return f"of {dependence.joint} is larger while the robot stands still"
+    joint, _, order = dependence.signal.partition(" order ")
+    if order:
+        return f"of {dependence.joint} still repeats {order} times a turn of {joint}"
     return f"of {dependence.joint} still depends on {dependence.signal}"
 
 
@@ -220,6 +213,12 @@ def _remaining(result: ClosedLoop) -> Iterator[Advice]:
 
 def _experiment(dependence: Dependence) -> str:
     joint, _, kind = dependence.signal.rpartition(" ")
+    if joint.endswith(" order"):
+        joint = joint.removesuffix(" order")
+        return (
+            f"Turn {joint} slowly at two constant speeds over its range, both ways: what comes {kind} times a turn at both "
+            "sits on its gears, its motor or its resolver; count teeth, poles and ratios for that number."
+        )
     if dependence.signal == "time":
         return "Repeat one motion over and over from a cold start to a warm robot: drift then stands apart."
     alone = f"with {dependence.joint} at rest" if joint != dependence.joint else "with the other joints at rest"
@@ -239,13 +238,10 @@ def _experiment(dependence: Dependence) -> str:
 
 
 def _alternatives(result: ClosedLoop) -> Iterator[Advice]:
-    for effect in result.effects:
-        same = alternatives(effect.trial, effect.rivals)
-        if same:
-            others = joined([effect_words(t.effect) for t in same])
+    for found in result.effects:
+        for other in found.alternatives:
             yield Advice(
-                f"The data cannot tell {effect_words(effect.effect)} from {others}.",
-                "Record a motion in which the two differ: other speeds, loads and positions than now.",
+                f"This data cannot tell {effect_words(found.effect)} from {effect_words(other.effect)}.", other.advice
             )
 
 

@@ -11,9 +11,10 @@ from rx90b_flex.identify.frf_command import AtPose, MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import Section, Table, image, write_page
-from rx90b_flex.view.report import number, unit_text
+from rx90b_flex.view.report import unit_text
 
 SHOWN_STARTS = 6
+UNDER = "If the model is right, 95 % of the dots lie under the line of the band."
 SHOWN_DIRECTIONS = 4  # vaguest; frf.json has all
 
 
@@ -60,6 +61,14 @@ def _angles(result: MotorIdentification, at: AtPose) -> str:
     return ", ".join(f"{joint.replace('_', ' ')} {np.rad2deg(q) + 0.0:.1f}°" for joint, q in both)
 
 
+def amounts(*values: float) -> tuple[str, ...]:
+    """Numbers in full, all with the decimals that give the smallest of them two digits, none where all are large."""
+    sizes = [abs(v) for v in values if v]
+    decimals = max(0, 1 - int(np.floor(np.log10(min(sizes))))) if sizes else 0
+    # a thin space parts thousands
+    return tuple(f"{v:,.{min(decimals, 6)}f}".replace(",", "\u2009") for v in values)
+
+
 def _bias_words(grey: GreyBox) -> str:
     share = grey.cost / grey.expected_cost
     if grey.bias_detected:
@@ -77,25 +86,37 @@ def _physical(result: MotorIdentification) -> Section | None:
     rows = []
     for e in grey.estimates:
         note = "" if e.determined else "not determined by this data"
-        rows.append((
-            e.name.replace(".", " ").replace("_", " "), number(e.value), number(e.std), f"{number(e.low)} – {number(e.high)}",
-            number(e.start), unit_text(e.unit), note,
-        ))  # fmt: skip
+        value, std, low, high, start = amounts(e.value, e.std, e.low, e.high, e.start)
+        name = e.name.replace(".", " ").replace("_", " ")
+        rows.append((name, value, std, f"{low} – {high}", start, unit_text(e.unit), note))
     tables = [
         Table(
             ("parameter", "value", "std", "95 % interval", "declared", "unit", ""),
             tuple(rows),
-            "Grey box",
+            "Grey box: fitted to all poses together",
             (1, 2, 3, 4),
         ),
     ]
+    if grey.directions:
+        vague = tuple(
+            (d.words.rsplit(":", 1)[0], f"{100 * d.relative_std:.0f} %") for d in grey.directions[:SHOWN_DIRECTIONS]
+        )
+        caption = "What the data say least: parameters that change together almost unseen, and how far (one standard deviation)"
+        tables.append(Table(("combination", "std"), vague, caption))
     compared = [row for p in result.poses for row in _drive_rows(result, p, grey)]
     if compared:
         head = ("drive", "poles and zeros", "std", "grey box", "std", "unit")
-        caption = "The source's route beside it: it lacks the modes above the band"
+        caption = (
+            "Beside it the source's route, from poles and zeros: it counts the modes in the band alone. What lies above the band is "
+            "missing in its stiffness, and its standard deviation does not know of that."
+        )
         tables.append(Table(head, tuple(compared), caption, (1, 2, 3, 4)))
-    text = ["Fitted straight to the frequency response; links and springs are as declared."]
-    text += [f"Hardly determined, {d.words}." for d in grey.directions[:SHOWN_DIRECTIONS]]
+    text = [
+        "Fitted straight to the frequency responses; links and springs are as declared. All values are on the joint side.",
+        "Drive stiffness and damping: torsion between motor and link. Joint stiffness and damping 1 and 2: bending about the two "
+        "axes across the joint's own. Friction slope: friction torque over velocity, as small vibrations feel it, one for each "
+        "experiment.",
+    ]
     assumed = result.options.bending_alike_std
     if assumed > 0:
         text.append(
@@ -105,8 +126,8 @@ def _physical(result: MotorIdentification) -> Section | None:
     if result.options.link_mass_std > 0:
         text.append(f"Links' masses are known to {100 * result.options.link_mass_std:.1f} %, and fitted.")
     text.append(
-        "Friction that reverses is not viscous: its slopes are those that serve this motion, one for each experiment, and what they "
-        "leave over is part of the intervals as a model error."
+        "Friction that reverses is not viscous: its slopes are those that serve this motion, and what they leave over is part of the "
+        "intervals as a model error."
     )
     figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
     return Section("Physical parameters", tuple(text), tuple(tables), (figure,))
@@ -121,7 +142,7 @@ def _drive_rows(result: MotorIdentification, at: AtPose, grey: GreyBox) -> list[
         ):
             best = grey[f"{joint}.drive_{kind}"]
             name = f"{_named(result, at)}{joint.replace('_', ' ')} {kind}"
-            rows.append((name, number(value), number(std), number(best.value), number(best.std), unit))
+            rows.append((name, *amounts(value, std), *amounts(best.value, best.std), unit))
     return rows
 
 
@@ -139,18 +160,32 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
     ]
     if result.grey is not None and place is not None and len(result.grey.responses[place].hz) == len(measured.hz):
         apart = frf_plots.difference(measured, result.grey.predicted[place], "grey box")
-        images.append(image(apart, "Difference from the grey box"))
+        images.append(image(apart, "Difference from the grey box", f"Difference from the grey box. {UNDER}"))
     if at.transfer is not None:
         model = at.transfer.model.frf(measured.hz)
         images.append(
-            image(frf_plots.difference(measured, model, "transfer functions"), "Difference from the transfer functions")
+            image(
+                frf_plots.difference(measured, model, "transfer functions"),
+                "Difference from the transfer functions",
+                f"Difference from the transfer functions. {UNDER}",
+            )
         )
     images += [
-        image(frf_plots.signal_to_noise(measured), "Signal-to-noise ratio of every entry"),
-        image(frf_plots.channel_signal_to_noise(measured), "Signal-to-noise ratio of the measured signals"),
+        image(
+            frf_plots.signal_to_noise(measured),
+            "Signal-to-noise ratio of every entry",
+            "How far every entry stands out: of noise alone (more periods lower it), and of noise and nonlinear distortion "
+            "(more realisations lower both)",
+        ),
+        image(
+            frf_plots.channel_signal_to_noise(measured),
+            "Signal-to-noise ratio of the measured signals",
+            "Signal-to-noise ratio of the measured signals",
+        ),
         image(
             frf_plots.excitation(measured.spectra, measured.joints),
             "Torque and acceleration at excited and other lines",
+            "Torque and acceleration at the excited lines; at the others nonlinearity (mostly friction) answers",
         ),
     ]
     text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
@@ -168,9 +203,11 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
     if fit is None:
         return None
     both = zip(fit.resonances_hz, fit.resonances_std_hz(), fit.model.damping_ratio, strict=True)
-    head = ("resonance, Hz", "std, Hz", "damping ratio, -")
+    head = ("mode", "resonance, Hz", "std, Hz", "damping ratio, -")
     resonances = Table(
-        head, tuple((f"{f:.2f}", f"{s:.2f}", f"{z:.3f}") for f, s, z in both), "Resonances, undamped", (0, 1, 2)
+        head,
+        tuple((str(k), f"{f:.2f}", f"{s:.2f}", f"{z:.3f}") for k, (f, s, z) in enumerate(both, 1)),
+        "Resonances, undamped",
     )
     zeros = []
     for j, joint in enumerate(fit.response.joints):
@@ -196,15 +233,18 @@ def _residuals(result: MotorIdentification) -> Section | None:
     if grey is None:
         return None
     alike, followed = grey.ended_alike
-    costs = [(s.name, number(s.cost)) for s in grey.starts if s.cost is not None]
+    best = min(s.cost for s in grey.starts if s.cost is not None)
+    costs = [(s.name, f"{s.cost - best:.2f}") for s in grey.starts if s.cost is not None]
     table = Table(
-        ("start", "cost at its end"),
+        ("start", "cost at its end, above the lowest"),
         tuple(costs[:SHOWN_STARTS]),
         f"{alike} of {followed} starts that were followed to the end agree",
     )
     figures = [
         image(
-            grey_plots.residuals(grey, k), "Residuals of the grey box along frequency", _named(result, result.poses[i])
+            grey_plots.residuals(grey, k),
+            "Residuals of the grey box along frequency",
+            f"{_named(result, result.poses[i])}residuals",
         )
         for k, i in enumerate(result.fitted)
     ]

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
-from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, _figure, _legend
+from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN, _figure, _legend
 
 PART_COLOURS = {"links": "#8a8a8a", "friction": "#d55e00", "flexibility": "#0072b2", "spring": "#009e73"}
 SHOWN_EFFECTS = 14
@@ -72,9 +72,10 @@ def path_picture(result: PathCheck) -> Figure:
     point = 1e3 * point
     spread = np.ptp(point, axis=0)
     factor = _round_down(MAGNIFIED * float(spread.max()) / max(result.before.max_across, 1e-9))
-    figure = Figure(figsize=(5.4, 4.4), layout="constrained")
     side = 0 if spread[0] > spread[1] else 1  # the horizontal axis along which the path is longer
-    axes = figure.subplots(1, 2)
+    flat = spread[[1 - side, 2]].max() < 0.4 * spread[side]
+    figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+    axes = figure.subplots(2, 1) if flat else figure.subplots(1, 2)
     for ax, (i, j) in zip(axes, ((side, 1 - side), (side, 2)), strict=True):
         ax.plot(point[:, i], point[:, j], color=FLOOR, linewidth=0.8, label="path")
         for of, colour, style, label in (

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.diagnose import evidence, search
 from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop, FoundEffect
+from rx90b_flex.diagnose.motion import MotionErrors
 from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.identify.least_squares import Estimate
@@ -20,7 +21,6 @@ from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.view import plots
 from rx90b_flex.view.advice import (
     MOSTLY,
-    alternatives,
     dependence_words,
     effect_estimates,
     effect_words,
@@ -31,6 +31,7 @@ from rx90b_flex.view.advice import (
 )
 from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
 
+MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
 SHOWN_DEPENDENCES = 4  # plots of what remains; the table holds all
 
 VERDICTS = {
@@ -41,7 +42,7 @@ VERDICTS = {
 }
 
 
-def write_report(result: ClosedLoop, path: Path) -> None:
+def write_report(result: ClosedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
     """Write the report of a result as one HTML file; it appears whole or not at all.
 
     Parameters
@@ -49,13 +50,15 @@ def write_report(result: ClosedLoop, path: Path) -> None:
     result : ClosedLoop
     path : Path
         The file; its folder exists.
+    motion : MotionErrors or str, optional
+        What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
     """
-    html = report_html(result)
+    html = report_html(result, motion)
     write_whole(Path(path), lambda temporary: write_text(temporary, html))
 
 
-def report_html(result: ClosedLoop) -> str:
-    """The report as the text of an HTML page with all figures in it."""
+def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) -> str:
+    """The report as the text of an HTML page with all figures in it; `motion` as in `write_report`."""
     page = template(
         "report.html",
         number=number,
@@ -80,12 +83,16 @@ def report_html(result: ClosedLoop) -> str:
         standstill=standstill(result),
         step_note=step_note(result),
         floor=_floor_words(result),
+        motion=motion,
+        motion_is_known=isinstance(motion, MotionErrors),
         joint_figures=[_joint_figures(result, joint) for joint in result.joints],
         rounds=_rounds(result),
         dependence_figures=_dependence_figures(result),
         advice=next_measurements(result),
         parameters=_parameters(result),
         links=_links(result),
+        moved_links=_moved_links(result),
+        moved_from=MOVED,
         link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
         facts=_facts(result),
         version=package_version(),
@@ -294,11 +301,11 @@ class Round:
 def _rounds(result: ClosedLoop) -> list[Round]:
     out = []
     for i, found in enumerate(result.effects):
-        same = alternatives(found.trial, found.rivals)
+        same = [a.effect.label for a in found.alternatives]
         gain = found.trial.gain
         rows = [TrialRow(found.trial, 1.0, "added", True)]
         for t in found.rivals:
-            outcome = "cannot be told from the winner" if t in same else _outcome(t, result.effects, i)
+            outcome = "cannot be told from the winner" if t.effect.label in same else _outcome(t, result.effects, i)
             rows.append(TrialRow(t, t.gain / gain if gain > 0 else None, outcome, False))
         out.append(Round(f"{i + 1}: {effect_words(found.effect)}", tuple(rows), ""))
     trials = result.last_round.trials
@@ -330,11 +337,12 @@ def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One identified parameter of the final model, and its value in the declared one."""
+    """One identified parameter of the final model, its value in the declared one, and what the robot file gives."""
 
     effect: Effect
     estimate: Estimate
     earlier: Estimate | None
+    given: float | None
     added: bool
 
 
@@ -342,14 +350,51 @@ def _parameters(result: ClosedLoop) -> list[ParameterRow]:
     declared: dict[tuple[str, tuple[str, ...], str], Estimate] = {}
     for i, effect in enumerate(result.declared.effects):
         declared |= {(effect.type_name(), effect.place, e.name): e for e in result.declared.estimates(i)}
+    given: dict[tuple[str, tuple[str, ...], str], float] = {}
+    for effect in result.source.effects:
+        values = ((name, value) for name, _, value in effect.public_values() if not np.isnan(value))
+        given |= {(effect.type_name(), effect.place, name): value for name, value in values}
     new = [e.effect for e in result.effects]
     rows = []
     for effect, estimates in effect_estimates(result):
         added = any(effect is e for e in new)
         for estimate in estimates:
-            earlier = declared.get((effect.type_name(), effect.place, estimate.name))
-            rows.append(ParameterRow(effect, estimate, earlier, added))
+            key = (effect.type_name(), effect.place, estimate.name)
+            rows.append(ParameterRow(effect, estimate, declared.get(key), given.get(key), added))
     return rows
+
+
+@dataclass(frozen=True)
+class LinkRow:
+    """A link parameter that the data determines: in the URDF, identified before anything was added, and in the end."""
+
+    link: str
+    name: str
+    unit: str
+    given: float
+    before: Estimate
+    after: Estimate
+
+    @property
+    def moved(self) -> float | None:
+        """From before to after, in standard deviations of before."""
+        if self.before.value is None or self.after.value is None or not self.before.std:
+            return None
+        return (self.after.value - self.before.value) / self.before.std
+
+
+def _moved_links(result: ClosedLoop) -> list[LinkRow]:
+    """Link parameters that what was added moved by more than `MOVED` standard deviations."""
+    if not (result.effects and result.model.links_fitted):
+        return []
+    robot = result.model.regression.robot
+    names = [
+        (link, name, unit) for link, _ in robot.bodies for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True)
+    ]
+    before, after = result.declared.link_estimates(), result.model.link_estimates()
+    given = result.source.rigid().restricted(result.joints).link_parameters
+    rows = [LinkRow(*n, float(g), b, a) for n, g, b, a in zip(names, given, before, after, strict=True)]
+    return [r for r in rows if r.moved is not None and abs(r.moved) > MOVED]
 
 
 def _links(result: ClosedLoop) -> list[tuple[str, Sequence[Estimate]]]:

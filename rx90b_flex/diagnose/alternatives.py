@@ -1,0 +1,340 @@
+"""Look-alikes: what else would explain as much as an effect that was named, and the experiment that tells the two apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.diagnose.search import Base, Search, Trial
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.identify.coloured import scatter
+from rx90b_flex.identify.least_squares import solve_weighted
+
+MOST_OF_IT = 0.5  # of the named effect's gain that a look-alike explains at the least
+APART = 2.0  # standard errors between two explanations above which the data has decided
+SECONDS, RATE_HZ = 20.0, 50.0  # of an experiment that is thought through
+SLOW, MEDIUM = 0.03, 0.3  # of the fastest speed in the data
+SMALL_RAD = 0.01
+LATER_S = 300.0  # between the parts of the experiment that repeats
+WIDER = 1.3  # range of a joint over the data's, from which it is worth asking for
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """An effect that the data cannot tell from the one that was named.
+
+    Attributes
+    ----------
+    effect : Effect
+        With the values that fit best in the place of the named one.
+    share : float
+        Its gain on held-out blocks over the named effect's.
+    size : int
+        Parameters that it adds to the model.
+    behind : float
+        How much less it explains on held-out blocks, over the standard error of that.
+    experiment : str
+        The motion that would tell the two apart best, as a sentence; empty where none of those thought through would.
+    apart : float
+        Standard errors between the two after that motion, if the named effect is the right one.
+    """
+
+    effect: Effect
+    share: float
+    size: int
+    behind: float
+    experiment: str
+    apart: float
+
+    @property
+    def advice(self) -> str:
+        """What to record, and what that would bring."""
+        if not self.experiment or self.apart <= APART:
+            return (
+                "No motion of one joint within the ranges of this data tells the two apart in "
+                f"{SECONDS:g} s: the difference is of little consequence there."
+            )
+        return f"{self.experiment}: {SECONDS:g} s of that set the two {self.apart:.1f} standard errors apart."
+
+
+def worth_comparing(search: Search, named: Effect, winner: Trial, rivals: Sequence[Trial]) -> list[Effect]:
+    """Rivals of a round that touch what the named effect touches, explained much of it, and are not in the model by now."""
+    present = [(type(e), e.place) for e in search.model.effects]
+    others = [e for e in search.model.effects if e is not named and e.place]
+    out = []
+    for rival in rivals:
+        effect = rival.effect
+        near = not effect.joints or not named.joints or bool(set(effect.joints) & set(named.joints))
+        free = (type(effect), effect.place) not in present
+        shut_out = any(
+            e.place == effect.place and (effect.type_name() in e.replaces or e.type_name() in effect.replaces)
+            for e in others
+        )
+        if near and free and not shut_out and rival.gain >= MOST_OF_IT * winner.gain:
+            out.append(effect)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The final model with a rival in the place of an effect that was named; all coefficients fitted again.
+
+    Attributes
+    ----------
+    named, rival : Trial
+        Both beside the model without either.
+    behind : float
+        Held-out error with the rival less that with the named effect, over its standard error: the larger of the one from
+        coloured noise and the one from block to block. Negative where the rival explains more.
+    noise_over_white : float
+        Variance of the difference of the two explanations over what white noise would give.
+    """
+
+    named: Trial
+    rival: Trial
+    behind: float
+    noise_over_white: float
+
+    @property
+    def undecided(self) -> bool:
+        """Whether both are lawful, explain much the same, and neither does so better than chance allows."""
+        mostly = self.rival.gain >= MOST_OF_IT * self.named.gain
+        return mostly and self.rival.accepted and abs(self.behind) <= APART
+
+    @property
+    def rival_wins(self) -> bool:
+        """Whether the rival explains more than chance allows, now that all else is in the model."""
+        return self.rival.accepted and self.behind < -APART
+
+
+def compare(search: Search, named: Effect, rival: Effect) -> Comparison:
+    """Put a rival in the place of a named effect and compare the errors on held-out blocks."""
+    beside = _Beside(search, named)
+    first, second = (search.trial(e, beside.base(e), beside.base(None), 1) for e in (named, rival))
+    difference = first.block_gains - second.block_gains
+    blocks = float(difference.std(ddof=1) * np.sqrt(len(difference)))
+    apart = (beside.left(second.effect) - beside.left(first.effect)).T[:, :, None]
+    model = search.model
+    weight = model.solution.sigma**-2.0
+    coloured = float(scatter(apart, weight, model.spectra, model.regression.spans)[0, 0])
+    white = float((weight[:, None] * apart[:, :, 0].T ** 2).sum())
+    error = max(2.0 * np.sqrt(coloured), blocks, 1e-300)
+    return Comparison(first, second, float(difference.sum() / error), coloured / white if white > 0 else 1.0)
+
+
+def compared(search: Search, named: Effect, winner: Trial, rivals: Sequence[Trial]) -> list[Comparison]:
+    """The named effect of the final model against each rival of its round that is worth it."""
+    return [compare(search, named, r) for r in worth_comparing(search, named, winner, rivals)]
+
+
+def alternatives(search: Search, named: Effect, comparisons: Sequence[Comparison]) -> tuple[Alternative, ...]:
+    """The rivals that this data cannot tell from a named effect, the best first."""
+    out = []
+    for c in sorted((c for c in comparisons if c.undecided), key=lambda c: c.behind):
+        text, apart = separating_experiment(search, named, c)
+        out.append(Alternative(c.rival.effect, c.rival.gain / c.named.gain, c.rival.size, c.behind, text, apart))
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """The final model without a named effect, but with what that one replaced."""
+
+    search: Search
+    named: Effect
+
+    @property
+    def restored(self) -> tuple[Effect, ...]:
+        """Declared effects that the named one took the place of."""
+        declared = self.search.regression.robot.effects
+        return tuple(e for e in declared if e.place == self.named.place and e.type_name() in self.named.replaces)
+
+    @property
+    def kept(self) -> list[Effect]:
+        """The model's other effects, in the order of its columns."""
+        return [e for e in self.search.model.effects if e is not self.named]
+
+    def base(self, candidate: Effect | None) -> Base:
+        """What the candidate comes to: all of this, less what it replaces itself."""
+        out = [e for e in self.restored if candidate is None or e.type_name() not in candidate.replaces]
+        return self.search.base(self.named, out)
+
+    def left(self, effect: Effect) -> Array:
+        """Residual with an effect in the named one's place, shape (joints, N)."""
+        return self.search.left_with(effect, self.base(effect))
+
+
+# ---- the experiment that would decide -----------------------------------------------------------------------
+
+
+def separating_experiment(search: Search, present: Effect, compared: Comparison) -> tuple[str, float]:
+    """The motion after which a named effect and its rival stand farthest apart, and by how many standard errors.
+
+    Torque of the named effect is made on the data and on each experiment; the rival, its shape and all coefficients of
+    the model are fitted to both together. What cannot be fitted is what tells them apart (T-optimality, Atkinson and
+    Fedorov, 1975). An experiment is one of a few motions of one joint concerned, within the ranges of the data.
+    """
+    named, rival = compared.named.effect, compared.rival.effect
+    joints = list(dict.fromkeys((*named.joints, *rival.joints))) or list(search.regression.joints)
+    beside = _Beside(search, present)
+    data = _Fitted.on_data(search, beside, named, rival)
+    best = ("", data.distance())
+    for joint in joints:
+        for text, motion in experiments(search, joint):
+            apart = data.plus(_Fitted.on_motion(search, beside, named, rival, motion)).distance()
+            if apart > best[1]:
+                best = (text, apart)
+    return best[0], float(np.sqrt(best[1] / compared.noise_over_white) / 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """Normal equations of a rival's fit to the torque of a named effect."""
+
+    gram: Array
+    cross: Array
+    power: float
+
+    @staticmethod
+    def of(columns: Array, torque: Array, weight: Array) -> _Fitted:
+        """From columns (N, joints, p) and the named effect's torque (N, joints)."""
+        x = (columns * np.sqrt(weight)[:, None]).reshape(-1, columns.shape[2])
+        y = (torque * np.sqrt(weight)).reshape(-1)
+        return _Fitted(x.T @ x, x.T @ y, float(y @ y))
+
+    @staticmethod
+    def on_data(search: Search, beside: _Beside, named: Effect, rival: Effect) -> _Fitted:
+        model, regression = search.model, search.regression
+        links = [regression.link_columns] if model.links_fitted else []
+        others = [regression.columns(e) for e in (*beside.kept, *beside.restored)]
+        columns = [*links, *others, *(regression.columns(e) for e in _with_slopes(rival))]
+        torque = regression.columns(named) @ named.known_coefficients()
+        return _Fitted.of(_joined(columns, rival), torque, model.solution.sigma**-2.0)
+
+    @staticmethod
+    def on_motion(search: Search, beside: _Beside, named: Effect, rival: Effect, motion: Motion) -> _Fitted:
+        model, rows = search.model, search.regression.rows
+
+        def of(effect: Effect) -> Array:
+            return effect.columns(motion)[:, rows]
+
+        links = [motion.on_tree.link_regressor()[:, rows]] if model.links_fitted else []
+        columns = [*links, *(of(e) for e in (*beside.kept, *beside.restored, *_with_slopes(rival)))]
+        # as many samples as the data's rate would give
+        weight = model.solution.sigma**-2.0 * search.regression.stretches[0].rate_hz / RATE_HZ
+        return _Fitted.of(_joined(columns, rival), of(named) @ named.known_coefficients(), weight)
+
+    def plus(self, other: _Fitted) -> _Fitted:
+        return _Fitted(self.gram + other.gram, self.cross + other.cross, self.power + other.power)
+
+    def distance(self) -> float:
+        """What of the named effect's torque the rival cannot imitate: weighted square."""
+        theta, _, _, _ = solve_weighted(self.gram, self.cross, np.zeros(len(self.cross)))
+        return max(self.power - 2 * float(self.cross @ theta) + float(theta @ self.gram @ theta), 0.0)
+
+
+def _with_slopes(effect: Effect) -> list[Effect]:
+    """The effect, and a neighbour in each of its shape parameters: the rival may change its shape too."""
+    steps = np.diag(1e-3 * np.maximum(np.abs(effect.shape), 1e-3))
+    return [effect, *(effect.with_shape(effect.shape + step) for step in steps)]
+
+
+def _joined(columns: Sequence[Array], rival: Effect) -> Array:
+    """Columns side by side; the last ones, of the rival's neighbours, become derivatives of its torque by the shape."""
+    s = len(rival.shape)
+    steps = 1e-3 * np.maximum(np.abs(rival.shape), 1e-3)
+    own = columns[len(columns) - 1 - s]
+    slopes = [(columns[len(columns) - s + i] - own) @ rival.known_coefficients() / steps[i] for i in range(s)]
+    return np.concatenate([*columns[: len(columns) - s], *(x[:, :, None] for x in slopes)], axis=2)
+
+
+def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
+    """Motions of one joint, each as a sentence and as samples; the others rest where they were on average.
+
+    Positions and speeds stay within those of the data, but for the last, which says so.
+    """
+    regression = search.regression
+    robot, column = regression.robot, regression.robot.layout.index(joint)
+    assert column is not None
+    q = np.concatenate([s.sampled.q for s in regression.stretches])
+    fastest = float(np.abs(np.concatenate([s.sampled.v for s in regression.stretches])[:, column]).max())
+    low, high = float(q[:, column].min()), float(q[:, column].max())
+    rest = np.median(q, axis=0)
+    time = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+
+    def motion(x: Array, others: Array = rest, at: Array = time) -> Motion:
+        """Of the joint's angle as a function of time; the others as given, (n,) or (N, n)."""
+        places = np.broadcast_to(others, (len(x), len(rest))).copy()
+        places[:, column] = x
+        v, a = np.zeros_like(places), np.zeros_like(places)
+        v[:, column] = np.gradient(x, 1 / RATE_HZ)
+        a[:, column] = np.gradient(v[:, column], 1 / RATE_HZ)
+        moved = robot.motion(places, v, a, at)
+        return robot.on_links(moved, search.model.link_parameters, effects=search.model.effects)
+
+    def to_and_fro(speed: float, bottom: float = low, top: float = high) -> Array:
+        """At one speed, with rounded turns."""
+        way = max(top - bottom, 1e-6)
+        half = way / speed
+        x = np.interp((time / half) % 2.0, [0.0, 1.0, 2.0], [bottom, top, bottom])
+        kernel = np.hanning(7) / np.hanning(7).sum()
+        return np.convolve(np.pad(x, 3, mode="edge"), kernel, mode="valid")
+
+    slow, medium = SLOW * fastest, MEDIUM * fastest
+    yield (
+        f"Turn {joint} slowly, at {slow:.2g} rad/s, to and fro with the other joints at rest",
+        motion(to_and_fro(slow)),
+    )
+    part = len(time) // 5
+    steps = [to_and_fro(s)[:part] for s in np.geomspace(slow, fastest, 5)]
+    yield (
+        f"Run {joint} to and fro at five constant speeds from {slow:.2g} to {fastest:.2g} rad/s, the other joints at rest",
+        motion(np.concatenate(steps)),
+    )
+    yield (
+        f"Let {joint} swing by {SMALL_RAD:g} rad twice a second, the other joints at rest: all of it is reversal",
+        motion(rest[column] + SMALL_RAD * np.sin(4 * np.pi * time)),
+    )
+    size = min(0.5 * (high - low), medium / (2 * np.pi * 0.2))
+    hz = np.repeat([0.2, 0.5, 1.0, 2.0], len(time) // 4)
+    swing = (low + high) / 2 + size * 0.2 / hz * np.sin(2 * np.pi * hz * time[: len(hz)])
+    yield (
+        f"Swing {joint} at 0.2, 0.5, 1 and 2 Hz with the same largest speed, {2 * np.pi * 0.2 * size:.2g} rad/s, the other "
+        "joints at rest: speed stays, acceleration changes",
+        motion(swing, at=time[: len(hz)]),
+    )
+    load = np.concatenate([np.abs(s.motion.on_tree.load()[:, column]) for s in regression.stretches])
+    placed = np.concatenate([s.motion.q for s in regression.stretches])
+    poses = np.where((time < SECONDS / 2)[:, None], placed[load.argmin()], placed[load.argmax()])
+    yield (
+        f"Run {joint} to and fro at {medium:.2g} rad/s twice, once with the other joints where it carries the least and once "
+        "where it carries the most: speed stays, load changes",
+        motion(to_and_fro(medium), poses),
+    )
+    yield (
+        f"Repeat one motion of {joint} from a cold start for ten minutes: motion stays, temperature changes",
+        motion(to_and_fro(medium), at=time + LATER_S * np.floor(3 * time / SECONDS)),
+    )
+    bottom, top = (float(x[column]) for x in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit))
+    if np.isfinite(top - bottom) and 0.9 * (top - bottom) > WIDER * (high - low):
+        middle, reach = (bottom + top) / 2, 0.45 * (top - bottom)
+        # there and back once, unless the joint is not that fast
+        limit = 0.5 * float(robot.model.velocityLimit[column])
+        speed = max(medium, min(4 * reach / SECONDS, limit if limit > 0 else np.inf))
+        yield (
+            f"Turn {joint} at {speed:.2g} rad/s through more of its range than so far, {middle - reach:.2f} to "
+            f"{middle + reach:.2f} rad if nothing is in the way, the other joints at rest",
+            motion(to_and_fro(speed, middle - reach, middle + reach)),
+        )
+
+
+def swapped(effects: Sequence[Effect], named: Effect, comparison: Comparison, search: Search) -> list[Effect]:
+    """The model's effects with the rival in the named one's place."""
+    rival = comparison.rival.effect
+    beside = _Beside(search, named)
+    restored = [e for e in beside.restored if e.type_name() not in rival.replaces]
+    kept = [e for e in effects if e is not named and not (e.place == rival.place and e.type_name() in rival.replaces)]
+    return [*kept, *restored, rival]

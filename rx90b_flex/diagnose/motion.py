@@ -1,0 +1,124 @@
+"""What the added effects do to the motion: the closed loop simulated with the model before and after, against the log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.diagnose.close import ClosedLoop
+from rx90b_flex.diagnose.output import identified_robot
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import Recording
+from rx90b_flex.simulate.closed_loop import Simulation, simulate, tip_poses
+from rx90b_flex.simulate.cs8 import CS8, load_cs8
+from rx90b_flex.simulate.trajectories import from_recording
+
+LONGEST_S = 10.0  # simulated of a recording
+
+
+@dataclass(frozen=True, eq=False)
+class MotionErrors:
+    """Simulated motion less measured motion of one validation recording, both under the same references.
+
+    Attributes
+    ----------
+    recording : str
+    seconds : float
+        Simulated and compared.
+    motor_before_mrad, motor_after_mrad : array, shape (joints,)
+        Root mean square, of the motor angle seen through the gears.
+    link_before_mrad, link_after_mrad : array, shape (joints,), or None
+        Of the angle behind the gears, where that was measured.
+    tip_before_mm, tip_after_mm : float or None
+        Distance of the tip from where the measured link angles put it, hinges straight; root mean square.
+    tip_apart_mm : float
+        Distance between the tips of the two simulations, root mean square.
+    left_out : tuple of str
+        Effects that take no part in the simulation: between robot and log, or with a memory.
+    """
+
+    recording: str
+    seconds: float
+    motor_before_mrad: Array
+    motor_after_mrad: Array
+    link_before_mrad: Array | None
+    link_after_mrad: Array | None
+    tip_before_mm: float | None
+    tip_after_mm: float | None
+    tip_apart_mm: float
+    left_out: tuple[str, ...]
+
+
+def motion_errors(result: ClosedLoop) -> MotionErrors | str:
+    """Simulate the closed loop before and after; a sentence that says why where it cannot be done.
+
+    The robot before is the declared one with its identified values, the robot after has the effects added; both with the
+    flexibilities as declared. The references are those of the log, the controller is the CS8 of the RX90B.
+    """
+    recording = next((r for r in result.campaign.validation if r.reference_position is not None), None)
+    if recording is None or recording.reference_velocity is None:
+        return "The validation recordings hold no references, so the closed loop cannot be simulated against them."
+    controller = load_cs8()
+    if not result.robot.startswith("rx90b") or not set(result.joints) <= {j.name for j in controller.joints}:
+        return f"The controller of {result.robot} is not known, so its closed loop cannot be simulated."
+    try:
+        robots = [identified_robot(result.source, m, result.joints) for m in (result.declared, result.model)]
+        before, after = (_simulated(robot, controller, recording) for robot in robots)
+    except ValueError as error:
+        return f"The closed loop could not be simulated: {error}."
+    for run, which in ((before, "before"), (after, "after")):
+        if run.ended is not None:
+            return f"The simulation {which} ended early: {run.ended}."
+    left_out = tuple(e.label for e in robots[1].effects if not _simulable(e))
+    return _compared(before, after, recording, left_out)
+
+
+def _simulable(effect: Effect) -> bool:
+    return effect.in_dynamics and not effect.remembers
+
+
+def _simulated(robot: Robot, controller: CS8, recording: Recording) -> Simulation:
+    trajectory = from_recording(recording)
+    if trajectory.duration_s > LONGEST_S:
+        trajectory = trajectory.part(0.0, LONGEST_S)
+    robot = robot.with_effects([e for e in robot.effects if _simulable(e)])
+    return simulate(robot, controller.for_joints(robot.joints), trajectory)
+
+
+def _compared(before: Simulation, after: Simulation, recording: Recording, left_out: tuple[str, ...]) -> MotionErrors:
+    count = min(len(before.time), len(after.time), recording.samples)
+    robot = after.robot
+
+    def off(run: Simulation, name: str) -> Array | None:
+        measured, simulated = getattr(recording, name), getattr(run.recording, name)
+        if measured is None or simulated is None:
+            return None
+        return 1e3 * np.sqrt(((simulated[:count] - measured[:count]) ** 2).mean(axis=0))
+
+    def tip_off(run: Simulation) -> float | None:
+        if recording.link_position is None:
+            return None
+        return _distance_mm(run.tip[:count], tip_poses(robot.tree, robot.tip_frame, recording.link_position[:count]))
+
+    motor = [off(run, "position") for run in (before, after)]
+    assert motor[0] is not None and motor[1] is not None
+    return MotionErrors(
+        recording.name,
+        count / recording.sample_rate_hz,
+        motor[0],
+        motor[1],
+        off(before, "link_position"),
+        off(after, "link_position"),
+        tip_off(before),
+        tip_off(after),
+        _distance_mm(before.tip[:count], after.tip[:count]),
+        left_out,
+    )
+
+
+def _distance_mm(one: Array, other: Array) -> float:
+    """Root mean square distance of two paths of poses, (N, 4, 4)."""
+    return float(1e3 * np.sqrt(((one[:, :3, 3] - other[:, :3, 3]) ** 2).sum(axis=1).mean()))

@@ -1,0 +1,251 @@
+"""Frequency responses held against a flexible robot: the residual of the search in `rx90b_flex.diagnose.flexible`.
+
+The response of ``(s^2 M + s D + K) q = B tau`` is ``P = s^2 B^T Z^-1 B`` (5.36); its slope by a parameter is
+``-s^2 (B^T Z^-1) dZ (Z^-1 B)``. Friction enters as one viscous slope a joint, and all dampings share a factor: both are fitted with
+every model, so that neither is taken for a missing hinge.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage, stats
+
+from rx90b_flex.diagnose.flexible import Change, Fit, Residual, State, Structure
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.grey_box import REACH_HZ, smoothed_covariance
+
+MODEL_ERROR = (
+    0.03  # of |P| about a line: what parts a simulated campaign of section 6.6.2 from the right model at its mean pose
+)
+ERRORS = np.geomspace(1e-5, 3.0, 61)  # model errors that are weighed
+LINES = 60  # a response is fitted at, at the most; those between are held out
+NUISANCE_STD = 2.0  # of the logarithms of friction slopes and of the dampings' common factor
+
+
+def response_of(structure: Structure, pose: int, changes: Sequence[Change], x: Array, hz: Array) -> ComplexArray:
+    """P of a changed model, (F, joints, joints), rad/s^2 per N m; ``changes`` with nuisances."""
+    return _response(structure, pose, changes, x, hz, slopes=False)[0]
+
+
+def _response(
+    structure: Structure, pose: int, changes: Sequence[Change], x: Array, hz: Array, slopes: bool = True
+) -> tuple[ComplexArray, ComplexArray]:
+    """P, and its derivatives by x, (p, F, joints, joints)."""
+    matrices, by_x = structure.matrices(pose, changes, x)
+    free = structure.free(changes)
+    at = np.ix_(free, free)
+    M, D, K = (m[at] for m in matrices)
+    drives = structure.drives(free).astype(complex)
+    s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=np.complex128)
+    Z = s**2 * M + s * D + K
+    right = np.linalg.solve(Z, drives[None])
+    response: ComplexArray = np.asarray(s**2 * (drives.T @ right))
+    if not slopes:
+        return response, np.zeros((0, *response.shape), dtype=complex)
+    left = np.linalg.solve(Z.transpose(0, 2, 1), drives[None]).transpose(0, 2, 1)
+    out = np.zeros((len(x), *response.shape), dtype=complex)
+    for k, patterns in enumerate(by_x):
+        for power, pattern in ((4, patterns[0]), (3, patterns[1]), (2, patterns[2])):
+            own = pattern[at]
+            touched = np.flatnonzero(own.any(axis=0) | own.any(axis=1))
+            if len(touched):
+                out[k] -= s**power * (left[:, :, touched] @ own[np.ix_(touched, touched)] @ right[:, touched])
+    return response, out
+
+
+class ResponseResidual(Residual):
+    """Complex errors of frequency responses, each line with its own covariance.
+
+    The model error of a line is alike to that of its neighbours within `REACH_HZ`, so that so many lines count as one.
+
+    Parameters
+    ----------
+    structure : Structure
+        At the poses of the responses, in their order.
+    responses : sequence of FrequencyResponse
+        Of the structure's joints.
+    model_error : float
+        Relative error of P about a line that is always allowed for.
+    """
+
+    def __init__(self, structure: Structure, responses: Sequence[FrequencyResponse], model_error: float) -> None:
+        self.structure = structure
+        self.responses = tuple(responses)
+        self.smallest_error = model_error
+        self.nuisance = _nuisances(structure)
+        self._parts: dict[float, list[tuple[ComplexArray, float]]] = {}
+
+    @cached_property
+    def _sizes(self) -> list[Array]:
+        """|P| about each line, root mean square, (F, n*n)."""
+        out = []
+        for r in self.responses:
+            near = max(1, round(REACH_HZ / float(np.median(np.diff(r.hz)))))
+            power = np.abs(r.value.reshape(len(r.hz), -1)) ** 2
+            out.append(np.sqrt(ndimage.uniform_filter1d(power, near, axis=0, mode="nearest")))
+        return out
+
+    @cached_property
+    def _covariances(self) -> list[ComplexArray]:
+        """Of each line; larger where they were estimated from few realisations, as their inverse is too large."""
+        out = []
+        for r in self.responses:
+            covariance, freedom = smoothed_covariance(r)
+            entries = covariance.shape[1]
+            out.append(covariance * (freedom / max(freedom - entries, 1.0) if np.isfinite(freedom) else 1.0))
+        return out
+
+    @cached_property
+    def _variances(self) -> list[Array]:
+        return [np.einsum("faa->fa", c).real for c in self._covariances]
+
+    @cached_property
+    def _together(self) -> list[float]:
+        """Lines of each response that count as one."""
+        return [max(1.0, REACH_HZ / float(np.median(np.diff(r.hz)))) for r in self.responses]
+
+    @property
+    def size(self) -> float:
+        return sum(2.0 * r.value.size / m for r, m in zip(self.responses, self._together, strict=True))
+
+    def _whiteners(self, error: float) -> list[tuple[ComplexArray, float]]:
+        """Of each response at a model error: inverse Cholesky factors, and the sum of log determinants."""
+        if error not in self._parts:
+            out = []
+            for covariance, size in zip(self._covariances, self._sizes, strict=True):
+                whole = covariance + (error * size)[:, :, None] ** 2 * np.eye(size.shape[1])
+                factor = np.linalg.cholesky(whole)
+                logs = 2.0 * float(np.log(np.einsum("faa->fa", factor).real).sum())
+                out.append((np.asarray(np.linalg.inv(factor)), logs))
+            self._parts[error] = out
+        return self._parts[error]
+
+    def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
+        # errors on a grid, so that few of them have to be factorised
+        error = float(self._errors[np.argmin(np.abs(np.log(self._errors / max(model_error, 1e-9))))])
+        deviance, gradient, information = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
+        likely = np.zeros(len(self._errors))
+        parts = zip(self.responses, self._whiteners(error), self._variances, self._sizes, self._together, strict=True)
+        for k, (r, (whitener, logs), own, size, many) in enumerate(parts):
+            model, by_x = _response(self.structure, k, changes, x, r.hz)
+            e = (r.value - model).reshape(len(r.hz), -1)
+            white = np.einsum("fab,fb->fa", whitener, e).ravel()
+            slopes = -np.einsum("fab,kfb->kfa", whitener, by_x.reshape(len(x), len(r.hz), -1)).reshape(len(x), -1)
+            deviance += 2.0 * (logs + float((np.abs(white) ** 2).sum())) / many
+            gradient += 2.0 * (slopes.conj() @ white).real / many
+            information += 2.0 * (slopes.conj() @ slopes.T).real / many
+            for i, one in enumerate(self._errors):
+                variance = own + (one * size) ** 2
+                likely[i] += float((np.log(variance) + np.abs(e) ** 2 / variance).sum()) / many
+        return State(deviance, gradient, information, float(self._errors[np.argmin(likely)]))
+
+    @cached_property
+    def _errors(self) -> Array:
+        return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
+
+    def chance(self, fit: Fit) -> float:
+        total, count = 0.0, 0.0
+        for k, (r, (whitener, _), many) in enumerate(
+            zip(self.responses, self._whiteners(self.smallest_error), self._together, strict=True)
+        ):
+            e = (r.value - self._predicted(k, fit, r.hz)).reshape(len(r.hz), -1)
+            total += 2.0 * float((np.abs(np.einsum("fab,fb->fa", whitener, e)) ** 2).sum()) / many
+            count += 2.0 * r.value.size / many
+        return float(stats.chi2.sf(total, max(count - len(fit.x), 1.0)))
+
+    def errors(self, fit: Fit) -> list[tuple[float, float]]:
+        """Of each response, root mean square error over |P| about each line, and over the stated errors."""
+        out = []
+        for k, (r, (whitener, _), size) in enumerate(
+            zip(self.responses, self._whiteners(self.smallest_error), self._sizes, strict=True)
+        ):
+            e = (r.value - self._predicted(k, fit, r.hz)).reshape(len(r.hz), -1)
+            white = np.einsum("fab,fb->fa", whitener, e)
+            both = (float(np.sqrt(np.mean(np.abs(x) ** 2))) for x in (e / size, white))
+            out.append((next(both), next(both)))
+        return out
+
+    def _predicted(self, pose: int, fit: Fit, hz: Array) -> ComplexArray:
+        return response_of(self.structure, pose, (*self.nuisance, *fit.changes), fit.x, hz)
+
+    def predict(self, fit: Fit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
+        """Responses of a fitted model, at the data's lines or others."""
+        lines = [r.hz for r in self.responses] if hz is None else hz
+        return tuple(self._predicted(k, fit, h) for k, h in enumerate(lines))
+
+
+def _nuisances(structure: Structure) -> tuple[Change, ...]:
+    zero, one = np.zeros(1), np.zeros((1, 1))
+    out = []
+    dampings = []
+    for i, c in enumerate(structure.coefficients):
+        if c.effect < 0:
+            joint = structure.joints[c.column]
+            out.append(
+                Change("viscous_friction", joint, False, ("friction_slope",), ("N m s/rad",), ((i,),), (), one, zero, NUISANCE_STD)
+            )  # fmt: skip
+        elif structure.full.effects[c.effect].virtual and c.column >= len(structure.full.effects[c.effect].virtual):
+            dampings.append(i)
+    if dampings:
+        out.append(
+            Change("damping", "all", False, ("damping",), ("N m s/rad",), (tuple(dampings),), (), one, zero, NUISANCE_STD)
+        )  # fmt: skip
+    return tuple(out)
+
+
+def thinned(response: FrequencyResponse, lines: int = LINES) -> tuple[FrequencyResponse, FrequencyResponse | None]:
+    """Every k-th line, `lines` at the most, and the others."""
+    step = -(-len(response.hz) // lines)
+    kept = np.arange(len(response.hz)) % step == step // 2
+    return _lines(response, kept), _lines(response, ~kept) if step > 1 else None
+
+
+def _lines(response: FrequencyResponse, kept: Any) -> FrequencyResponse:
+    covariance, freedom = smoothed_covariance(response)  # before the neighbours go
+    return FrequencyResponse(
+        response.hz[kept], response.value[kept], covariance[kept], response.joints, response.pose,
+        degrees_of_freedom=freedom,
+    )  # fmt: skip
+
+
+def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[FrequencyResponse, ...], str]:
+    """The responses in a folder of ``rx90b-flex frf``, one a pose, with independent errors of their entries; and the robot's name.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and the key.
+    """
+    path = Path(folder) / "frf.json"
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        # a campaign about one pose may stand by itself, not in a list of poses
+        responses = tuple(_read(pose, tuple(table["joints"])) for pose in table.get("poses", [table]))
+        return responses, str(table["robot"])
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file; expected a folder that `rx90b-flex frf` wrote") from None
+    except KeyError as error:
+        raise ValueError(f"{path}: key {error} is missing") from None
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: not a result of `rx90b-flex frf`: {error}") from None
+
+
+def _read(pose: dict[str, Any], joints: tuple[str, ...]) -> FrequencyResponse:
+    measured = pose["frequency_response"]
+    hz, std = np.array(measured["hz"], dtype=float), np.array(measured["std"], dtype=float)
+    value = np.array(measured["real"], dtype=float) + 1j * np.array(measured["imag"], dtype=float)
+    variance = std.reshape(len(hz), -1) ** 2
+    covariance = variance[:, :, None] * np.eye(variance.shape[1]).astype(complex)
+    freedom = measured["degrees_of_freedom"]
+    return FrequencyResponse(
+        hz, value, covariance, joints, np.array(pose["pose_rad"], dtype=float),
+        degrees_of_freedom=np.inf if freedom is None else float(freedom),
+    )  # fmt: skip

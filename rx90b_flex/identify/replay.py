@@ -1,0 +1,356 @@
+"""Nonlinear distortion taken out of a frequency response by replaying the experiments on the fitted robot.
+
+What a frequency response of a robot with dry friction differs by from a linear model depends on the excitation alone: repeat the
+references and torques fed forward on a simulated robot that is nearly the right one, and its response has nearly the same distortion,
+realisation by realisation. With `P_m` measured in realisation m, `S_m` simulated and `L` the response of the simulated robot with
+viscous friction at the mean pose,
+
+    P_m - (S_m - L)
+
+is what the real robot would show if its friction were viscous and its pose constant, up to the product of a small distortion and
+a small error of the simulated robot. Fitted again, that robot is the better one to replay. Friction is fitted, too: ``P_m - S_m``
+changes with m as long as it is wrong, which no linear parameter does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.friction import ViscousFriction
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
+from rx90b_flex.identify.grey_box import SLOPE, GreyBox, Progress, grey_box, response_derivatives
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import Recording
+from rx90b_flex.simulate import CS8, Trajectory
+from rx90b_flex.simulate.perturbation import perturb_lanes
+from rx90b_flex.simulate.trajectories import from_recording
+
+STEP = 0.05  # relative, of a friction coefficient, for the derivative of the distortion
+TAIL_S = 0.16  # simulated beyond the last period, for the log's filter
+# Of the distortion's mean, what a replay is not trusted with: the perturbation method's is 2 to 16 % (by entry) off that of the full
+# simulation on the campaign of section 6.6.2.
+REPLAY_ERROR = 0.1
+ALIKE_HZ = 10.0  # of lines that share an error of the distortion's mean
+LARGEST = 0.5  # relative change of a friction coefficient in one round
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """The experiments of a campaign, ready to be repeated on a simulated robot without noise.
+
+    Attributes
+    ----------
+    trajectories : tuple of Trajectory
+        One period in which the transient dies and one that counts.
+    recordings : tuple of Recording
+        The measured ones, in that order.
+    measured : MeasuredResponse
+        Their frequency response.
+    controller : CS8
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    recordings: tuple[Recording, ...]
+    measured: MeasuredResponse
+    controller: CS8
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], measured: MeasuredResponse, controller: CS8) -> Replay:
+        """From recordings that hold their references.
+
+        Raises
+        ------
+        ValueError
+            No references in a recording, different ones, or no period.
+        """
+        used = {p.recording for p in measured.places}
+        kept = tuple(r for r in recordings if r.name in used)
+        for r in kept:
+            if r.reference_position is None or r.reference_velocity is None or r.period_samples is None:
+                raise ValueError(
+                    f"recording {r.name!r} lacks references or a period; without them it cannot be replayed"
+                )
+        first = np.array(kept[0].reference_position)
+        apart = [r.name for r in kept if not np.array_equal(np.array(r.reference_position), first)]
+        if apart:
+            raise ValueError(
+                f"recordings {kept[0].name!r} and {apart[0]!r} differ in their references; replay one motion at a time"
+            )
+        return cls(tuple(_two_periods(r) for r in kept), kept, measured, controller)
+
+    def responses(self, robot: Robot) -> ComplexArray:
+        """Response of each realisation on that robot, shape (R, F, n, n)."""
+        runs = perturb_lanes(robot, self.controller, self.trajectories)
+        for run in runs:
+            if run.ended is not None:
+                raise ValueError(f"replay of {run.trajectory.name!r} on the fitted robot: {run.ended}")
+        simulated = [_last_period(r, run.recording) for r, run in zip(self.recordings, runs, strict=True)]
+        own = estimate_frequency_response(
+            simulated, joints=self.measured.joints, hz=self.measured.hz, places=self.measured.places
+        )
+        if own.realisations.shape != self.measured.realisations.shape:
+            raise ValueError(
+                f"replayed, {own.realisations.shape[:2]} realisations and lines are left of {self.measured.realisations.shape[:2]}"
+            )
+        return own.realisations
+
+
+def _two_periods(recording: Recording) -> Trajectory:
+    one = from_recording(recording)
+    samples = recording.period_samples or 0
+    first = one.part(0.0, samples / one.rate_hz)
+    period = recording.period_s or 0.0
+    return first.repeated(3).part(0.0, 2.0 * period + TAIL_S)
+
+
+def _last_period(measured: Recording, simulated: Recording) -> Recording:
+    samples = measured.period_samples or 0
+    rows = slice(samples, 2 * samples)
+    torque = measured.feedforward_torque
+    return dataclasses.replace(
+        measured,
+        time=measured.time[:samples],
+        position=simulated.position[rows],
+        torque=simulated.torque[rows],
+        velocity=None,
+        link_position=None,
+        reference_position=None,
+        reference_velocity=None,
+        feedforward_torque=None if torque is None else torque[:samples],
+    )
+
+
+def linear_response(
+    robot: Robot, joints: Sequence[str], pose: Array, slopes: dict[str, float], hz: Array
+) -> ComplexArray:
+    """L: the robot at rest at a pose, its friction viscous with given slopes (N m s/rad); shape (F, n, n)."""
+    viscous = [ViscousFriction(joint=joint, coefficient=slope) for joint, slope in slopes.items()]
+    line = robot.with_effects([*(e for e in robot.effects if e.part != "friction"), *viscous])
+    rows = [line.joints.index(j) for j in joints]
+    return np.asarray(line.linearize(line.input_matrix @ pose).frf(hz)[:, rows][:, :, rows])
+
+
+@dataclass(frozen=True)
+class FrictionEstimate:
+    """A friction coefficient as the distortion tells it."""
+
+    name: str
+    unit: str
+    declared: float
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayedGreyBox:
+    """A grey box on a response without the distortion that a replay explains.
+
+    Attributes
+    ----------
+    grey : GreyBox
+        Its friction slopes belong to the viscous robot that stands for the response: `slopes` where friction is right.
+    robot : Robot
+        Drives, flexibilities and links as fitted, friction as told by the distortion.
+    response : FrequencyResponse
+        Without the distortion; its covariance holds noise and how far realisations still differ. For the grey box it was
+        widened by what a replay is not trusted with (`REPLAY_ERROR`).
+    frictions : tuple of FrictionEstimate
+    slopes : dict of joint to float
+        N m s/rad, of L in the last round.
+    before, after : array, shape (n, n)
+        Relative standard deviation of one realisation, median over the lines: as measured, and less the replay.
+    rounds : int
+    """
+
+    grey: GreyBox
+    robot: Robot
+    response: FrequencyResponse
+    frictions: tuple[FrictionEstimate, ...]
+    slopes: dict[str, float]
+    before: Array
+    after: Array
+    rounds: int
+
+
+def grey_box_by_replay(
+    robot: Robot,
+    first: GreyBox,
+    replay: Replay,
+    *,
+    rounds: int = 4,
+    fit_friction: bool = True,
+    link_mass_std: float = 0.0,
+    bending_alike_std: float = 0.0,
+    progress: Progress | None = None,
+) -> ReplayedGreyBox:
+    """Refine a grey box by replaying its experiments.
+
+    Parameters
+    ----------
+    robot : Robot
+        As declared, the one that `first` was fitted to; all its friction must have values.
+    first : GreyBox
+        Of the response as measured.
+    replay : Replay
+    rounds : int
+        Of simulating, correcting and fitting.
+    fit_friction : bool
+        Fit the coefficients of the friction on the moving joints to the distortion. It takes one simulation more a coefficient.
+    link_mass_std, bending_alike_std : float
+        As in `grey_box`.
+    progress : callable, optional
+
+    Raises
+    ------
+    ValueError
+        A friction without value; a replay that ends early.
+    """
+    if rounds < 1:
+        raise ValueError(f"rounds is {rounds}; expected 1 or more")
+    tell = progress or (lambda text, part: None)
+    measured, grey = replay.measured, first
+    declared = _frictions(robot, measured.joints)
+    friction = np.concatenate([e.coefficients for e in declared])
+    if not np.isfinite(friction).all():
+        raise ValueError("a friction coefficient has no value; a replay needs all of them")
+    std = np.zeros_like(friction)
+    # mean of the reference's poses and of viscosities over experiments, from the fit before
+    pose, slopes = first.responses[0].pose, _slopes(first, measured.joints)
+    band = float(measured.hz[0]), float(measured.hz[-1])
+    by_friction: ComplexArray | None = None
+    for number in range(rounds):
+        tell(f"replay {number + 1} of {rounds}", number / rounds)
+        fitted = _with_friction(grey.robot, measured.joints, friction)
+        simulated = replay.responses(fitted)
+        if fit_friction:
+            if by_friction is None:  # changes little from round to round
+                by_friction = _friction_derivatives(replay, fitted, friction, simulated)
+            linear = response_derivatives(fitted, measured.joints, pose, slopes, measured.hz)
+            step, std = _friction_step(measured, simulated, by_friction, linear)
+            simulated = simulated + np.tensordot(step, by_friction, 1)
+            friction, std = friction * (1.0 + step), friction * std
+        line = linear_response(fitted, measured.joints, pose, slopes, measured.hz)
+        response, doubted = _response(measured, simulated, line, pose)
+        start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
+        start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
+        tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
+        grey = grey_box(
+            robot,
+            doubted,
+            band_hz=band,
+            start=start,
+            starts=0,
+            link_mass_std=link_mass_std,
+            bending_alike_std=bending_alike_std,
+            model_error=None,
+            friction_error=None,
+        )
+    names = [
+        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
+    ]
+    values = np.concatenate([e.coefficients for e in declared])
+    frictions = tuple(
+        FrictionEstimate(name, unit, d, v, s)
+        for (name, unit), d, v, s in zip(names, values.tolist(), friction.tolist(), std.tolist(), strict=True)
+    )
+    robot = _with_friction(grey.robot, measured.joints, friction)
+    spreads = _spread(measured.realisations), _spread(measured.realisations - simulated + line)
+    return ReplayedGreyBox(grey, robot, response, frictions, slopes, *spreads, rounds)
+
+
+def _spread(realisations: ComplexArray) -> Array:
+    deviation = realisations.std(axis=0, ddof=1) / np.abs(realisations.mean(axis=0))
+    return np.asarray(np.median(deviation, axis=0))
+
+
+def _response(
+    measured: MeasuredResponse, simulated: ComplexArray, line: ComplexArray, pose: Array
+) -> tuple[FrequencyResponse, FrequencyResponse]:
+    """The measured response with L in place of what was simulated, and the same with a covariance that doubts the replay.
+
+    What the replay leaves of the differences between realisations, it leaves of the distortion's mean, too, and `REPLAY_ERROR`
+    of it besides. That part of the mean is an error that `ALIKE_HZ` of lines share, so that they may not average it out.
+    """
+    realisations = measured.realisations - simulated + line
+    covariance, freedom = _over_realisations(realisations, _neighbours(measured))
+    value = realisations.mean(axis=0)
+    plain = FrequencyResponse(measured.hz, value, covariance, measured.joints, pose, measured.noise_covariance, freedom)
+    apart, before = (np.median(x.var(axis=0, ddof=1), axis=0) for x in (realisations, measured.realisations))
+    doubt = np.abs(simulated.mean(axis=0) - line) ** 2 * (apart / before + REPLAY_ERROR**2)
+    alike = max(ALIKE_HZ / float(np.median(np.diff(measured.hz))), 1.0)
+    wider = covariance + alike * doubt.reshape(len(doubt), -1)[:, :, None] * np.eye(doubt[0].size)
+    return plain, dataclasses.replace(plain, covariance=wider)
+
+
+def _neighbours(measured: MeasuredResponse) -> int:
+    """Lines on either side over which the measured covariance was averaged."""
+    return round((measured.degrees_of_freedom / (len(measured.realisations) - 1) - 1) / 2)
+
+
+def _frictions(robot: Robot, joints: Sequence[str]) -> list[Effect]:
+    return [e for e in robot.effects if _is_friction(e, joints)]
+
+
+def _is_friction(effect: Effect, joints: Sequence[str]) -> bool:
+    return effect.part == "friction" and effect.acts_on == "forces" and set(effect.joints) <= set(joints)
+
+
+def _with_friction(robot: Robot, joints: Sequence[str], coefficients: Array) -> Robot:
+    rest, out = coefficients, []
+    for e in robot.effects:
+        if _is_friction(e, joints):
+            own, rest = np.split(rest, [len(e.coefficients)])
+            e = e.with_coefficients(own)
+        out.append(e)
+    return robot.with_effects(out)
+
+
+def _slopes(grey: GreyBox, joints: Sequence[str]) -> dict[str, float]:
+    """Viscous slope of each joint, the geometric mean over experiments."""
+    return {
+        j: float(np.exp(np.mean([np.log(e.value) for e in grey.estimates if e.name.startswith(f"{j}.{SLOPE}")])))
+        for j in joints
+    }
+
+
+def _friction_derivatives(replay: Replay, robot: Robot, friction: Array, now: ComplexArray) -> ComplexArray:
+    """Derivatives of the realisations' responses by relative changes of the friction coefficients, (c, R, F, n, n)."""
+    columns = []
+    for place, value in enumerate(friction):
+        other = friction.copy()
+        other[place] += STEP * value
+        columns.append((replay.responses(_with_friction(robot, replay.measured.joints, other)) - now) / STEP)
+    return np.array(columns)
+
+
+def _friction_step(
+    measured: MeasuredResponse, simulated: ComplexArray, by_friction: ComplexArray, linear: ComplexArray
+) -> tuple[Array, Array]:
+    """Relative changes of the friction coefficients and their standard deviations, beside the linear parameters.
+
+    Least squares on the realisations' ``P_m - S_m`` as torques, ``P^-1 (P_m - S_m)``: friction is one. A linear parameter adds the
+    same to all of them, one of `linear`, (p, F, n, n).
+    """
+    left = measured.realisations - simulated
+    inverse = np.linalg.inv(measured.value)
+    # each joint's by one number: weights from so few realisations would be made of what they are to weigh
+    size = np.sqrt(np.mean(np.abs(inverse @ left) ** 2, axis=(0, 1, 3)))[:, None]
+
+    def rows(x: ComplexArray) -> Array:
+        scaled = (inverse @ x / size).ravel()
+        return np.concatenate([scaled.real, scaled.imag])
+
+    slopes = np.column_stack([rows(np.broadcast_to(c, left.shape)) for c in (*linear, *by_friction)])
+    target, scale = rows(left), np.linalg.norm(slopes, axis=0)
+    step = np.linalg.lstsq(slopes / scale, target, rcond=1e-6)[0] / scale
+    rest = target - slopes @ step
+    covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
+    own = slice(len(linear), None)
+    return np.clip(step[own], -LARGEST, LARGEST), np.sqrt(np.diag(covariance_of_step)[own])

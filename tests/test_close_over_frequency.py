@@ -1,0 +1,115 @@
+"""Claims about ``rx90b-flex close-loop`` on modal tables and frequency responses."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from modal_generator import MEASURED, PLAIN, STRETCHED, measured, measured_response, truth_of
+
+from rx90b_flex import cli
+from rx90b_flex.diagnose.close_flexible import close_modal
+from rx90b_flex.export import save_robot
+from rx90b_flex.robot import load_robot
+from rx90b_flex.view import modal_plots
+
+
+def table_text(table, robot):
+    """A modal table's file."""
+    (pose,) = table.poses
+    angles = ", ".join(f"{j} = {np.rad2deg(a)}" for j, a in pose.angles.items())
+    lines = [
+        f'robot = "{robot}"',
+        f"joints = {json.dumps(table.joints)}",
+        f"band_hz = {list(table.band_hz)}",
+        "[[pose]]",
+    ]
+    lines.append(f"angles_deg = {{ {angles} }}")
+    for m in pose.lists:
+        key = "resonance" if m.locked is None else f"antiresonance.{m.locked}"
+        lines.append(f"{key} = {{ hz = {m.hz.tolist()}, std_hz = {m.std_hz.tolist()} }}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A robot's file with a table and a response of its own beside it."""
+    save_robot(PLAIN, tmp_path, "plain.toml", allow_inconsistent=True)
+    rng = np.random.default_rng(7)
+    (tmp_path / "modes.toml").write_text(table_text(measured(truth_of(PLAIN), rng, 0.003), "plain.toml"))
+    response = measured_response(truth_of(PLAIN), rng, 0.03, STRETCHED, PLAIN.joints)
+    (tmp_path / "frf").mkdir()
+    content = {
+        "robot": "rx90b", "joints": list(MEASURED), "pose_rad": response.pose.tolist(),
+        "frequency_response": {
+            "hz": response.hz.tolist(), "real": response.value.real.tolist(), "imag": response.value.imag.tolist(),
+            "std": response.std().tolist(), "degrees_of_freedom": None,
+        },
+    }  # fmt: skip
+    (tmp_path / "frf" / "frf.json").write_text(json.dumps(content))
+    return tmp_path
+
+
+def run(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["rx90b-flex", "close-loop", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return ended.value.code
+
+
+def test_a_modal_table_is_closed(folder, monkeypatch, capsys):
+    assert not run(monkeypatch, folder / "modes.toml", "--out", folder / "out")
+    out = folder / "out"
+    assert sorted(p.name for p in out.iterdir()) == ["closed_loop.json", "report.html", "robot.toml", "robot.urdf"]
+    found = json.loads((out / "closed_loop.json").read_text())
+    assert found["verdict"] == "nothing_missing" and found["effects"] == []
+    assert [m["list"] for m in found["modes"]] == ["resonances", *(f"antiresonances of {j}" for j in MEASURED)]
+    assert load_robot(out / "robot.toml").effects == PLAIN.effects
+    page = (out / "report.html").read_text()
+    assert "How sure" in page and page.count("data:image/svg") == 2
+    assert not any(f'{key}="http' in page for key in ("src", "href"))
+    assert "nothing missing" in capsys.readouterr().out
+
+
+def test_a_folder_of_frequency_responses_is_closed(folder, monkeypatch, capsys):
+    arguments = (folder / "frf", "--robot", folder / "plain.toml", "--out", folder / "out")
+    assert not run(monkeypatch, *arguments)
+    found = json.loads((folder / "out" / "closed_loop.json").read_text())
+    assert found["verdict"] == "nothing_missing" and found["residual"] == "frequency_response"
+    assert (folder / "out" / "report.html").read_text().count("data:image/svg") == 1
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "message"),
+    [
+        ("modes.toml", ["--robot", "nobody"], "unknown robot 'nobody'"),
+        ("modes.toml", ["--model-error", "-1"], "model_error is -1"),
+        ("broken.toml", [], "broken.toml: pose 1: unknown key 'resonances'; did you mean 'resonance'?"),
+        ("frf", ["--robot", "rx90b_3dof"], "a pose has shape (6,); expected 3 angles of rx90b_3dof"),
+        ("campaign.toml", ["--robot", "rx90b"], "--robot goes with a modal table"),
+    ],
+)
+def test_bad_input_is_one_line_status_2_and_nothing_written(folder, monkeypatch, capsys, source, options, message):
+    (folder / "broken.toml").write_text((folder / "modes.toml").read_text().replace("resonance =", "resonances =", 1))
+    assert run(monkeypatch, folder / source, "--out", folder / "out", *options) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error
+    assert not (folder / "out").exists()
+
+
+def test_the_ladder_shows_every_measured_mode_and_joins_partners():
+    loop = close_modal(measured(truth_of(PLAIN), np.random.default_rng(7), 0.003), PLAIN)
+    figure = modal_plots.ladder(loop.before, loop.after)
+    assert len(figure.axes) == 4
+    for ax, b, a in zip(figure.axes, loop.before, loop.after, strict=True):
+        shown = [line for line in ax.lines if line.get_marker() == "o" and line.get_markersize() == 4]
+        np.testing.assert_array_equal(shown[0].get_xdata(), b.measured.hz)
+        joins = [
+            line
+            for line in ax.lines
+            if len(line.get_xdata()) == 2 and set(line.get_ydata()) in ({0.0, 1.0}, {1.0, 2.0})
+        ]
+        assert len(joins) >= len(b.errors) + len(a.errors)
+    assert figure.axes[-1].get_xlabel() == "undamped frequency, Hz"

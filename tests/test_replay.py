@@ -1,0 +1,184 @@
+"""Claims about replayed experiments: on a small simulated campaign on the 3-DOF robot, whose friction and parameters are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90b_flex.identify.frequency_response import FrequencyResponse
+from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
+from rx90b_flex.identify.grey_box import response_derivatives
+from rx90b_flex.identify.replay import (
+    Replay,
+    _friction_derivatives,
+    _friction_step,
+    _frictions,
+    _response,
+    _with_friction,
+    linear_response,
+)
+from rx90b_flex.identify.transfer_function import fit_transfer_functions
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals import Recording, load_campaign
+from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+
+BAND_HZ = (8.0, 80.0)
+SLOPES = {"joint_1": 60.0, "joint_2": 40.0, "joint_3": 16.0}
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, ...]:
+    """Three realisations of section 6.6.2's experiments, two periods of which one counts, with noise."""
+    folder: Path = tmp_path_factory.mktemp("replay")
+    noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
+    plan = section_662(
+        load_robot("rx90b_3dof"), load_cs8(), noise=noise, realisations=3, periods=2, method="perturbation", seed=3
+    )
+    result = run_campaign(plan, folder / "campaign")
+    assert result.file is not None and not result.failed
+    return load_campaign(result.file).identification
+
+
+@pytest.fixture(scope="module")
+def measured(recordings: tuple[Recording, ...]) -> MeasuredResponse:
+    return estimate_frequency_response(recordings, band_hz=BAND_HZ)
+
+
+@pytest.fixture(scope="module")
+def replay(recordings: tuple[Recording, ...], measured: MeasuredResponse) -> Replay:
+    return Replay.of(recordings, measured, load_cs8())
+
+
+@pytest.fixture(scope="module")
+def true_replayed(replay: Replay) -> np.ndarray:
+    return replay.responses(load_robot("rx90b_3dof"))
+
+
+def friction(robot: Robot) -> np.ndarray:
+    return np.concatenate([e.coefficients for e in _frictions(robot, robot.joints)])
+
+
+def test_replayed_on_the_true_robot_only_noise_is_left(measured: MeasuredResponse, true_replayed: np.ndarray) -> None:
+    # the noise is 16 times weaker than the distortion in every drive point; what is left of realisations has no distortion in it
+    before, after = (x.std(axis=0, ddof=1) for x in (measured.realisations, measured.realisations - true_replayed))
+    ratio = np.median(after / before, axis=0)
+    assert (np.diag(ratio) < 0.1).all()
+    # mean of three realisations: the noise's own, complex normal; half of it on either side of the median
+    left = np.abs((measured.realisations - true_replayed).mean(axis=0)) / (after / np.sqrt(3.0))
+    assert 0.3 < np.median(left) < 2.0
+
+
+def test_the_response_without_distortion_is_the_linear_one(
+    measured: MeasuredResponse, true_replayed: np.ndarray
+) -> None:
+    robot = load_robot("rx90b_3dof")
+    line = linear_response(robot, robot.joints, np.array([0.0, 0.5 * np.pi, 0.0]), SLOPES, measured.hz)
+    plain, doubted = _response(measured, true_replayed, line, np.array([0.0, 0.5 * np.pi, 0.0]))
+    was, left = (np.median(np.abs(x - line) / np.abs(line), axis=0) for x in (measured.value, plain.value))
+    assert (np.diag(left) < 0.1 * np.diag(was)).all()
+    assert (doubted.std() >= plain.std()).all()
+
+
+@pytest.mark.slow
+def test_wrong_friction_is_found_from_the_distortion(replay: Replay) -> None:
+    robot = load_robot("rx90b_3dof")
+    true = friction(robot)
+    wrong = true * (1.0 + 0.1 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0]))
+    pose, found, by_friction = np.array([0.0, 0.5 * np.pi, 0.0]), wrong, None
+    for _ in range(3):
+        off = _with_friction(robot, robot.joints, found)
+        now = replay.responses(off)
+        if by_friction is None:
+            by_friction = _friction_derivatives(replay, off, found, now)
+        linear = response_derivatives(off, robot.joints, pose, SLOPES, replay.measured.hz)
+        step, std = _friction_step(replay.measured, now, by_friction, linear)
+        found = found * (1.0 + step)
+    # reversals shift with the friction: a step leaves more than products of errors, at worst half of them, an eighth after three
+    error = np.abs(found / true - 1.0)
+    assert error[2:].max() < 0.1 / 8.0
+    assert (error[:2] < 0.1).all()  # joint 1 hardly vibrates: its friction shows little, but comes nearer
+    assert (std > 0).all()
+
+
+def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:
+    robot, hz = load_robot("rx90b_3dof"), np.linspace(8.0, 80.0, 7)
+    pose = np.array([0.0, 1.0, 0.5])
+    by = response_derivatives(robot, robot.joints, pose, SLOPES, hz)
+    coefficients = [
+        (i, k)
+        for i, e in enumerate(robot.effects)
+        if e.part in ("drives", "flexibility")
+        for k in range(len(e.coefficients))
+    ]
+    assert len(by) == len(coefficients)
+    step = 1e-4
+    for told, (place, k) in zip(by, coefficients, strict=True):
+        sides = []
+        for sign in (1.0, -1.0):
+            effects = list(robot.effects)
+            factor = np.where(np.arange(len(effects[place].coefficients)) == k, np.exp(sign * step), 1.0)
+            effects[place] = effects[place].with_coefficients(effects[place].coefficients * factor)
+            sides.append(linear_response(robot.with_effects(effects), robot.joints, pose, SLOPES, hz))
+        # central differences: second order in the step
+        np.testing.assert_allclose((sides[0] - sides[1]) / (2 * step), told, atol=1e-6 * np.abs(told).max())
+
+
+def test_what_cannot_be_replayed_is_named(recordings: tuple[Recording, ...], measured: MeasuredResponse) -> None:
+    bare = [dataclasses.replace(recordings[0], reference_position=None), *recordings[1:]]
+    with pytest.raises(ValueError, match="lacks references"):
+        Replay.of(bare, measured, load_cs8())
+    reference = recordings[1].reference_position
+    assert reference is not None
+    other = [recordings[0], dataclasses.replace(recordings[1], reference_position=reference + 0.1), *recordings[2:]]
+    with pytest.raises(ValueError, match=r"run_000_1_plus.*differ in their references"):
+        Replay.of(other, measured, load_cs8())
+
+
+# ---- signals between robot and log -------------------------------------------------------------------------------------
+
+
+def changed(recordings: tuple[Recording, ...], torque: Callable[[int, Recording], np.ndarray]) -> FrequencyResponse:
+    """Response of the recordings with other logged torques; more neighbours, for three realisations are few."""
+    logged = [dataclasses.replace(r, torque=torque(i, r)) for i, r in enumerate(recordings)]
+    return estimate_frequency_response(logged, band_hz=BAND_HZ, neighbours=6)
+
+
+def test_a_delay_put_into_the_logged_torques_comes_back(recordings: tuple[Recording, ...]) -> None:
+    delay = np.array([0.0, 1.0e-3, 2.5e-3])  # of the robot against the log
+
+    def ahead(_: int, r: Recording) -> np.ndarray:
+        spectrum = np.fft.rfft(r.torque, axis=0)
+        hz = np.fft.rfftfreq(r.samples, 1.0 / r.sample_rate_hz)
+        return np.fft.irfft(spectrum * np.exp(2j * np.pi * hz[:, None] * delay), n=r.samples, axis=0)
+
+    plain = fit_transfer_functions(changed(recordings, lambda _, r: r.torque), 4, delays="each")
+    late = fit_transfer_functions(changed(recordings, ahead), start=plain.model, delays="each")
+    std = np.sqrt(np.diag(late.covariance)[-3:])
+    # both climbs stop a tenth of a standard deviation from their tops; friction's distortion is in both alike
+    assert (np.abs(late.model.delay - plain.model.delay - delay) < 0.5 * std + 1e-5).all()
+    zeros = late.model.complex_zeros(2)
+    assert (zeros.real < 0).all()  # a drive point has none in the right half plane, and the delay has not become one
+
+
+def test_a_fixed_frequency_in_the_torque_signal_costs_its_line_and_no_more(recordings: tuple[Recording, ...]) -> None:
+    rng = np.random.default_rng(9)
+    line_hz = 205 / 4.096  # one of the multisine's; what is no whole number of cycles leaks into its neighbours
+    phases = rng.uniform(0.0, 2.0 * np.pi, (len(recordings), 3))
+
+    def hum(i: int, r: Recording) -> np.ndarray:
+        return r.torque + 0.5 * np.sin(2.0 * np.pi * line_hz * r.time[:, None] + phases[i])
+
+    clean, struck = changed(recordings, lambda _, r: r.torque), changed(recordings, hum)
+    place = int(np.argmin(np.abs(clean.hz - line_hz)))
+    moved = np.abs(struck.value - clean.value) / clean.std()
+    assert np.median(moved[place]) > 5.0 * np.median(moved)
+    left_out = [(line_hz, 0.1)]
+    before = fit_transfer_functions(clean, 4, leave_out_hz=left_out)
+    after = fit_transfer_functions(struck, start=before.model, leave_out_hz=left_out)
+    seen = before.in_band(before.resonances_hz)
+    shift = np.abs(after.resonances_hz - before.resonances_hz)[seen]
+    assert (shift < np.maximum(before.resonances_std_hz(), after.resonances_std_hz())[seen]).all()
