@@ -24,6 +24,7 @@ from rx90b_flex.identify.all_coordinates import (
     Fit,
     FullLog,
     full_log,
+    indirect_inference,
     least_squares,
     logs_everything,
     other_periods,
@@ -106,6 +107,12 @@ def main() -> None:
         "source's way": lambda: least_squares(Equations.of(robot, [log], upsampling=1), start),
         "least squares": lambda: least_squares(own, start),
         "re-weighted": lambda: reweighted(own, start),
+        "indirect": lambda: indirect_inference(
+            robot,
+            [log],
+            lambda logs: least_squares(Equations.of(robot, logs), start),
+            lambda r: [experiment(r, options.seed)],
+        ),
     }
     fits = {name: way() for name, way in ways.items()}
 
