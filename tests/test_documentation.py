@@ -15,7 +15,7 @@ from typer.main import get_command
 from rx90b_flex.cli import app
 from rx90b_flex.effects import catalogue, effect_from_table
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = Path(__file__).resolve().parent.parent / "rx90b_flex" / "docs"
 sys.path.insert(0, str(DOCS))
 import effect_pages  # noqa: E402
 

@@ -406,7 +406,7 @@ def design_excitation(
     """
     tell = progress or (lambda text, part: None)
     rng = np.random.default_rng(seed)
-    controller = design_cs8(robot, np.zeros(len(robot.joints))) if controller is None else controller
+    controller = design_cs8(robot) if controller is None else controller
     controller = controller.for_joints(robot.joints)
     limits = Limits.of(robot, controller) if limits is None else limits
     for name, count in (("harmonics", harmonics), ("samples", samples), ("points", points), ("draws", draws)):

@@ -1,4 +1,4 @@
-"""Sphinx settings. Build: `sphinx-build -W docs build/docs`. The catalogue's pages are made from the effects' classes."""
+"""Sphinx settings. Build: `sphinx-build -W rx90b_flex/docs build/docs`. The catalogue's pages are made from the effects' classes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent), str(HERE)]
+sys.path[:0] = [str(HERE.parents[1]), str(HERE)]
 
 from effect_pages import write_pages  # noqa: E402
 
