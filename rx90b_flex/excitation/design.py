@@ -31,7 +31,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import optimize, signal
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation.limits import Limits, Margins
@@ -77,7 +77,8 @@ class Stage:
     share: float
 
 
-STAGES = (Stage(6.0, 0.25, 0.2), Stage(15.0, 0.3125, 0.3), Stage(30.0, 0.5, 0.3), Stage(40.0, 1.0, 0.2))
+STAGES = (Stage(6.0, 0.25, 0.2), Stage(15.0, 0.3125, 0.25), Stage(30.0, 0.5, 0.25), Stage(40.0, 1.0, 0.1))
+AFTER_SIMULATION = (Stage(40.0, 1.0, 0.1), Stage(40.0, 1.0, 0.1))  # each with what the last simulation showed
 
 
 # ---- what is optimised ------------------------------------------------------------------------------------------
@@ -187,8 +188,11 @@ class _Problem:
         of_motion[:, self.moving], of_torque[:, self.moving] = motion, real + 1j * imaginary
         return Candidate(of_motion * self._units[0], np.asarray(of_torque * self._units[1]))
 
-    def unknowns(self, motion: Array, torque: NDArray[np.complex128]) -> Array:
-        """Unknowns from their own units."""
+    def unknowns(self, c: Candidate) -> Array:
+        """Of a candidate in SI units."""
+        return self._in_order(c.motion / self._units[0], np.asarray(c.torque / self._units[1]))
+
+    def _in_order(self, motion: Array, torque: NDArray[np.complex128]) -> Array:
         return np.concatenate([x[:, self.moving].ravel() for x in (motion, torque.real, torque.imag)])
 
     def draw(self, rng: np.random.Generator) -> Array:
@@ -206,7 +210,7 @@ class _Problem:
         speed = 0.5 * rng.normal(size=(2 * self.frame.harmonics, joints)) / np.sqrt(order)
         part = np.exp(rng.uniform(*np.log(TORQUE_PART)))
         torque = part * rng.normal(size=(2, len(self.frame.hz), joints))
-        return self.unknowns(np.vstack([centre, speed]), torque[0] + 1j * torque[1])
+        return self._in_order(np.vstack([centre, speed]), torque[0] + 1j * torque[1])
 
     def rests_within(self, centre: Array) -> bool:
         """Whether the robot may rest in a pose: then a motion about it that is small enough keeps to the limits."""
@@ -218,6 +222,19 @@ class _Problem:
     def at(self, times: Array) -> _Problem:
         """The same at other instants."""
         return dataclasses.replace(self, frame=dataclasses.replace(self.frame, times=times))
+
+    def corrected(self, design: Design, c: Candidate) -> _Problem:
+        """The same with what the simulation of a candidate's design has and its prediction does not."""
+        frame = dataclasses.replace(self.frame, times=self.frame.every_instant, missed=None)
+        simulated = (signal.resample(x, len(frame.times), axis=0) for x in steady_states(design.simulation))
+        q, v, a = (one - other for one, other in zip(simulated, Prediction(frame, c).motion, strict=True))
+        return dataclasses.replace(self, frame=dataclasses.replace(frame, missed=(q, v, a)))
+
+    def value(self, told: Assessment) -> float:
+        """The plain objective, the smaller the better."""
+        return (
+            np.log(told.condition) if self.objective == "condition" else -told.information / len(told.singular_values)
+        )
 
     def assess(self, c: Candidate) -> Assessment:
         """By the predicted motion."""
@@ -259,17 +276,14 @@ class _Problem:
         by_regressor = (by_columns @ self.essential.T * self.scale).reshape(regressor.shape)
         by_motion = regressor_slope(frame.robot, *predicted.motion, by_regressor)
         slope = predicted.slope(by_motion, 2.0 * sharpness * outside)
-        gradient = self.unknowns(slope.motion * self._units[0], slope.torque * self._units[1])
+        gradient = self._in_order(slope.motion * self._units[0], slope.torque * self._units[1])
         return smooth + penalty, gradient, plain + penalty
 
     def cost(self, x: Array, sharpness: float) -> float:
         """The plain objective with its penalty, by which random excitations are ranked."""
         predicted = Prediction(self.frame, self.candidate(x))
         told = assess(self.frame.robot.regressor(*predicted.motion), self.scale, self.essential)
-        value = (
-            np.log(told.condition) if self.objective == "condition" else -told.information / len(told.singular_values)
-        )
-        return float(value + sharpness * np.sum(np.maximum(predicted.excess, 0.0) ** 2))
+        return float(self.value(told) + sharpness * np.sum(np.maximum(predicted.excess, 0.0) ** 2))
 
 
 def essential_space(problem: _Problem, rng: np.random.Generator, draws: int = 4) -> Array:
@@ -359,7 +373,7 @@ def design_excitation(
     moving: tuple[str, ...] | None = None,
     samples: int = 1024,
     points: int = 8,
-    draws: int = 48,
+    draws: int = 200,
     starts: int = 3,
     evaluations: int = 450,
     progress: Progress | None = None,
@@ -368,7 +382,8 @@ def design_excitation(
 
     The best of some random excitations are improved by a quasi-Newton method on a smooth objective, the best of these further, ever
     nearer to the plain one (`STAGES`). Limits are then met exactly, by making the motion smaller about its centre where
-    the prediction passes one, and the multisine where the simulation does.
+    the prediction passes one, and the multisine where the simulation does. What the simulation shows beside the prediction is
+    added to it, and the search goes on from there; the best of the simulated designs is returned.
 
     Parameters
     ----------
@@ -433,10 +448,13 @@ def design_excitation(
     _, x, start, problem = min(found, key=lambda four: four[0])
     for stage in STAGES[1:]:
         _, x = search.improve(problem, start, x, stage)
-    tell("limits", 0.95)
-    problem = problem.at(problem.frame.every_instant)
-    candidate = _within(problem, problem.candidate(x))
-    return _simulated_within(problem, candidate, np.array(search.history), tell)
+    best = latest = _simulated_within(problem, problem.candidate(x), search, tell)
+    for stage in AFTER_SIMULATION:
+        problem = problem.corrected(*latest)
+        _, x = search.improve(problem, start, problem.unknowns(latest[1]), stage)
+        latest = _simulated_within(problem, problem.candidate(x), search, tell)
+        best = min(best, latest, key=lambda two: problem.value(two[0].assess()))
+    return best[0]
 
 
 def _jittered(samples: int, period_s: float, rng: np.random.Generator) -> Array:
@@ -460,6 +478,11 @@ class _Search:
         self.evaluations, self.samples, self.rng, self.tell = evaluations, samples, rng, tell
         self.history: list[tuple[float, float, float]] = []
 
+    @property
+    def part(self) -> float:
+        """That is done of the design."""
+        return 0.05 + 0.95 * min(1.0, len(self.history) / self.evaluations)
+
     def improve(self, problem: _Problem, start: int, x: Array, stage: Stage, part: float = 1.0) -> tuple[float, Array]:
         """Best value and unknowns of a part of a stage, from x."""
         period_s = problem.frame.period_s
@@ -475,10 +498,7 @@ class _Search:
             smooth, gradient, plain = problem.look(y, stage.sharpness)
             best = min(best, (smooth, y.copy()), key=lambda two: two[0])
             self.history.append((start, len(self.history) + 1, plain))
-            self.tell(
-                f"start {start + 1}: {_shown(problem, plain)}",
-                0.05 + 0.9 * min(1.0, len(self.history) / self.evaluations),
-            )
+            self.tell(f"start {start + 1}: {_shown(problem, plain)}", self.part)
             return smooth, gradient
 
         options = {"maxfun": budget, "maxiter": budget, "maxcor": MEMORY}
@@ -570,15 +590,17 @@ def _within(problem: _Problem, c: Candidate) -> Candidate:
     return c.scaled(low, low)
 
 
-def _simulated_within(problem: _Problem, c: Candidate, history: Array, tell: Progress) -> Design:
+def _simulated_within(problem: _Problem, c: Candidate, search: _Search, tell: Progress) -> tuple[Design, Candidate]:
     """Simulate; as long as the robot passes a limit, make the multisine smaller, then the motion too."""
+    problem = problem.at(problem.frame.every_instant)
     name, flexible = problem.frame.robot.name, len(problem.frame.hz) > 0
+    c = _within(problem, c)
     for attempt in range(TRIES_SIMULATED):
-        tell("simulation", 0.95 + 0.05 * attempt / TRIES_SIMULATED)
-        design = _design(problem, c, history)
+        tell("simulation", search.part)
+        design = _design(problem, c, np.array(search.history))
         run = design.simulation
         if run.ended is None and design.margins().kept:
-            return design
+            return design, c
         c = c.scaled(1.0 if flexible and 2 * attempt < TRIES_SIMULATED else SMALLER, SMALLER)
     raise ValueError(f"{name}: the simulated robot passes a limit on every try; {design.margins()}")
 

@@ -87,6 +87,8 @@ class Frame:
         Instants of the predicted motion.
     points : int
         Of the linear response, in a period.
+    missed : coordinates, rates and accelerations, each (D, n), or None
+        At every instant: what the simulation of a motion nearby has and its prediction does not.
     """
 
     robot: Robot
@@ -97,6 +99,7 @@ class Frame:
     hz: Array
     times: Array
     points: int
+    missed: Motion | None = None
 
     @cached_property
     def drives(self) -> NDArray[np.intp]:
@@ -148,6 +151,17 @@ class Frame:
         wave = np.exp(np.outer(self.times, jw))
         position, velocity, acceleration = (np.real((wave * jw**power) @ lines) for power in range(3))
         return position, velocity, acceleration
+
+    @cached_property
+    def missed_now(self) -> Motion | None:
+        """`missed` at `times`, by Fourier series."""
+        if self.missed is None:
+            return None
+        count = len(self.every_instant)
+        wave = np.exp(2j * np.pi / self.period_s * np.outer(self.times, np.arange((count + 1) // 2))) / count
+        wave[:, 1:] *= 2.0
+        q, v, a = (np.real(wave @ np.fft.rfft(x, axis=0)[: wave.shape[1]]) for x in self.missed)
+        return q, v, a
 
     @cached_property
     def poses(self) -> Array:
@@ -218,6 +232,8 @@ class Prediction:
         if len(frame.hz):
             for power, out in enumerate(whole):
                 out += np.real(frame.fast @ _flat(frame.s**power * self._vibration))
+        for out, missed in zip(whole, frame.missed_now or (), strict=bool(frame.missed)):
+            out += missed
         return whole[0], whole[1], whole[2]
 
     def _on_drives(self, r: Array, v: Array, a: Array) -> Array:

@@ -445,7 +445,14 @@ def _noise(u: Array, residual: Array, equations: Equations) -> Array:
     return np.asarray(shrunk * out + (1.0 - shrunk) * np.diag(np.diag(out)))
 
 
-def reweighted(equations: Equations, start: Array, *, rounds: int = 8, instruments: Equations | None = None) -> Fit:
+def reweighted(
+    equations: Equations,
+    start: Array,
+    *,
+    rounds: int = 8,
+    dimension: int | None = None,
+    instruments: Equations | None = None,
+) -> Fit:
     """Iteratively re-weighted least squares: each equation by its own residual, outliers by Huber's weights.
 
     The rows of a joint's drive carry the current's noise and their friction's reversals, those of a bending hinge next
@@ -454,18 +461,21 @@ def reweighted(equations: Equations, start: Array, *, rounds: int = 8, instrumen
 
     Parameters
     ----------
-    equations, start, instruments : as `least_squares`
+    equations, start, dimension, instruments : as `least_squares`
     rounds : int
         At the most; it ends when no parameter moves by a hundredth of its standard deviation.
     """
-    fit = least_squares(equations, start, instruments=instruments)
+    fit = least_squares(equations, start, dimension=dimension, instruments=instruments)
     for _ in range(rounds):
         residual = equations.residual(fit.parameters)
         sigma = np.median(np.abs(residual), axis=0) / 0.6745
         sigma = np.maximum(sigma, 1e-9 * np.abs(equations.columns @ fit.parameters).max())
         relative = np.abs(residual) / sigma
         weights = np.sqrt(np.minimum(1.0, HUBER / np.maximum(relative, 1e-300))) / sigma
-        before, fit = fit, least_squares(equations, start, weights=weights, instruments=instruments)
+        before, fit = (
+            fit,
+            least_squares(equations, start, weights=weights, dimension=dimension, instruments=instruments),
+        )
         moved = np.abs(fit.parameters - before.parameters)
         if fit.dimension == before.dimension and (moved <= 0.01 * fit.std).all():
             break
