@@ -154,10 +154,13 @@ def frf(
         typer.Option(help="Folder references/ of `rx90b-flex excite`, where the logs lack the feed-forward torque."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
+    mains_hz: Annotated[
+        float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")
+    ] = None,
     no_replay: Annotated[
         bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
     ] = False,
-    jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations.")] = 2,
+    jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
 ) -> None:
     """Identify stiffness, damping and drive inertia from the motor signals of CAMPAIGN alone."""
     from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
@@ -175,7 +178,7 @@ def frf(
         raise ValueError(f"jobs is {jobs}; expected 1 or more")
     options = Options(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
-        replay=not no_replay, jobs=jobs,
+        mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with _progress() as tell:
         result = identify_from_motors(campaign, options, tell)

@@ -62,10 +62,12 @@ class Options:
         Numbers of modes that the transfer functions try.
     references : Path or None
         Folder of the files that were sent (`rx90b-flex excite`), where the logs do not hold the feed-forward torque.
+    mains_hz : float or None
+        About 50 or 60: mains near it are taken out of the recordings.
     replay : bool
         Simulate the experiments on the grey box's robot and fit again without the distortion that this explains.
     jobs : int
-        Processes for these simulations.
+        Processes for these simulations, and for the report's figures.
     """
 
     band_hz: tuple[float, float] = (8.0, 80.0)
@@ -76,6 +78,7 @@ class Options:
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
     references: Path | None = None
+    mains_hz: float | None = None
     replay: bool = True
     jobs: int = 1
 
@@ -290,7 +293,11 @@ def _at_pose(
     def run(stage: str, progress: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
         return stages.run(_of(name, stage, count), 0.1 + 0.5 * (done + progress / count), work, needs)
 
-    measured = run("frequency response", 0.0, lambda: estimate_frequency_response(recordings, band_hz=options.band_hz))
+    measured = run(
+        "frequency response",
+        0.0,
+        lambda: estimate_frequency_response(recordings, band_hz=options.band_hz, mains_hz=options.mains_hz),
+    )
     if measured is None:
         return None
     transfer = run("transfer functions", 0.3, lambda: fit_transfer_functions(_there(measured), options.modes))

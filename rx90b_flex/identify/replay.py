@@ -39,6 +39,7 @@ TAIL_S = 0.16  # simulated beyond the last period, for the log's filter
 # simulation on the campaign of section 6.6.2.
 REPLAY_ERROR = 0.1
 ALIKE_HZ = 10.0  # of lines that share an error of the distortion's mean
+SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parameter changes by more, rounds end
 LARGEST = 0.5  # relative change of a friction coefficient in one round
 
 
@@ -204,7 +205,7 @@ def grey_box_by_replay(
     replay : Replay or sequence of them
         One a response of `first`, in that order. Friction is one, at all poses.
     rounds : int
-        Of simulating, correcting and fitting.
+        At most, of simulating, correcting and fitting; they end where parameters change no more (`SETTLED`).
     fit_friction : bool
         Fit the coefficients of the friction on the moving joints to the distortion. It takes one simulation more a coefficient.
     link_mass_std, bending_alike_std : float
@@ -253,17 +254,22 @@ def grey_box_by_replay(
         start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
         start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
         tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
-        grey = grey_box(
-            robot,
-            [doubted for _, doubted in found],
-            band_hz=band,
-            start=start,
-            starts=0,
-            link_mass_std=link_mass_std,
-            bending_alike_std=bending_alike_std,
-            model_error=None,
-            friction_error=None,
+        last, grey = (
+            grey,
+            grey_box(
+                robot,
+                [doubted for _, doubted in found],
+                band_hz=band,
+                start=start,
+                starts=0,
+                link_mass_std=link_mass_std,
+                bending_alike_std=bending_alike_std,
+                model_error=None,
+                friction_error=None,
+            ),
         )
+        if _settled(last, grey):
+            break
     names = [
         (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
     ]
@@ -274,7 +280,17 @@ def grey_box_by_replay(
     left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
     before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
     robot = _with_friction(grey.robot, joints, friction)
-    return ReplayedGreyBox(grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, rounds)
+    return ReplayedGreyBox(
+        grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
+    )
+
+
+def _settled(before: GreyBox, now: GreyBox) -> bool:
+    return all(
+        abs(np.log(e.value / before[e.name].value)) < SETTLED * e.std / e.value
+        for e in now.estimates
+        if SLOPE not in e.name
+    )
 
 
 def _simulated(tasks: Sequence[tuple[Replay, Robot]], jobs: int) -> list[ComplexArray]:

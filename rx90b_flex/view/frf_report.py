@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import joblib
 import numpy as np
 
 from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
@@ -204,40 +205,34 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
         others.append((result.grey.responses[place].hz, result.grey.predicted[place], "grey box"))
     if at.transfer is not None:
         others.append((measured.hz, at.transfer.model.frf(measured.hz), "transfer functions"))
-    images = [
-        image(frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
-        image(frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
+    pictures = [
+        (frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
+        (frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
     ]
-    if result.grey is not None and place is not None and len(result.grey.responses[place].hz) == len(measured.hz):
-        apart = frf_plots.difference(measured, result.grey.predicted[place], "grey box")
-        images.append(image(apart, "Difference from the grey box", f"Difference from the grey box. {UNDER}"))
-    if at.transfer is not None:
-        model = at.transfer.model.frf(measured.hz)
-        images.append(
-            image(
-                frf_plots.difference(measured, model, "transfer functions"),
-                "Difference from the transfer functions",
-                f"Difference from the transfer functions. {UNDER}",
-            )
-        )
-    images += [
-        image(
+    for hz, model, name in others:
+        if len(hz) == len(measured.hz):
+            apart = f"Difference from the {name}"
+            pictures.append((frf_plots.difference(measured, model, name), apart, f"{apart}. {UNDER}"))
+    pictures += [
+        (
             frf_plots.signal_to_noise(measured),
             "Signal-to-noise ratio of every entry",
             "How far every entry stands out: of noise alone (more periods lower it), and of noise and nonlinear distortion "
             "(more realisations lower both)",
         ),
-        image(
+        (
             frf_plots.channel_signal_to_noise(measured),
             "Signal-to-noise ratio of the measured signals",
             "Signal-to-noise ratio of the measured signals",
         ),
-        image(
+        (
             frf_plots.excitation(measured.spectra, measured.joints),
             "Torque and acceleration at excited and other lines",
             "Torque and acceleration at the excited lines; at the others nonlinearity (mostly friction) answers",
         ),
     ]
+    # grids of axes take seconds each to draw
+    images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each) for each in pictures)
     text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
     return Section(f"{_named(result, at)}Frequency response", (text,), (), tuple(images))
 
