@@ -119,7 +119,7 @@ def one(campaign: Campaign, robot: Robot, truth: dict[str, float]) -> dict[str, 
         f"whole identification {first + fitting + seconds + replaying:.0f} s of one core: frequency response {first:.1f}, "
         f"transfer functions and tests {fitting:.1f}, grey box {seconds:.1f}, replay {replaying:.1f}"
     )
-    spread = [f"{100 * np.median(np.diag(x)):.2f} %" for x in (better.before, better.after)]
+    spread = [f"{100 * np.median(np.diag(x[0])):.2f} %" for x in (better.before, better.after)]
     print(f"drive points of one realisation deviate by {spread[0]} as measured, by {spread[1]} less the replay")
     print("friction: " + ", ".join(f"{f.name} {f.declared:.3g} -> {f.value:.3g}" for f in better.frictions))
     print(f"links times {LINKS}")

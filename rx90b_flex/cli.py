@@ -154,6 +154,13 @@ def frf(
         typer.Option(help="Folder references/ of `rx90b-flex excite`, where the logs lack the feed-forward torque."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
+    mains_hz: Annotated[
+        float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")
+    ] = None,
+    no_replay: Annotated[
+        bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
+    ] = False,
+    jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
 ) -> None:
     """Identify stiffness, damping and drive inertia from the motor signals of CAMPAIGN alone."""
     from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
@@ -167,17 +174,24 @@ def frf(
         raise ValueError(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
         )
-    options = Options((low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references)
+    if jobs < 1:
+        raise ValueError(f"jobs is {jobs}; expected 1 or more")
+    options = Options(
+        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
+        mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
+    )  # fmt: skip
     with _progress() as tell:
         result = identify_from_motors(campaign, options, tell)
         tell("writing the report", 0.97)
         write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")])
     console = Console()
     if result.grey is not None:
-        table = Table(title=f"{result.robot.name}, from motor signals", title_justify="left")
+        how = "as measured" if result.replayed is None else "less the distortion that a replay explains"
+        table = Table(title=f"{result.robot.name}, from motor signals, {how}", title_justify="left")
         for name in ("parameter", "value", "95 % interval", "unit"):
             table.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
-        for e in result.grey.estimates:
+        best = result.grey if result.replayed is None else result.replayed.grey
+        for e in best.estimates:
             said = f"{e.value:.4g}" if e.determined else "not determined"
             table.add_row(e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit)
         console.print(table)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rx90b_flex import cli
+from rx90b_flex.effects import Effect
 from rx90b_flex.effects.friction import ViscousFriction
+from rx90b_flex.export import save_robot
+from rx90b_flex.identify import frf_command
 from rx90b_flex.identify.frf_command import (
     Options,
     feedback_of,
@@ -18,10 +24,12 @@ from rx90b_flex.identify.frf_command import (
     mean_motion,
     write_motor_identification,
 )
+from rx90b_flex.identify.grey_box import declared_parameters
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
 from rx90b_flex.simulate.trajectories import square_wave
+from rx90b_flex.view.page import Image
 
 SLOPES = (60.0, 32.0, 14.0)
 
@@ -42,7 +50,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_stiffness_comes_from_motor_signals_and_is_written(campaign, tmp_path):
     out = tmp_path / "out"
-    result = identify_from_motors(campaign, Options(bending_alike_std=0.0, starts=0, modes=(5,)))
+    result = identify_from_motors(campaign, Options(bending_alike_std=0.0, starts=0, modes=(5,), replay=False))
     write_motor_identification(result, out)
     assert {p.name for p in out.iterdir()} >= {"frf.json", "robot.toml"}
     found = json.loads((out / "frf.json").read_text())
@@ -85,7 +93,7 @@ def test_the_command_does_it_all_by_itself(campaign, tmp_path, monkeypatch):
 
 def test_a_stage_that_fails_is_left_out_with_its_reason(campaign):
     # a band of three lines is too little for transfer functions, and so for poles and zeros; the grey box goes on
-    result = identify_from_motors(campaign, Options(band_hz=(30.0, 31.5), starts=0))
+    result = identify_from_motors(campaign, Options(band_hz=(30.0, 31.5), starts=0, replay=False))
     (at,) = result.poses
     assert at.transfer is None and at.drives is None and result.grey is not None
     stages = {x["stage"]: x["why"] for x in frf_json(result)["left_out"]}
@@ -128,3 +136,74 @@ def test_feedback_is_stiff_at_low_and_soft_at_high_frequency():
     assert np.all(feedback[:, 0, 1] == 0.0)
     # from 10 Hz to 1 kHz the velocity part falls by 100, and the current loop's bandwidth of 1 kHz takes another sqrt(2)
     assert abs(feedback[2, 0, 0]) < 1e-2 * abs(feedback[1, 0, 0])
+
+
+# ---- with friction that reverses: the replay --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def with_dry_friction(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three realisations, one period kept, on a robot whose drives and friction are not as its campaign declares."""
+    true = load_robot("rx90b_3dof")
+    noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
+    plan = section_662(true, load_cs8(), noise=noise, realisations=3, periods=2, method="perturbation", seed=4)
+    result = run_campaign(plan, tmp_path_factory.mktemp("dry") / "campaign")
+    assert result.file is not None
+    return declare(result.file, [e.with_coefficients(WRONG.get(e.part, 1.0) * e.coefficients) for e in true.effects])
+
+
+WRONG = {"drives": 1.1, "friction": 0.9}
+
+
+def declare(campaign: Path, effects: list[Effect]) -> Path:
+    """The campaign of a robot that is declared with these effects."""
+    save_robot(load_robot("rx90b_3dof").with_effects(effects), campaign.parent, allow_inconsistent=True)
+    return campaign
+
+
+def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_removed(
+    with_dry_friction, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    options = functools.partial(Options, starts=0, modes=(5,))  # neither many starts nor orders are what this is about
+    monkeypatch.setattr(frf_command, "Options", options)
+    no_picture = Image("", "", 1, 1, "")
+    monkeypatch.setattr("rx90b_flex.view.frf_report.image", lambda figure, alt, caption="": no_picture)
+    arguments = ["frf", str(with_dry_friction), "--out", str(out), "--jobs", "1"]
+    monkeypatch.setattr("sys.argv", ["rx90b-flex", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    found = json.loads((out / "frf.json").read_text())
+    assert found["left_out"] == [] and "friction has the form" in found["replay"]["assumes"]
+    before, after = (np.diagonal(found["replay"]["realisations_deviate"][x][0]) for x in ("as_measured", "less_replay"))
+    assert (after < 0.2 * before).all()  # noise is 16 times weaker than the distortion
+    truth = declared_parameters(load_robot("rx90b_3dof"))
+    names = [n for n in truth if "drive_stiffness" in n or "drive_inertia" in n]
+    off = {
+        way: np.array([abs(found[way]["parameters"][n]["value"] / truth[n] - 1.0) for n in names])
+        for way in ("grey_box", "replay")
+    }
+    assert np.sqrt(np.mean(off["replay"] ** 2)) < np.sqrt(np.mean(off["grey_box"] ** 2))
+    for n in names:  # six intervals; four deviations hold all
+        one = found["replay"]["parameters"][n]
+        assert abs(np.log(one["value"] / truth[n])) < 4.0 * one["std"] / one["value"], n
+    for name, one in found["replay"]["friction"].items():
+        if "joint_1" not in name:  # it hardly vibrates: its friction shows little
+            assert abs(one["value"] / one["declared"] * WRONG["friction"] - 1.0) < 0.05, name
+    written = declared_parameters(load_robot(str(out / "robot.toml")))
+    assert written[names[0]] == pytest.approx(found["replay"]["parameters"][names[0]]["value"], rel=1e-9)
+    page = (out / "report.html").read_text()
+    for words in ("distortion removed", "as measured", "The replay assumes that friction has the form"):
+        assert words in page
+
+
+def test_what_keeps_a_replay_away_is_said_and_the_rest_goes_on(with_dry_friction, tmp_path):
+    options = Options(starts=0, modes=(5,))
+    lone = shutil.copytree(with_dry_friction.parent, tmp_path / "lone")
+    (lone / "controller.toml").unlink()
+    result = identify_from_motors(lone / "campaign.toml", options)
+    assert result.grey is not None and result.replayed is None and frf_json(result)["replay"] is None
+    assert [x.stage for x in result.left_out] == ["replay"] and "no controller file" in result.left_out[0].why
+    unwanted = identify_from_motors(with_dry_friction, dataclasses.replace(options, replay=False))
+    assert unwanted.replayed is None and unwanted.left_out == ()

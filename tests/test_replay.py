@@ -93,9 +93,9 @@ def test_wrong_friction_is_found_from_the_distortion(replay: Replay) -> None:
         off = _with_friction(robot, robot.joints, found)
         now = replay.responses(off)
         if by_friction is None:
-            by_friction = _friction_derivatives(replay, off, found, now)
+            by_friction = _friction_derivatives([replay], off, found, [now])
         linear = response_derivatives(off, robot.joints, pose, SLOPES, replay.measured.hz)
-        step, std = _friction_step(replay.measured, now, by_friction, linear)
+        step, std = _friction_step([replay.measured], [now], by_friction, [linear])
         found = found * (1.0 + step)
     # reversals shift with the friction: a step leaves more than products of errors, at worst half of them, an eighth after three
     error = np.abs(found / true - 1.0)

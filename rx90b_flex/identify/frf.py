@@ -20,6 +20,7 @@ from scipy import stats
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.mains import without_mains
 from rx90b_flex.signals import Campaign, Recording
 
 EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of the largest
@@ -257,6 +258,7 @@ def estimate_frequency_response(
     band_hz: tuple[float, float] | None = None,
     places: Sequence[Place] | None = None,
     neighbours: int | None = None,
+    mains_hz: float | None = None,
 ) -> MeasuredResponse:
     """Drive acceleration over drive torque of a robot about one pose, with covariances of noise and of nonlinear distortion.
 
@@ -283,6 +285,9 @@ def estimate_frequency_response(
         freedom than a covariance of n*n entries needs. They are compared as torques, ``P^-1 (P_m - P)``, since friction's distortion
         is a torque, smooth over the lines where P is not. 0 uses the line alone; by default 2, or as many as give ``2 n*n`` degrees
         of freedom where the realisations are few.
+    mains_hz : float, optional
+        About 50 or 60: a sine near it is taken out of each recording first (`without_mains`). Where it repeats with the period, the
+        line that it falls on is left out instead.
 
     Raises
     ------
@@ -299,6 +304,9 @@ def estimate_frequency_response(
         raise ValueError(f"joint {unknown[0]!r} is not recorded; there are {', '.join(first.joints)}")
     columns = [first.joints.index(j) for j in chosen]
     remarks: list[str] = []
+    struck: list[float] = []
+    if mains_hz is not None:
+        recordings, struck = _without_mains(recordings, mains_hz, remarks)
     pairs = _sign_pairs(recordings, _long_enough(recordings, design, remarks), remarks)
     complete = _complete(pairs, chosen, remarks)
     torque, angle = _spectra_of(recordings, complete, columns)  # (R, E, M, L, n)
@@ -306,6 +314,7 @@ def estimate_frequency_response(
     all_hz = np.arange(period // 2 + 1) * first.sample_rate_hz / period
     acceleration = -((2.0 * np.pi * all_hz[:, None]) ** 2) * angle
     lines = _lines(recordings, columns, hz, band_hz, all_hz, remarks)
+    lines = np.setdiff1d(lines, np.round(np.array(struck) / all_hz[1]).astype(int))
     feedforward = _feedforward(recordings, complete, columns)
     u, y = (np.moveaxis(x, (1, 2, 3, 4), (4, 1, 2, 3)) for x in (torque[..., lines, :], acceleration[..., lines, :]))
     lines, kept = _regular(u, None if feedforward is None else feedforward[:, :, lines], lines, all_hz, remarks)
@@ -470,6 +479,27 @@ def _check_alike(recordings: Sequence[Recording]) -> None:
             f"recordings {first.name!r} and {recordings[worst].name!r} are {apart[worst]:.3g} rad apart in mean angle; "
             "one pose is expected: estimate each pose from its own recordings"
         )
+
+
+def _without_mains(
+    recordings: Sequence[Recording], near_hz: float, remarks: list[str]
+) -> tuple[tuple[Recording, ...], list[float]]:
+    """Recordings without mains, and the frequencies at which these repeat with the period and so stay."""
+    clean, found = zip(*(without_mains(r, near_hz) for r in recordings), strict=True)
+    told = [m for m in found if m.told]
+    if told:
+        hz = [m.hz for m in told]
+        size = float(np.sqrt(np.mean([m.torque_amplitude**2 for m in told])))
+        remarks.append(
+            f"mains: {min(hz):.3f} to {max(hz):.3f} Hz, {size:.2g} N m of torque (root mean square amplitude), taken out"
+        )
+    struck = [m.hz for m in found if not m.told]
+    if struck:
+        remarks.append(
+            f"mains: a whole number of cycles in the period in {len(struck)} of {len(found)} recordings; the line at "
+            f"{np.median(struck):.4g} Hz is left out"
+        )
+    return clean, struck
 
 
 def _pose(recordings: Sequence[Recording]) -> Array:

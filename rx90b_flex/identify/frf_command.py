@@ -1,7 +1,8 @@
 """What ``rx90b-flex frf`` does: from a campaign of motor signals to physical parameters, stage by stage.
 
 At each pose the nonparametric frequency response, transfer functions with their validation and the inverse eigenvalue problem; then
-the grey box on all poses. A stage that cannot be done is left out with its reason; those that do not need it go on.
+the grey box on all poses, and again without the distortion that a replay of the experiments explains. A stage that cannot be
+done is left out with its reason; those that do not need it go on.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyRespon
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response, group_poses
 from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box, poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
+from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
@@ -60,6 +62,12 @@ class Options:
         Numbers of modes that the transfer functions try.
     references : Path or None
         Folder of the files that were sent (`rx90b-flex excite`), where the logs do not hold the feed-forward torque.
+    mains_hz : float or None
+        About 50 or 60: mains near it are taken out of the recordings.
+    replay : bool
+        Simulate the experiments on the grey box's robot and fit again without the distortion that this explains.
+    jobs : int
+        Processes for these simulations, and for the report's figures.
     """
 
     band_hz: tuple[float, float] = (8.0, 80.0)
@@ -70,6 +78,9 @@ class Options:
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
     references: Path | None = None
+    mains_hz: float | None = None
+    replay: bool = True
+    jobs: int = 1
 
 
 @dataclass(frozen=True)
@@ -120,6 +131,8 @@ class MotorIdentification:
         Fitted to the responses of `fitted` together; None where left out.
     fitted : tuple of int
         Places in `poses` of the grey box's responses.
+    replayed : ReplayedGreyBox or None
+        The same without the distortion that a replay explains; None where left out.
     left_out : tuple of LeftOut
     remarks : tuple of str
         What qualifies the results.
@@ -133,9 +146,16 @@ class MotorIdentification:
     poses: tuple[AtPose, ...]
     grey: GreyBox | None
     fitted: tuple[int, ...]
+    replayed: ReplayedGreyBox | None
     left_out: tuple[LeftOut, ...]
     remarks: tuple[str, ...]
     seconds: dict[str, float]
+
+    @property
+    def found(self) -> Robot | None:
+        """The robot as identified, by replay where that was done; None without a grey box."""
+        best = self.replayed or self.grey
+        return None if best is None else best.robot
 
 
 @dataclass
@@ -208,17 +228,23 @@ def identify_from_motors(
         )
     fitted = _alike(poses, remarks)
     together = [poses[i] for i in fitted]
-    grey = stages.run("grey box", 0.65, lambda: _grey_box(together, robot, controller, options, tell))
+    grey = stages.run("grey box", 0.6, lambda: _grey_box(together, robot, controller, options, tell))
+    replayed = None
+    if options.replay:
+        replayed = stages.run(
+            "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
+        )
     return MotorIdentification(
-        Path(source), robot, options, tuple(poses), grey, fitted if grey is not None else (),
+        Path(source), robot, options, tuple(poses), grey, fitted if grey is not None else (), replayed,
         tuple(stages.left_out), tuple(remarks), stages.seconds,
     )  # fmt: skip
 
 
 def with_reference(recording: Recording, folder: Path) -> Recording:
-    """A log with the feed-forward torque of the file that was sent: of its name, in the folder or in one of its own folder's name.
+    """A log with what the file holds that was sent: of its name, in the folder or in one of its own folder's name.
 
-    When the log began within the period does not matter, as long as all logs began alike.
+    When the log began within the period does not matter, as long as all logs began alike. References that were logged are
+    replaced, too, so that they begin with the torques fed forward.
 
     Raises
     ------
@@ -234,7 +260,7 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
         raise ValueError(
             f"{folder}: no {file}, the reference of {recording.source.parent.name}/{recording.source.name}"
         )
-    columns = ["time", *(f"ff_{joint}" for joint in recording.joints)]
+    columns = ["time", *(f"{kind}{joint}" for kind in ("", "v_", "ff_") for joint in recording.joints)]
     values = read_table(found, columns).columns(columns)
     lasts = len(values) * float(values[-1, 0] - values[0, 0]) / (len(values) - 1)
     if abs(lasts - (recording.period_s or 0.0)) > 1e-3 * lasts:
@@ -243,7 +269,10 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
         )
     size = recording.period_samples
     wave = values[:, 1:] if len(values) == size else resample(values[:, 1:], size, axis=0)
-    return dataclasses.replace(recording, feedforward_torque=np.resize(wave, recording.torque.shape))
+    position, velocity, torque = (np.resize(part, recording.torque.shape) for part in np.split(wave, 3, axis=1))
+    return dataclasses.replace(
+        recording, reference_position=position, reference_velocity=velocity, feedforward_torque=torque
+    )
 
 
 def _of(pose: str, text: str, poses: int) -> str:
@@ -262,9 +291,13 @@ def _at_pose(
     done, count = part
 
     def run(stage: str, progress: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
-        return stages.run(_of(name, stage, count), 0.1 + 0.55 * (done + progress / count), work, needs)
+        return stages.run(_of(name, stage, count), 0.1 + 0.5 * (done + progress / count), work, needs)
 
-    measured = run("frequency response", 0.0, lambda: estimate_frequency_response(recordings, band_hz=options.band_hz))
+    measured = run(
+        "frequency response",
+        0.0,
+        lambda: estimate_frequency_response(recordings, band_hz=options.band_hz, mains_hz=options.mains_hz),
+    )
     if measured is None:
         return None
     transfer = run("transfer functions", 0.3, lambda: fit_transfer_functions(_there(measured), options.modes))
@@ -355,7 +388,23 @@ def _grey_box(
         along=[poses_along(motion) for motion in motions],
         feedback=None if controller is None else feedback_of(controller, poses[0].measured.joints),
         torques=torques if one_number else None,  # else one friction slope a joint serves all experiments
-        progress=lambda text, part: tell(text, 0.65 + 0.3 * part),
+        progress=lambda text, part: tell(text, 0.6 + 0.15 * part),
+    )
+
+
+def _replay(
+    poses: Sequence[AtPose], robot: Robot, grey: GreyBox, controller: CS8 | None, options: Options, tell: Progress
+) -> ReplayedGreyBox:
+    if controller is None:
+        raise ValueError(f"no controller file (no {CONTROLLER} beside the campaign), so the loop cannot be simulated")
+    return grey_box_by_replay(
+        robot,
+        grey,
+        [Replay.of(p.recordings, p.measured, controller) for p in poses],
+        link_mass_std=options.link_mass_std,
+        bending_alike_std=options.bending_alike_std,
+        jobs=options.jobs,
+        progress=lambda text, part: tell(text, 0.75 + 0.2 * part),
     )
 
 
@@ -382,8 +431,9 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
     Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m.
-    ``transfer_functions``, ``drives`` and ``grey_box`` are null where ``left_out`` says why. Each parameter has value, std and unit;
-    of the grey box also its 95 % interval and whether the data determine it.
+    ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
+    was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
+    it. ``grey_box`` is fitted to the responses as measured, ``replay`` to them without the distortion that the replay explains.
     """
     return {
         "schema": 1,
@@ -402,7 +452,8 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
             }
             for p in result.poses
         ],
-        "grey_box": _grey_json(result),
+        "grey_box": None if result.grey is None else _grey_json(result, result.grey),
+        "replay": None if result.replayed is None else _replay_json(result, result.replayed),
         "left_out": [{"stage": x.stage, "why": x.why} for x in result.left_out],
         "remarks": list(result.remarks),
     }
@@ -463,10 +514,23 @@ def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
     }
 
 
-def _grey_json(result: MotorIdentification) -> dict[str, Any] | None:
-    grey = result.grey
-    if grey is None:
-        return None
+ASSUMED = (
+    "friction has the form that the robot file declares, coefficients apart, and the controller file is the robot's"
+)
+
+
+def _replay_json(result: MotorIdentification, replayed: ReplayedGreyBox) -> dict[str, Any]:
+    deviation = {"as_measured": replayed.before, "less_replay": replayed.after}
+    return {
+        "assumes": ASSUMED,
+        **_grey_json(result, replayed.grey),
+        "friction": {f.name: {**_quantity(f.value, f.std, f.unit), "declared": f.declared} for f in replayed.frictions},
+        "realisations_deviate": {name: x.tolist() for name, x in deviation.items()},
+        "rounds": replayed.rounds,
+    }
+
+
+def _grey_json(result: MotorIdentification, grey: GreyBox) -> dict[str, Any]:
     return {
         "poses": [result.poses[i].name for i in result.fitted],
         "parameters": {
@@ -492,15 +556,15 @@ def write_motor_identification(
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[MotorIdentification, Path], None]] = (),
 ) -> Path:
-    """Write ``frf.json``, the robot with the grey box's values, and what else is given; all or nothing."""
+    """Write ``frf.json``, the robot as identified (by replay where that was done), and what else is given; all or nothing."""
     from rx90b_flex.export import save_robot
 
     folder = Path(folder)
 
     def fill(at: Path) -> None:
         (at / "frf.json").write_text(json.dumps(frf_json(result), allow_nan=False) + "\n", encoding="utf-8")
-        if result.grey is not None:
-            save_robot(result.grey.robot, at, allow_inconsistent=True)
+        if result.found is not None:
+            save_robot(result.found, at, allow_inconsistent=True)
         for write in extra:
             write(result, at)
 

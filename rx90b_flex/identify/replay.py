@@ -18,6 +18,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import joblib
 import numpy as np
 
 from rx90b_flex.effects import Effect
@@ -38,19 +39,20 @@ TAIL_S = 0.16  # simulated beyond the last period, for the log's filter
 # simulation on the campaign of section 6.6.2.
 REPLAY_ERROR = 0.1
 ALIKE_HZ = 10.0  # of lines that share an error of the distortion's mean
+SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parameter changes by more, rounds end
 LARGEST = 0.5  # relative change of a friction coefficient in one round
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """The experiments of a campaign, ready to be repeated on a simulated robot without noise.
+    """The experiments about one pose, ready to be repeated on a simulated robot without noise.
 
     Attributes
     ----------
     trajectories : tuple of Trajectory
         One period in which the transient dies and one that counts.
     recordings : tuple of Recording
-        The measured ones, in that order.
+        The measured ones, in that order; one period of each.
     measured : MeasuredResponse
         Their frequency response.
     controller : CS8
@@ -83,7 +85,7 @@ class Replay:
             raise ValueError(
                 f"recordings {kept[0].name!r} and {apart[0]!r} differ in their references; replay one motion at a time"
             )
-        return cls(tuple(_two_periods(r) for r in kept), kept, measured, controller)
+        return cls(tuple(map(_two_periods, kept)), tuple(_period(r, r, 0) for r in kept), measured, controller)
 
     def responses(self, robot: Robot) -> ComplexArray:
         """Response of each realisation on that robot, shape (R, F, n, n)."""
@@ -91,7 +93,7 @@ class Replay:
         for run in runs:
             if run.ended is not None:
                 raise ValueError(f"replay of {run.trajectory.name!r} on the fitted robot: {run.ended}")
-        simulated = [_last_period(r, run.recording) for r, run in zip(self.recordings, runs, strict=True)]
+        simulated = [_period(r, run.recording, 1) for r, run in zip(self.recordings, runs, strict=True)]
         own = estimate_frequency_response(
             simulated, joints=self.measured.joints, hz=self.measured.hz, places=self.measured.places
         )
@@ -110,15 +112,16 @@ def _two_periods(recording: Recording) -> Trajectory:
     return first.repeated(3).part(0.0, 2.0 * period + TAIL_S)
 
 
-def _last_period(measured: Recording, simulated: Recording) -> Recording:
+def _period(measured: Recording, of: Recording, number: int) -> Recording:
+    """One period of angles and torques, as if the measured recording were no longer."""
     samples = measured.period_samples or 0
-    rows = slice(samples, 2 * samples)
+    rows = slice(number * samples, (number + 1) * samples)
     torque = measured.feedforward_torque
     return dataclasses.replace(
         measured,
         time=measured.time[:samples],
-        position=simulated.position[rows],
-        torque=simulated.torque[rows],
+        position=of.position[rows],
+        torque=of.torque[rows],
         velocity=None,
         link_position=None,
         reference_position=None,
@@ -158,20 +161,20 @@ class ReplayedGreyBox:
         Its friction slopes belong to the viscous robot that stands for the response: `slopes` where friction is right.
     robot : Robot
         Drives, flexibilities and links as fitted, friction as told by the distortion.
-    response : FrequencyResponse
-        Without the distortion; its covariance holds noise and how far realisations still differ. For the grey box it was
-        widened by what a replay is not trusted with (`REPLAY_ERROR`).
+    responses : tuple of FrequencyResponse
+        Of each pose, without the distortion; the covariance holds noise and how far realisations still differ. For the grey box
+        it was widened by what a replay is not trusted with (`REPLAY_ERROR`).
     frictions : tuple of FrictionEstimate
     slopes : dict of joint to float
         N m s/rad, of L in the last round.
-    before, after : array, shape (n, n)
+    before, after : array, shape (poses, n, n)
         Relative standard deviation of one realisation, median over the lines: as measured, and less the replay.
     rounds : int
     """
 
     grey: GreyBox
     robot: Robot
-    response: FrequencyResponse
+    responses: tuple[FrequencyResponse, ...]
     frictions: tuple[FrictionEstimate, ...]
     slopes: dict[str, float]
     before: Array
@@ -182,12 +185,13 @@ class ReplayedGreyBox:
 def grey_box_by_replay(
     robot: Robot,
     first: GreyBox,
-    replay: Replay,
+    replay: Replay | Sequence[Replay],
     *,
     rounds: int = 4,
     fit_friction: bool = True,
     link_mass_std: float = 0.0,
     bending_alike_std: float = 0.0,
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> ReplayedGreyBox:
     """Refine a grey box by replaying its experiments.
@@ -197,72 +201,102 @@ def grey_box_by_replay(
     robot : Robot
         As declared, the one that `first` was fitted to; all its friction must have values.
     first : GreyBox
-        Of the response as measured.
-    replay : Replay
+        Of the responses as measured.
+    replay : Replay or sequence of them
+        One a response of `first`, in that order. Friction is one, at all poses.
     rounds : int
-        Of simulating, correcting and fitting.
+        At most, of simulating, correcting and fitting; they end where parameters change no more (`SETTLED`).
     fit_friction : bool
         Fit the coefficients of the friction on the moving joints to the distortion. It takes one simulation more a coefficient.
     link_mass_std, bending_alike_std : float
         As in `grey_box`.
+    jobs : int
+        Processes for simulations that do not wait for each other: those of the poses and of the friction coefficients.
     progress : callable, optional
 
     Raises
     ------
     ValueError
-        A friction without value; a replay that ends early.
+        A friction without value; replays that do not fit the responses; a replay that ends early.
     """
+    replays = (replay,) if isinstance(replay, Replay) else tuple(replay)
     if rounds < 1:
         raise ValueError(f"rounds is {rounds}; expected 1 or more")
+    if len(replays) != len(first.responses):
+        raise ValueError(f"{len(replays)} replays; expected {len(first.responses)}, one a response of the grey box")
     tell = progress or (lambda text, part: None)
-    measured, grey = replay.measured, first
-    declared = _frictions(robot, measured.joints)
-    friction = np.concatenate([e.coefficients for e in declared])
-    if not np.isfinite(friction).all():
+    measured, grey = [r.measured for r in replays], first
+    joints = measured[0].joints
+    declared = _frictions(robot, joints)
+    values = np.array([c for e in declared for c in e.coefficients])
+    if not np.isfinite(values).all():
         raise ValueError("a friction coefficient has no value; a replay needs all of them")
-    std = np.zeros_like(friction)
+    friction, std = values, np.zeros_like(values)
     # mean of the reference's poses and of viscosities over experiments, from the fit before
-    pose, slopes = first.responses[0].pose, _slopes(first, measured.joints)
-    band = float(measured.hz[0]), float(measured.hz[-1])
-    by_friction: ComplexArray | None = None
+    poses, slopes = [r.pose for r in first.responses], _slopes(first, joints)
+    band = min(float(m.hz[0]) for m in measured), max(float(m.hz[-1]) for m in measured)
+    by_friction: list[ComplexArray] | None = None
     for number in range(rounds):
         tell(f"replay {number + 1} of {rounds}", number / rounds)
-        fitted = _with_friction(grey.robot, measured.joints, friction)
-        simulated = replay.responses(fitted)
-        if fit_friction:
+        fitted = _with_friction(grey.robot, joints, friction)
+        simulated = _simulated([(r, fitted) for r in replays], jobs)
+        if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
-                by_friction = _friction_derivatives(replay, fitted, friction, simulated)
-            linear = response_derivatives(fitted, measured.joints, pose, slopes, measured.hz)
+                by_friction = _friction_derivatives(replays, fitted, friction, simulated, jobs)
+            linear = [
+                response_derivatives(fitted, joints, q, slopes, m.hz) for q, m in zip(poses, measured, strict=True)
+            ]
             step, std = _friction_step(measured, simulated, by_friction, linear)
-            simulated = simulated + np.tensordot(step, by_friction, 1)
+            simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, by_friction, strict=True)]
             friction, std = friction * (1.0 + step), friction * std
-        line = linear_response(fitted, measured.joints, pose, slopes, measured.hz)
-        response, doubted = _response(measured, simulated, line, pose)
+        lines = [linear_response(fitted, joints, q, slopes, m.hz) for q, m in zip(poses, measured, strict=True)]
+        found = [_response(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
         start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
         start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
         tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
-        grey = grey_box(
-            robot,
-            doubted,
-            band_hz=band,
-            start=start,
-            starts=0,
-            link_mass_std=link_mass_std,
-            bending_alike_std=bending_alike_std,
-            model_error=None,
-            friction_error=None,
+        last, grey = (
+            grey,
+            grey_box(
+                robot,
+                [doubted for _, doubted in found],
+                band_hz=band,
+                start=start,
+                starts=0,
+                link_mass_std=link_mass_std,
+                bending_alike_std=bending_alike_std,
+                model_error=None,
+                friction_error=None,
+            ),
         )
+        if _settled(last, grey):
+            break
     names = [
         (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
     ]
-    values = np.concatenate([e.coefficients for e in declared])
     frictions = tuple(
         FrictionEstimate(name, unit, d, v, s)
         for (name, unit), d, v, s in zip(names, values.tolist(), friction.tolist(), std.tolist(), strict=True)
     )
-    robot = _with_friction(grey.robot, measured.joints, friction)
-    spreads = _spread(measured.realisations), _spread(measured.realisations - simulated + line)
-    return ReplayedGreyBox(grey, robot, response, frictions, slopes, *spreads, rounds)
+    left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
+    before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
+    robot = _with_friction(grey.robot, joints, friction)
+    return ReplayedGreyBox(
+        grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
+    )
+
+
+def _settled(before: GreyBox, now: GreyBox) -> bool:
+    return all(
+        abs(np.log(e.value / before[e.name].value)) < SETTLED * e.std / e.value
+        for e in now.estimates
+        if SLOPE not in e.name
+    )
+
+
+def _simulated(tasks: Sequence[tuple[Replay, Robot]], jobs: int) -> list[ComplexArray]:
+    """Responses of replays on robots."""
+    work = (joblib.delayed(Replay.responses)(replay, robot) for replay, robot in tasks)
+    return list(joblib.Parallel(n_jobs=min(jobs, len(tasks)))(work))
 
 
 def _spread(realisations: ComplexArray) -> Array:
@@ -320,24 +354,44 @@ def _slopes(grey: GreyBox, joints: Sequence[str]) -> dict[str, float]:
     }
 
 
-def _friction_derivatives(replay: Replay, robot: Robot, friction: Array, now: ComplexArray) -> ComplexArray:
-    """Derivatives of the realisations' responses by relative changes of the friction coefficients, (c, R, F, n, n)."""
-    columns = []
-    for place, value in enumerate(friction):
-        other = friction.copy()
-        other[place] += STEP * value
-        columns.append((replay.responses(_with_friction(robot, replay.measured.joints, other)) - now) / STEP)
-    return np.array(columns)
+def _friction_derivatives(
+    replays: Sequence[Replay], robot: Robot, friction: Array, now: Sequence[ComplexArray], jobs: int = 1
+) -> list[ComplexArray]:
+    """Derivatives of the realisations' responses by relative changes of the friction coefficients, (c, R, F, n, n) a replay."""
+    joints = replays[0].measured.joints
+    changed = [
+        _with_friction(robot, joints, friction + STEP * value * (np.arange(len(friction)) == place))
+        for place, value in enumerate(friction)
+    ]
+    found = iter(_simulated([(replay, other) for replay in replays for other in changed], jobs))
+    return [np.array([(next(found) - at) / STEP for _ in changed]) for at in now]
 
 
 def _friction_step(
-    measured: MeasuredResponse, simulated: ComplexArray, by_friction: ComplexArray, linear: ComplexArray
+    measured: Sequence[MeasuredResponse],
+    simulated: Sequence[ComplexArray],
+    by_friction: Sequence[ComplexArray],
+    linear: Sequence[ComplexArray],
 ) -> tuple[Array, Array]:
     """Relative changes of the friction coefficients and their standard deviations, beside the linear parameters.
 
     Least squares on the realisations' ``P_m - S_m`` as torques, ``P^-1 (P_m - S_m)``: friction is one. A linear parameter adds the
-    same to all of them, one of `linear`, (p, F, n, n).
+    same to all realisations of a pose, one of `linear`, (p, F, n, n). Arguments hold one array a pose.
     """
+    both = [_friction_rows(*each) for each in zip(measured, simulated, by_friction, linear, strict=True)]
+    slopes, target = (np.concatenate(x) for x in zip(*both, strict=True))
+    scale = np.linalg.norm(slopes, axis=0)
+    step = np.linalg.lstsq(slopes / scale, target, rcond=1e-6)[0] / scale
+    rest = target - slopes @ step
+    covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
+    own = slice(len(linear[0]), None)
+    return np.clip(step[own], -LARGEST, LARGEST), np.sqrt(np.diag(covariance_of_step)[own])
+
+
+def _friction_rows(
+    measured: MeasuredResponse, simulated: ComplexArray, by_friction: ComplexArray, linear: ComplexArray
+) -> tuple[Array, Array]:
+    """Slopes and target of one pose, real and imaginary parts below each other."""
     left = measured.realisations - simulated
     inverse = np.linalg.inv(measured.value)
     # each joint's by one number: weights from so few realisations would be made of what they are to weigh
@@ -347,10 +401,4 @@ def _friction_step(
         scaled = (inverse @ x / size).ravel()
         return np.concatenate([scaled.real, scaled.imag])
 
-    slopes = np.column_stack([rows(np.broadcast_to(c, left.shape)) for c in (*linear, *by_friction)])
-    target, scale = rows(left), np.linalg.norm(slopes, axis=0)
-    step = np.linalg.lstsq(slopes / scale, target, rcond=1e-6)[0] / scale
-    rest = target - slopes @ step
-    covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
-    own = slice(len(linear), None)
-    return np.clip(step[own], -LARGEST, LARGEST), np.sqrt(np.diag(covariance_of_step)[own])
+    return np.column_stack([rows(np.broadcast_to(c, left.shape)) for c in (*linear, *by_friction)]), rows(left)

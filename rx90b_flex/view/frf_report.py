@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import joblib
 import numpy as np
 
-from rx90b_flex.identify.frf_command import AtPose, MotorIdentification
-from rx90b_flex.identify.grey_box import GreyBox
+from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
+from rx90b_flex.identify.grey_box import SLOPE, GreyBox
+from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import Section, Table, image, write_page
 from rx90b_flex.view.report import unit_text
@@ -28,18 +30,18 @@ def write_frf_report(result: MotorIdentification, path: Path) -> None:
         The file; its folder exists.
     """
     at_poses = [section for p in result.poses for section in (_response(result, p), _modes(result, p))]
-    sections = [_physical(result), *at_poses, _residuals(result), _how(result)]
+    sections = [_by_replay(result), _physical(result), *at_poses, _residuals(result), _how(result)]
     write_page(path, f"{result.robot.name} from motor signals", _lead(result), [s for s in sections if s is not None])
 
 
 def _lead(result: MotorIdentification) -> list[str]:
-    grey = result.grey
+    grey = result.grey if result.replayed is None else result.replayed.grey
     out = []
     if grey is not None:
         known = [e for e in grey.estimates if "stiffness" in e.name]
         good = [e for e in known if e.std < 0.1 * e.value]
         out.append(f"{len(good)} of {len(known)} stiffnesses are known to 10 % (one standard deviation) or better.")
-        out.append(_bias_words(grey))
+        out.append(_bias_words(grey) if result.replayed is None else _share_words(result.replayed))
     for p in result.poses:
         measured = p.measured
         out.append(
@@ -79,6 +81,55 @@ def _bias_words(grey: GreyBox) -> str:
     return f"The residual is {share:.2f} times what noise, distortion and the stated model error give: the model is enough."
 
 
+def _share_words(replayed: ReplayedGreyBox) -> str:
+    before, after = (np.median(np.diagonal(x, axis1=1, axis2=2)) for x in (replayed.before, replayed.after))
+    return (
+        f"Drive points of one realisation deviate from the others' mean by {100 * before:.2g} % as measured, and by "
+        f"{100 * after:.2g} % less what the replay explains (medians over the lines)."
+    )
+
+
+def _by_replay(result: MotorIdentification) -> Section | None:
+    replayed, first = result.replayed, result.grey
+    if replayed is None or first is None:
+        return None
+    rows = []
+    for e in replayed.grey.estimates:
+        if SLOPE in e.name:
+            continue
+        was = first[e.name]
+        values = amounts(was.value, was.low, was.high, e.value, e.low, e.high, e.start)
+        note = "" if e.determined else "not determined by this data"
+        rows.append(
+            (_words(e.name), values[0], f"{values[1]} – {values[2]}", values[3], f"{values[4]} – {values[5]}", values[6],
+             unit_text(e.unit), note)
+        )  # fmt: skip
+    head = ("parameter", "as measured", "95 % interval", "by replay", "95 % interval", "declared", "unit", "")
+    tables = [Table(head, tuple(rows), "", (1, 2, 3, 4, 5))]
+    if replayed.frictions:
+        frictions = tuple(
+            (_words(f.name), *amounts(f.value, f.std, f.declared), unit_text(f.unit)) for f in replayed.frictions
+        )
+        caption = "Friction, from how the response changes with the excitation"
+        tables.append(Table(("parameter", "value", "std", "declared", "unit"), frictions, caption, (1, 2, 3)))
+    text = (
+        "Friction that reverses distorts the response. The experiments were simulated on the robot as fitted, and what they showed "
+        "there beyond a robot with viscous friction was taken off the measured response; then the grey box was fitted again.",
+        "As measured, the fit assumes nothing of friction's form, only how large an error it may leave. The replay assumes that "
+        f"{ASSUMED}.",
+        _share_words(replayed),
+        f"The fit's residual is {replayed.grey.cost / replayed.grey.expected_cost:.2f} times what its intervals allow for.",
+    )
+    figure = image(
+        grey_plots.intervals(replayed.grey), "Intervals of all physical parameters", "95 % intervals, by replay"
+    )
+    return Section("Physical parameters, friction's distortion removed", text, tuple(tables), (figure,))
+
+
+def _words(name: str) -> str:
+    return name.replace(".", " ").replace("_", " ")
+
+
 def _physical(result: MotorIdentification) -> Section | None:
     grey = result.grey
     if grey is None:
@@ -87,8 +138,7 @@ def _physical(result: MotorIdentification) -> Section | None:
     for e in grey.estimates:
         note = "" if e.determined else "not determined by this data"
         value, std, low, high, start = amounts(e.value, e.std, e.low, e.high, e.start)
-        name = e.name.replace(".", " ").replace("_", " ")
-        rows.append((name, value, std, f"{low} – {high}", start, unit_text(e.unit), note))
+        rows.append((_words(e.name), value, std, f"{low} – {high}", start, unit_text(e.unit), note))
     tables = [
         Table(
             ("parameter", "value", "std", "95 % interval", "declared", "unit", ""),
@@ -130,7 +180,8 @@ def _physical(result: MotorIdentification) -> Section | None:
         "intervals as a model error."
     )
     figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
-    return Section("Physical parameters", tuple(text), tuple(tables), (figure,))
+    title = "Physical parameters" + ("" if result.replayed is None else ", as measured")
+    return Section(title, tuple(text), tuple(tables), (figure,))
 
 
 def _drive_rows(result: MotorIdentification, at: AtPose, grey: GreyBox) -> list[tuple[str, ...]]:
@@ -154,40 +205,34 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
         others.append((result.grey.responses[place].hz, result.grey.predicted[place], "grey box"))
     if at.transfer is not None:
         others.append((measured.hz, at.transfer.model.frf(measured.hz), "transfer functions"))
-    images = [
-        image(frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
-        image(frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
+    pictures = [
+        (frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
+        (frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
     ]
-    if result.grey is not None and place is not None and len(result.grey.responses[place].hz) == len(measured.hz):
-        apart = frf_plots.difference(measured, result.grey.predicted[place], "grey box")
-        images.append(image(apart, "Difference from the grey box", f"Difference from the grey box. {UNDER}"))
-    if at.transfer is not None:
-        model = at.transfer.model.frf(measured.hz)
-        images.append(
-            image(
-                frf_plots.difference(measured, model, "transfer functions"),
-                "Difference from the transfer functions",
-                f"Difference from the transfer functions. {UNDER}",
-            )
-        )
-    images += [
-        image(
+    for hz, model, name in others:
+        if len(hz) == len(measured.hz):
+            apart = f"Difference from the {name}"
+            pictures.append((frf_plots.difference(measured, model, name), apart, f"{apart}. {UNDER}"))
+    pictures += [
+        (
             frf_plots.signal_to_noise(measured),
             "Signal-to-noise ratio of every entry",
             "How far every entry stands out: of noise alone (more periods lower it), and of noise and nonlinear distortion "
             "(more realisations lower both)",
         ),
-        image(
+        (
             frf_plots.channel_signal_to_noise(measured),
             "Signal-to-noise ratio of the measured signals",
             "Signal-to-noise ratio of the measured signals",
         ),
-        image(
+        (
             frf_plots.excitation(measured.spectra, measured.joints),
             "Torque and acceleration at excited and other lines",
             "Torque and acceleration at the excited lines; at the others nonlinearity (mostly friction) answers",
         ),
     ]
+    # grids of axes take seconds each to draw
+    images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each) for each in pictures)
     text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
     return Section(f"{_named(result, at)}Frequency response", (text,), (), tuple(images))
 
