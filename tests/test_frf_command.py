@@ -169,7 +169,7 @@ def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_remov
     monkeypatch.setattr(frf_command, "Options", options)
     no_picture = Image("", "", 1, 1, "")
     monkeypatch.setattr("rx90b_flex.view.frf_report.image", lambda figure, alt, caption="": no_picture)
-    arguments = ["frf", str(with_dry_friction), "--out", str(out), "--jobs", "1"]
+    arguments = ["frf", str(with_dry_friction), "--out", str(out), "--jobs", "1", "--high-hz", "45"]
     monkeypatch.setattr("sys.argv", ["rx90b-flex", *arguments])
     with pytest.raises(SystemExit) as ended:
         cli.main()
@@ -199,7 +199,7 @@ def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_remov
 
 
 def test_what_keeps_a_replay_away_is_said_and_the_rest_goes_on(with_dry_friction, tmp_path):
-    options = Options(starts=0, modes=(5,))
+    options = Options((8.0, 30.0), starts=0, modes=(3,))
     lone = shutil.copytree(with_dry_friction.parent, tmp_path / "lone")
     (lone / "controller.toml").unlink()
     result = identify_from_motors(lone / "campaign.toml", options)

@@ -18,6 +18,7 @@ from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyRespon
 from rx90b_flex.identify.frf import MeasuredResponse, Spectra, confidence_radius
 
 MEASURED, MODEL, DISTORTION, NOISE = "#0072b2", "#d55e00", "#009e73", "#8a8a8a"
+MARGINS_IN = (0.6, 0.42, 0.25)  # left, bottom and top of a grid of entries
 FILL = 0.25  # opacity of a band
 CELL_IN = (2.9, 2.1)  # width and height of one entry's axes
 UNIT = "rad/s² per N m"
@@ -173,7 +174,11 @@ _STYLES = ((MODEL, "--"), (DISTORTION, ":"), ("black", "-."))
 def _entries(joints: Sequence[str], draw: Callable[[Axes, int, int], None], label: str) -> Figure:
     """One axes an entry: rows are accelerations, columns torques."""
     n = len(joints)
-    figure = Figure(figsize=(CELL_IN[0] * n, CELL_IN[1] * n), layout="constrained")
+    size = CELL_IN[0] * n, CELL_IN[1] * n
+    figure = Figure(figsize=size)
+    # margins in inches: a constrained layout of so many axes takes as long as drawing them
+    left, bottom, top = MARGINS_IN[0] / size[0], MARGINS_IN[1] / size[1], 1.0 - MARGINS_IN[2] / size[1]
+    figure.subplots_adjust(left, bottom, 1.0 - 0.05 / size[0], top, wspace=0.04, hspace=0.16)
     grid = figure.subplots(n, n, squeeze=False, sharex=True, sharey=True)
     for j in range(n):
         for k in range(n):

@@ -98,7 +98,8 @@ def _by_replay(result: MotorIdentification) -> Section | None:
         if SLOPE in e.name:
             continue
         was = first[e.name]
-        values = amounts(was.value, was.low, was.high, e.value, e.low, e.high, e.start)
+        # as many decimals as tell the ends of the narrower interval apart
+        _, *values = amounts(e.std, was.value, was.low, was.high, e.value, e.low, e.high, e.start)
         note = "" if e.determined else "not determined by this data"
         rows.append(
             (_words(e.name), values[0], f"{values[1]} – {values[2]}", values[3], f"{values[4]} – {values[5]}", values[6],
@@ -110,7 +111,7 @@ def _by_replay(result: MotorIdentification) -> Section | None:
         frictions = tuple(
             (_words(f.name), *amounts(f.value, f.std, f.declared), unit_text(f.unit)) for f in replayed.frictions
         )
-        caption = "Friction, from how the response changes with the excitation"
+        caption = "Friction, from how the response changes with the excitation; its standard deviations hold if the form is right"
         tables.append(Table(("parameter", "value", "std", "declared", "unit"), frictions, caption, (1, 2, 3)))
     text = (
         "Friction that reverses distorts the response. The experiments were simulated on the robot as fitted, and what they showed "
