@@ -363,6 +363,8 @@ def check_path_command(
         said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
         console.print(f"Largest contributions across, RMS, mm: {said}", soft_wrap=True, highlight=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+    beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
+    console.print(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}", soft_wrap=True, highlight=False)
     if result.verdict == "outside_tolerance":
         raise typer.Exit(1)
 
