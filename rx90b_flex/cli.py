@@ -57,7 +57,7 @@ def close_loop_command(
 ) -> None:
     """Find what the data hold and the model lacks; add it.
 
-    Tries every effect of the catalogue on every joint, and keeps those that predict recordings that were not fitted.
+    Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
     """
     from rx90b_flex.diagnose.close_flexible import speaks_of_frequency
 
