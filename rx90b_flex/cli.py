@@ -55,7 +55,10 @@ def close_loop_command(
         float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
     ] = None,
 ) -> None:
-    """Find what the data of CAMPAIGN hold that its declared robot does not, and add it to the model."""
+    """Find what the data hold and the model lacks; add it.
+
+    Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
+    """
     from rx90b_flex.diagnose.close_flexible import speaks_of_frequency
 
     if speaks_of_frequency(campaign):
@@ -106,7 +109,10 @@ def demo(
         str | None, typer.Option(help="Effect type to hide, or 'none'; drawn from the seed where not given.")
     ] = None,
 ) -> None:
-    """Make recordings of a robot with an effect that its model lacks, close the loop, then tell what was hidden."""
+    """Hide an effect in simulated recordings, then find it.
+
+    The recordings, the campaign file and the report stay, to look at and to start from.
+    """
     from rx90b_flex.demo import make_demonstration
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.output import write_result
@@ -162,7 +168,10 @@ def frf(
     ] = False,
     jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
 ) -> None:
-    """Identify stiffness, damping and drive inertia from the motor signals of CAMPAIGN alone."""
+    """Identify stiffness, damping and inertia from motor signals.
+
+    CAMPAIGN is what `rx90b-flex excite` writes, with the logs of its motions.
+    """
     from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
     from rx90b_flex.signals.folders import check_folder
     from rx90b_flex.view.frf_report import write_frf_report
@@ -231,7 +240,10 @@ def excite(
     simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
 ) -> None:
-    """Write the references that excite ROBOT for `rx90b-flex frf`, and the campaign file for its logs."""
+    """Write the motions that frf needs, and the campaign file.
+
+    With --simulate, the logs as well, of the robot as its file declares it.
+    """
     from rx90b_flex.simulate.excite import Request, excite_into
 
     poses = tuple(tuple(math.radians(x) for x in _numbers("pose", text)) for text in pose or [])
@@ -265,7 +277,7 @@ def flexify(
     bending: Annotated[list[str] | None, typer.Option(help="Joint that bends; repeat for more.")] = None,
     base: Annotated[bool, typer.Option("--base", help="A base that tilts about two axes.")] = False,
 ) -> None:
-    """Write a URDF with explicit virtual joints for the flexibilities of ROBOT.
+    """Write a URDF with virtual joints that twist and bend.
 
     Without --torsion, --bending and --base: those that its robot file declares; for a plain URDF, every joint
     twists and bends.
@@ -307,7 +319,12 @@ def simulate_command(
     position_noise: Annotated[float, typer.Option(help="The same of position, rad.")] = 0.0,
     velocity_noise: Annotated[float, typer.Option(help="The same of velocity, rad/s.")] = 0.0,
 ) -> None:
-    """Simulate ROBOT under its controller along a trajectory: recording, tip deviation, figure."""
+    """Simulate a flexible robot under its controller.
+
+    Along a trajectory: recording, every coordinate, tip deviation, figure.
+
+    The first simulation of a user compiles for about a minute; later ones do not.
+    """
     from rx90b_flex.simulate.closed_loop import Noise
     from rx90b_flex.simulate.command import Request, simulate_into, summary
 
@@ -350,7 +367,9 @@ def check_path_command(
         Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
     ] = None,
 ) -> None:
-    """Check that ROBOT can follow PATH within a tolerance: where it strays, which effect is why, and a corrected path.
+    """Check whether the tip keeps to a seam; correct the path.
+
+    Where it strays, which effect is why, and a corrected path.
 
     Exit status: 0 within tolerance, as planned or corrected; 1 not within tolerance; 2 bad input, or a path that the robot cannot
     follow (out of reach, outside limits, through a singularity, too fast), with nothing written.
@@ -377,6 +396,8 @@ def check_path_command(
         said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
         console.print(f"Largest contributions across, RMS, mm: {said}", soft_wrap=True, highlight=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+    beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
+    console.print(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}", soft_wrap=True, highlight=False)
     if result.verdict == "outside_tolerance":
         raise typer.Exit(1)
 
@@ -394,7 +415,10 @@ def view(
     count: Annotated[int, typer.Option(help="How many modes.")] = 6,
     out: Annotated[Path | None, typer.Option("--out", help="HTML file to write, instead of a browser.")] = None,
 ) -> None:
-    """Show a moving robot, its deformations magnified: in a browser, or as one HTML file that opens offline."""
+    """Show the robot bend: its motion, two runs, or mode shapes.
+
+    In a browser, or (--out) as one HTML file that opens offline.
+    """
     from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
 
     wanted = Wanted(source, beside, recording, magnify, modes, pose, count)
@@ -431,7 +455,10 @@ def import_command(
     topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
     file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
 ) -> None:
-    """Make a campaign of logs as they are: finds out columns, units and rate, and says how sure it is."""
+    """Make a campaign of logs: CSV, Parquet, MATLAB, ROS 2, MCAP.
+
+    Finds out columns, units and rate, and says how sure it is of each.
+    """
     from rx90b_flex.importing import Request, import_into, options_of
 
     request = Request(
@@ -441,8 +468,11 @@ def import_command(
         tell("reading", 0.1)
         imported = import_into(request, out)
     console = Console()
+    files_of: dict[str, list[str]] = {}
     for where, finding in imported.findings:
-        console.print(f"{where}: {finding}", soft_wrap=True, markup=False, highlight=False)
+        files_of.setdefault(str(finding), []).append(where)
+    for said, where_all in files_of.items():
+        console.print(f"{', '.join(where_all)}: {said}", soft_wrap=True, markup=False, highlight=False)
     console.print(f"Campaign: {out / 'campaign.toml'}", soft_wrap=True)
 
 
@@ -451,7 +481,10 @@ def identify_command(
     campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
     out: Out,
 ) -> None:
-    """Identify the declared robot of CAMPAIGN on its recordings: parameters, robot file and URDF, report."""
+    """Fit the declared robot's parameters to a campaign.
+
+    Parameters with standard deviations, robot file and URDF, predictions, report.
+    """
     from rx90b_flex.identify.command import identify_campaign, write_identified
     from rx90b_flex.signals.folders import check_folder, fill_folder
     from rx90b_flex.view.identify_report import headline, write_identify_report
@@ -516,6 +549,11 @@ def _describe(effect: object) -> str:
     assert isinstance(effect, Effect)
     values = ", ".join(f"{name} {value:.4g} {unit}".removesuffix(" -") for name, unit, value in effect.public_values())
     return f"{effect.type_name()} on {' + '.join(effect.joints) or 'the robot'}: {values}"
+
+
+# in the order in which a user meets them
+_ORDER = ("demo", "import", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify")
+app.registered_commands.sort(key=lambda c: _ORDER.index(c.name or getattr(c.callback, "__name__", "")))
 
 
 def main() -> None:

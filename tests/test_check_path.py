@@ -19,13 +19,15 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
 from rx90b_flex.path import Deviation, Options, PathCheck, Plan, Seam, check_path, load_seam, plan
-from rx90b_flex.path.check import across_axes, deviation
+from rx90b_flex.path.check import across_axes, deviation, sticking
 from rx90b_flex.path.correct import Learner, tip_response
-from rx90b_flex.path.output import write_check
+from rx90b_flex.path.output import RUNS, write_check
 from rx90b_flex.path.plan import HOLD_S, rates
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import load_cs8, simulate
 from rx90b_flex.simulate.command import controller_of, read_trajectory
+from rx90b_flex.simulate.cs8 import drive_places
+from rx90b_flex.view.command import read_run
 from rx90b_flex.view.path_report import write_path_report
 
 START = np.deg2rad([-11.3, 34.4, 68.8])
@@ -261,6 +263,21 @@ def test_the_effects_of_a_linear_robot_add_up() -> None:
     ]
 
 
+def test_a_drive_that_stops_on_its_way_sticks_and_one_that_starts_or_turns_back_does_not() -> None:
+    found = planned(SHORT)
+    run = simulate(robot(), controller_of(robot(), None), found.trajectory())
+    assert sticking(found, run) == ()
+    assert (
+        sticking(found, dataclasses.replace(run, v=np.zeros_like(run.v))) == ()
+    )  # it never moved: stuck, but it does not slip
+    jerky = run.v.copy()
+    drives = drive_places(robot())
+    on_its_way = np.flatnonzero(np.abs(run.v[:, drives[0]]) > 0.5 * np.abs(run.v[:, drives[0]]).max())
+    for stop in np.array_split(on_its_way, 4):
+        jerky[stop[1:3], drives[0]] = 0.0
+    assert sticking(found, dataclasses.replace(run, v=jerky)) == (("joint_1", 4),)
+
+
 # ---- correction -------------------------------------------------------------------------------------------------
 
 
@@ -313,6 +330,36 @@ def test_the_written_angles_simulate_to_the_corrected_path(checked: PathCheck, t
     np.testing.assert_allclose(table[list(robot().joints)], trajectory.position, atol=1e-9)
     shift = 1e3 * (table[["x", "y", "z"]].to_numpy() - checked.plan.point)
     np.testing.assert_allclose(table[[f"correction_{a}_mm" for a in "xyz"]], shift, atol=1e-5)
+
+
+def test_both_runs_are_written_to_be_seen_with_deviations_from_the_planned_path(
+    checked: PathCheck, tmp_path: Path
+) -> None:
+    write_check(checked, tmp_path / "out")
+    for name, of in zip(RUNS, (checked.before, checked.after), strict=True):
+        assert of is not None
+        seen = read_run(str(tmp_path / "out" / name))
+        table = pd.read_csv(tmp_path / "out" / name / "tip.csv")
+        on = (seen.time >= HOLD_S) & (seen.time <= HOLD_S + SHORT.duration_s)
+        size = np.linalg.norm(table[[f"deviation_{a}_mm" for a in "xyz"]].to_numpy(), axis=1)[on]
+        # the reference is logged behind the filter before the log, which rounds its beginning and end
+        np.testing.assert_allclose(size, np.hypot(of.along, of.across), atol=0.01)
+
+
+def test_a_correction_moves_the_arm_and_leaves_the_wrist_to_the_orientation() -> None:
+    found = planned(dataclasses.replace(SHORT, orientation="keep"), robot("rx90b"))
+    assert np.ptp(found.position, axis=0)[3:].max() > 1e-3 and (found.pull[:, 3:] == 0.0).all()
+    data, tip = found.robot.tree.createData(), found.robot.tree.getFrameId(found.robot.tip_frame)
+    k = len(found.time) // 2
+    jacobian = pin.computeFrameJacobian(found.robot.tree, data, found.position[k], tip, pin.LOCAL_WORLD_ALIGNED)[:3]
+    np.testing.assert_allclose(jacobian @ found.pull[k], np.eye(3), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_square_with_a_fixed_orientation_is_corrected_where_its_speed_has_the_wrist_slide() -> None:
+    seam = dataclasses.replace(load_seam("square", 250.0), orientation="keep")
+    check = check_path(seam, robot("rx90b"), controller_of(robot("rx90b"), None), Options(contributions=False))
+    assert check.verdict == "corrected_within_tolerance"
 
 
 def test_a_correction_that_does_not_reach_the_tolerance_says_so() -> None:
@@ -425,7 +472,7 @@ def test_the_command_writes_its_folder_and_its_status_is_the_verdict(command, tm
     ran = command(file, "--out", out, "--no-contributions")
     assert ran.status == 0 and "Pass when corrected" in ran.out
     assert {p.name for p in out.iterdir()} == {
-        "path_check.json", "report.html", "seam.csv", "corrected_path.csv", "corrected_joints.csv",
+        "path_check.json", "report.html", "seam.csv", "corrected_path.csv", "corrected_joints.csv", *RUNS,
     }  # fmt: skip
     saved = json.loads((out / "path_check.json").read_text())
     assert saved["verdict"] == "corrected_within_tolerance" and saved["robot"] == "rx90b_3dof"

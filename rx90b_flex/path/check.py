@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.correct import Learner
-from rx90b_flex.path.plan import HOLD_S, Plan, plan
+from rx90b_flex.path.plan import HOLD_S, Plan, plan, rates
 from rx90b_flex.path.seam import Seam
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.closed_loop import Simulation, simulate
-from rx90b_flex.simulate.cs8 import CS8
+from rx90b_flex.simulate.cs8 import CS8, drive_places
 
 Verdict = Literal["within_tolerance", "corrected_within_tolerance", "outside_tolerance"]
 Tell = Callable[[str, float], None]
@@ -28,6 +28,9 @@ ENOUGH = 0.5  # of the tolerance: a correction that is better is not improved an
 GAIN = 0.95  # an iteration that leaves more than this of the best one's largest deviation gains nothing
 PATIENCE = 2  # iterations without gain before it ends
 MODEL_ERROR = 0.1  # part by which the model is made wrong, to see what the correction is worth then
+STICKS = 0.05  # of the speed that is planned: a slower drive sticks
+SLOWEST = 1e-3  # rad/s; a drive that is planned to turn more slowly stands still
+OFTEN = 3  # stops of a drive on its way, from which it is said to stick and slip
 PARTS = {"friction": "friction", "flexibility": "stiffness and damping of hinges", "spring": "springs"}
 
 
@@ -165,6 +168,13 @@ class Contribution:
     why_not: str | None = None
 
 
+class Sticking(NamedTuple):
+    """A joint whose drive stops on its way again and again, and how often."""
+
+    joint: str
+    stops: int
+
+
 class Iteration(NamedTuple):
     """Deviation across after a step of the correction, mm."""
 
@@ -191,6 +201,10 @@ class PathCheck:
         First that of links, drives and controller alone, then of each effect.
     left_over : float, mm
         RMS across of what those do only together: the deviation less the sum of all contributions; NaN without them.
+    sticking : tuple of Sticking
+        Joints that stick and slip on the planned path.
+    runs : tuple of Simulation
+        As planned; corrected, where a correction was found.
     wrong_model : tuple of (str, Deviation)
         The corrected path on a robot whose parameters of one kind are lower by `MODEL_ERROR`.
     seconds : dict of stage and its time, s
@@ -206,6 +220,8 @@ class PathCheck:
     left_over: float
     wrong_model: tuple[tuple[str, Deviation], ...]
     seconds: dict[str, float]
+    sticking: tuple[Sticking, ...] = ()
+    runs: tuple[Simulation, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -232,7 +248,18 @@ class PathCheck:
         bad = int((~after.within(self.options.tolerance_mm)).sum())
         return (
             f"Fail: {strays}; correction in {len(self.iterations) - 1} steps brings it to {after.max_across:.3g} mm, and {bad} of "
-            f"{len(after.by_mm)} millimetres stay over {tolerance}."
+            f"{len(after.by_mm)} millimetres stay over {tolerance}.{self.sticking_words}"
+        )
+
+    @property
+    def sticking_words(self) -> str:
+        """What sticks and slips, and what helps; empty where nothing does."""
+        if not self.sticking:
+            return ""
+        said = ", ".join(f"{s.joint} stops {s.stops} times on its way" for s in self.sticking)
+        return (
+            f" Drives stick and slip ({said}): a slip comes a little earlier or later each time, so no correction meets it. A higher "
+            "speed, a free orientation or another pose avoids it."
         )
 
 
@@ -264,11 +291,13 @@ def check_path(
     run = simulate(robot, controller, planned.trajectory())
     before = deviation(planned, run)
     clock.lap("one simulation")
+    runs: tuple[Simulation, ...] = (run,)
     after: Deviation | None = None
     correction: Array | None = None
     iterations: tuple[Iteration, ...] = (Iteration(before.max_across, before.rms_across),)
     if options.correct and before.ended is None:
-        after, correction, iterations = _correct(planned, controller, run, options, tell)
+        after, correction, iterations, corrected = _correct(planned, controller, run, options, tell)
+        runs = (run, corrected) if np.any(correction) else runs
         clock.lap("correction")
     wrong: tuple[tuple[str, Deviation], ...] = ()
     if after is not None and correction is not None and np.any(correction):
@@ -281,8 +310,9 @@ def check_path(
         contributions, left_over = _contributions(planned, controller, before, options.jobs, tell)
         clock.lap("contributions")
     return PathCheck(
-        planned, options, before, after, correction, iterations, contributions, left_over, wrong, clock.seconds
-    )
+        planned, options, before, after, correction, iterations, contributions, left_over, wrong, clock.seconds,
+        sticking(planned, run), runs,
+    )  # fmt: skip
 
 
 class _Clock:
@@ -317,18 +347,31 @@ def across_axes(tangent: Array) -> tuple[Array, Array]:
     return left, np.cross(tangent, left)
 
 
+def sticking(planned: Plan, run: Simulation) -> tuple[Sticking, ...]:
+    """Joints whose drives stop `OFTEN` or more times while the plan has them turn on the same way."""
+    wanted = rates(planned.position, planned.rate_hz)[: len(run.v)]
+    turns = np.abs(wanted) > SLOWEST
+    sticks = turns & (np.abs(run.v[: len(wanted), drive_places(planned.robot)]) < STICKS * np.abs(wanted))
+    way = np.sign(wanted) * turns
+    # each way begins with a drive that sticks; the other stops are on the way
+    stops = (np.diff(sticks.astype(int), axis=0) == 1).sum(axis=0) - ((np.diff(way, axis=0) != 0) & turns[1:]).sum(
+        axis=0
+    )
+    return tuple(Sticking(j, int(n)) for j, n in zip(planned.robot.joints, stops, strict=True) if n >= OFTEN)
+
+
 # ---- correction -------------------------------------------------------------------------------------------------
 
 
 def _correct(
     planned: Plan, controller: CS8, run: Simulation, options: Options, tell: Tell
-) -> tuple[Deviation, Array, tuple[Iteration, ...]]:
-    """The best correction that was found: its deviation, the displacement of the reference, and the steps to it."""
+) -> tuple[Deviation, Array, tuple[Iteration, ...], Simulation]:
+    """The best correction that was found: its deviation, the displacement of the reference, the steps to it, and its run."""
     correction = np.zeros_like(planned.point)
-    best, kept = deviation(planned, run), correction
+    best, kept, best_run = deviation(planned, run), correction, run
     steps = [Iteration(best.max_across, best.rms_across)]
     if best.max_across <= ENOUGH * options.tolerance_mm:
-        return best, kept, tuple(steps)
+        return best, kept, tuple(steps), best_run
     learner = Learner(planned, controller)
     idle = 0
     for k in range(options.iterations):
@@ -341,10 +384,10 @@ def _correct(
         steps.append(Iteration(found.max_across, found.rms_across))
         idle = 0 if found.max_across < GAIN * best.max_across else idle + 1
         if found.max_across < best.max_across:
-            best, kept = found, correction
+            best, kept, best_run = found, correction, run
         if best.max_across <= ENOUGH * options.tolerance_mm or idle == PATIENCE:
             break
-    return best, kept, tuple(steps)
+    return best, kept, tuple(steps), best_run
 
 
 def _at_plan(planned: Plan, run: Simulation) -> Array:

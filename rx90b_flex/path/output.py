@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Callable
@@ -16,9 +17,10 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation, Options, PathCheck, Tell, check_path
 from rx90b_flex.path.seam import EXAMPLES, load_seam
 from rx90b_flex.robot import load_robot
-from rx90b_flex.simulate.command import controller_of
+from rx90b_flex.simulate.command import controller_of, write_run
 
 ROBOT = "rx90b"  # where neither the command nor the path file says
+RUNS = ("as_planned", "corrected")  # folders
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def write_example(name: str, file: Path) -> None:
 
 def write_check(result: PathCheck, folder: Path, more: tuple[Callable[[PathCheck, Path], None], ...] = ()) -> None:
     """Fill a folder, whole or not at all: `path_check.json`, `seam.csv`, and of a corrected path `corrected_path.csv` and
-    `corrected_joints.csv`; then what `more` writes there.
+    `corrected_joints.csv`; the runs in the folders `RUNS`, as `rx90b-flex view` takes them; then what `more` writes there.
     """
     from rx90b_flex.signals.folders import fill_folder
 
@@ -84,6 +86,7 @@ def write_check(result: PathCheck, folder: Path, more: tuple[Callable[[PathCheck
         write_seam(result, at / "seam.csv")
         if result.correction is not None:
             write_corrected(result, at)
+        write_runs(result, at)
         for write in more:
             write(result, at)
 
@@ -120,6 +123,7 @@ def as_json(result: PathCheck) -> dict[str, Any]:
         "iterations": [{"max_across_mm": i.max_across, "rms_across_mm": i.rms_across} for i in result.iterations],
         "contributions": effects,
         "only_together_rms_across_mm": _finite(result.left_over),
+        "sticking": [{"joint": s.joint, "stops": s.stops} for s in result.sticking],
         "wrong_model": [{"lower": name, **_deviation(d, options.tolerance_mm)} for name, d in result.wrong_model],
         "seconds": {stage: round(s, 3) for stage, s in result.seconds.items()},
     }
@@ -173,6 +177,19 @@ def write_corrected(result: PathCheck, folder: Path) -> None:
     joints = dict(zip(trajectory.joints, trajectory.position.T, strict=True))
     _write_columns(folder / "corrected_path.csv", columns | joints)
     _write_columns(folder / "corrected_joints.csv", {"time": plan.time, **joints})
+
+
+def write_runs(result: PathCheck, folder: Path) -> None:
+    """The runs with all their coordinates; both have the planned path as reference, so that deviations are from that."""
+    for name, run in zip(RUNS, result.runs, strict=False):
+        planned = result.runs[0].recording
+        recording = dataclasses.replace(
+            run.recording,
+            reference_position=planned.reference_position,
+            reference_velocity=planned.reference_velocity,
+        )
+        (folder / name).mkdir()
+        write_run(dataclasses.replace(run, recording=recording), folder / name)
 
 
 def reference_tip(result: PathCheck) -> Array:

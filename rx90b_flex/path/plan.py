@@ -67,7 +67,8 @@ class Plan:
         Planned tip, m, in the base frame, and the path's direction there.
     position : array, shape (N, joints), rad
     pull : array, shape (N, joints, 3), rad/m
-        Joint angles per displacement of the tip, its orientation (where it matters) kept.
+        Joint angles per displacement of the tip, by the three joints that move it best: a correction that moved a wrist, too, would
+        have to fight the friction that makes it stick.
     """
 
     seam: Seam
@@ -163,7 +164,7 @@ class _Arm:
     """Inverse kinematics of the rigid robot's tip by Newton's method.
 
     Where the orientation is free, the three joints that move the tip best at the start do it, and the others stand still: asked for a
-    little motion, they would stick. With an orientation, redundant joints turn as little as they can.
+    little motion, they would stick. With an orientation, all turn, redundant ones as little as they can.
     """
 
     def __init__(self, robot: Robot, seam: Seam) -> None:
@@ -172,7 +173,7 @@ class _Arm:
         self.tip = self.model.getFrameId(robot.tip_frame)
         self.size = max(sum(float(np.linalg.norm(x.translation)) for x in self.model.jointPlacements), 0.1)  # m
         self.lower, self.upper = (np.asarray(x) for x in (self.model.lowerPositionLimit, self.model.upperPositionLimit))
-        self.used = np.ones(self.model.nv)
+        self.used = self.carries = np.ones(self.model.nv)
         if seam.orientation != "free" and self.model.nv < 6:
             raise ValueError(
                 f"{seam.name}: an orientation needs 6 joints or more, {robot.name} has {self.model.nv}; expected orientation 'free'"
@@ -180,12 +181,12 @@ class _Arm:
 
     def choose_joints(self, q: Array) -> None:
         """Choose the joints that carry the tip, at a start."""
-        if self.seam.orientation != "free":
-            return
         jacobian = pin.computeFrameJacobian(self.model, self.data, q, self.tip, pin.LOCAL_WORLD_ALIGNED)[:3]
         sets = itertools.combinations(range(self.model.nv), min(3, self.model.nv))
         best = max(sets, key=lambda joints: float(np.linalg.svd(jacobian[:, list(joints)], compute_uv=False)[-1]))
-        self.used = np.isin(np.arange(self.model.nv), best).astype(float)
+        self.carries = np.isin(np.arange(self.model.nv), best).astype(float)
+        if self.seam.orientation == "free":
+            self.used = self.carries
 
     def frame(self, q: Array) -> Array:
         """Rotation of the tip frame."""
@@ -271,7 +272,7 @@ class _Arm:
             if solved is None:
                 return self.out_of_reach(distance[k], x)
             position[k], jacobian = solved
-            u, s, v = np.linalg.svd(jacobian, full_matrices=False)
+            s = np.linalg.svd(jacobian, compute_uv=False)
             measure[k] = s[-1] / s[0]
             if k > 0 and np.abs(position[k] - guess).max() > JUMP:
                 joint = self.robot.joints[int(np.abs(position[k] - guess).argmax())]
@@ -282,7 +283,7 @@ class _Arm:
                     distance[k],
                     f"goes through a singularity: {joint} would jump by {turn:.0f} degrees",
                 )
-            pull.append((v.T / np.maximum(s, 1e-9)) @ u[:3].T)
+            pull.append(np.asarray(np.linalg.pinv(jacobian[:3] * self.carries, rcond=SINGULAR), dtype=float))
         return position, np.stack(pull), measure
 
     def singular(self, distance: Array, measure: Array, position: Array) -> Problem | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
@@ -132,6 +133,8 @@ def convergence(result: PathCheck) -> Figure:
     )
     ax.axhline(result.options.tolerance_mm, color="#009e73", linewidth=1.0, label="tolerance")
     ax.set_xticks(steps)
+    for ticks in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+        ticks(FuncFormatter(lambda value, _: f"{value:g}" if np.isclose(_round_down(value), value) else ""))
     ax.set_xlabel("iteration", fontsize=9)
     ax.set_ylabel("deviation across, mm", fontsize=9)
     _legend(ax)

@@ -94,7 +94,8 @@ def _corrected(result: PathCheck) -> Section | None:
     text = (
         "The reference is displaced against the deviation that the model predicts, and this is repeated on the simulation. "
         "corrected_path.csv has the corrected reference in space and in joint angles, corrected_joints.csv the angles alone "
-        "(rx90b-flex simulate ROBOT --trajectory corrected_joints.csv)."
+        "(rx90b-flex simulate ROBOT --trajectory corrected_joints.csv). Both runs move side by side, deformations magnified, with "
+        "rx90b-flex view as_planned --beside corrected."
     )
     return Section(
         "Corrected path", (text,), tables, (image(path_plots.convergence(result), "Deviation over iterations"),)
