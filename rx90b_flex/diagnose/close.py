@@ -101,7 +101,8 @@ class Unexplained:
     where : tuple of Dependence
         What it depends on, strongest first.
     data : tuple of (Regression, array of shape (N, joints))
-        Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m.
+        Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m;
+        rows near reversals less by what the log leaves open there.
     bands : tuple of Band
         Frequencies in which it repeats with the motion, strongest first; empty where no recording repeats.
     """
@@ -290,7 +291,8 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     floor = data.noise_floor(model, campaign)
     tell("looking at what remains", 0.95)
     held_out = Regression.of(declared_robot, campaign.validation, campaign.cutoff_hz)
-    left = tuple((regression, model.residual_on(regression)) for regression in (data.regression, held_out))
+    held_out = held_out.trusting(trust(held_out, model))
+    left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
     where = dependences(left, seed)
     verdict = _verdict(len(outcome.steps), campaign.joints, after, floor, where)
     predictions = tuple(

@@ -2,8 +2,8 @@
 
 Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
 that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
-twice, a little faster and a little slower by what the log leaves open; half the difference is a standard deviation that the
-row has beside its noise. It depends on the motion and the present model, not on what is tried beside it.
+at the velocity of the fit and at that of positions which keep another octave. What the two differ by behind the low-pass is
+a standard deviation that a row has beside its noise. It depends on motion and present model, not on what is tried beside it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import POSITION_CUTOFF_RATIO, Regression, Stretch
 from rx90b_flex.signals import lowpass, motion
 
-WIDER = 2.0  # times the cutoff of positions: what the octave above changes in a velocity is what the log leaves open
+WIDER = 2.0  # times the cutoff of positions
 MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
 
 
@@ -44,26 +44,20 @@ def _doubt(stretch: Stretch, effects: list[Effect]) -> Array:
     """What the torque may be off for want of the velocity, after the low-pass; shape (N, n), N m."""
     if stretch.cutoff_hz is None:
         return np.zeros((len(stretch), stretch.motion.q.shape[1]))
-    unknown = _unknown_velocity(stretch)
-    faster, slower = (dataclasses.replace(stretch.motion, v=stretch.motion.v + v) for v in (unknown, -unknown))
-    off = sum((0.5 * np.abs(e.force(faster) - e.force(slower)) for e in effects), np.zeros_like(unknown))
+    wide = dataclasses.replace(stretch.motion, v=_wide_velocity(stretch))
+    off = sum((e.force(wide) - e.force(stretch.motion) for e in effects), np.zeros_like(wide.v))
     rate = stretch.rate_hz * stretch.factor
-    # the envelope: an impulse behind the low-pass rings, and is unknown between its zeros too
-    spread = _highest(np.abs(lowpass(off, stretch.cutoff_hz, rate)), 0.5 / stretch.cutoff_hz, rate)
-    return spread[:: stretch.factor][stretch.kept]
+    size = np.abs(lowpass(off, stretch.cutoff_hz, rate))
+    # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
+    envelope = ndimage.maximum_filter1d(size, 2 * round(0.5 / stretch.cutoff_hz * rate) + 1, axis=0, mode="nearest")
+    return np.asarray(envelope[:: stretch.factor][stretch.kept])
 
 
-def _unknown_velocity(stretch: Stretch) -> Array:
-    """Largest change of the velocity about each sample if positions keep another octave; working rate, (N, n), rad/s."""
+def _wide_velocity(stretch: Stretch) -> Array:
+    """Velocity from positions that keep another octave, at the working rate, (N, n), rad/s."""
     recording = stretch.recording
     assert stretch.cutoff_hz is not None
-    rate, cutoff = recording.sample_rate_hz, POSITION_CUTOFF_RATIO * stretch.cutoff_hz
-    wide = motion(recording.position, rate, WIDER * cutoff if WIDER * cutoff < 0.4 * rate else None).velocity
+    rate, cutoff = recording.sample_rate_hz, WIDER * POSITION_CUTOFF_RATIO * stretch.cutoff_hz
+    velocity = motion(recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
     order = [recording.joints.index(j) for j in stretch.motion.coordinates.joints]
-    change = np.abs(wide[:: stretch.working_factor][:, order] - stretch.motion.v)
-    return _highest(change, 0.5 / cutoff, rate / stretch.working_factor)
-
-
-def _highest(x: Array, half_s: float, rate_hz: float) -> Array:
-    """Largest value within a time on either side, along axis 0."""
-    return np.asarray(ndimage.maximum_filter1d(x, 2 * round(half_s * rate_hz) + 1, axis=0, mode="nearest"))
+    return np.asarray(velocity[:: stretch.working_factor][:, order])
