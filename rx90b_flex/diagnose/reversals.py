@@ -2,8 +2,9 @@
 
 Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
 that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
-at the velocity of the fit and at that of positions which keep another octave. What the two differ by behind the low-pass is
-a standard deviation that a row has beside its noise. It depends on motion and present model, not on what is tried beside it.
+at the velocity of the fit and at that of positions which keep another octave, on the samples and half a sample beside them,
+for a step between two samples has an instant of its own. What they differ by behind the low-pass is a standard deviation that
+a row has beside its noise. It depends on motion and present model, not on what is tried beside it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import ndimage
+from scipy import interpolate, ndimage
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
@@ -44,10 +45,17 @@ def _doubt(stretch: Stretch, effects: list[Effect]) -> Array:
     """What the torque may be off for want of the velocity, after the low-pass; shape (N, n), N m."""
     if stretch.cutoff_hz is None:
         return np.zeros((len(stretch), stretch.motion.q.shape[1]))
-    wide = dataclasses.replace(stretch.motion, v=_wide_velocity(stretch))
-    off = sum((e.force(wide) - e.force(stretch.motion) for e in effects), np.zeros_like(wide.v))
     rate = stretch.rate_hz * stretch.factor
-    size = np.abs(lowpass(off, stretch.cutoff_hz, rate))
+
+    def force(velocity: Array) -> Array:
+        moved = dataclasses.replace(stretch.motion, v=velocity)
+        return np.asarray(sum((e.force(moved) for e in effects), np.zeros_like(velocity)))
+
+    wide = _wide_velocity(stretch)
+    between = interpolate.CubicSpline(np.arange(len(wide)), wide)
+    beside = 0.5 * sum(force(between(np.arange(len(wide)) + half)) for half in (-0.5, 0.5))
+    there, here = force(wide), force(stretch.motion.v)
+    size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in (there - here, beside - there))
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
     envelope = ndimage.maximum_filter1d(size, 2 * round(0.5 / stretch.cutoff_hz * rate) + 1, axis=0, mode="nearest")
     return np.asarray(envelope[:: stretch.factor][stretch.kept])
