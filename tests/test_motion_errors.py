@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.motion import MotionErrors, motion_errors
+from rx90b_flex.diagnose.motion import LONGEST_SLOW_S, MotionErrors, motion_errors
 from rx90b_flex.effects import effect_from_table
+from rx90b_flex.effects.presliding import PreslidingFriction
+from rx90b_flex.effects.torque_signal import TorqueDelay
 from rx90b_flex.export import save_robot
 from rx90b_flex.signals import write_campaign
 from rx90b_flex.simulate import Noise, load_cs8, simulate, sine_excitation
@@ -51,3 +53,16 @@ def test_without_references_it_is_said_that_no_motion_can_be_compared(result):
     runs = [dataclasses.replace(r, reference_position=None) for r in result.campaign.recordings]
     blind = dataclasses.replace(result, campaign=dataclasses.replace(result.campaign, recordings=tuple(runs)))
     assert "no references" in str(motion_errors(blind))
+
+
+@pytest.mark.slow
+def test_effects_before_the_log_and_with_a_memory_take_part_in_a_shorter_simulation(result):
+    more = (TorqueDelay(delay=0.004), PreslidingFriction(joint="joint_1", torque=15.0, deflection=1e-3))
+    later = dataclasses.replace(result.model, effects=(*result.model.effects, *more))
+    plain, both = motion_errors(result), motion_errors(dataclasses.replace(result, model=later))
+    assert isinstance(plain, MotionErrors) and isinstance(both, MotionErrors), both
+    assert both.seconds == pytest.approx(LONGEST_SLOW_S, abs=0.01) and both.seconds < plain.seconds <= both.of_s
+    # presliding friction holds joint 1 back, which changes its motion and no other's as much
+    change = np.abs(both.motor_after_mrad - both.motor_before_mrad)
+    assert change[0] > 0
+    assert "the first 3 s of" in report_html(result, both)

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.residual import Errors, Replay, noise_floor
+from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.search import Search, Trial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
@@ -28,6 +29,8 @@ MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain between them says nothing
 RIVALS = 5  # refused trials of a round that a result keeps
+TRUST_ROUNDS = 2  # fits after which the trust in rows near reversals is kept until the next effect
+SAME_TRUST = 0.05  # a change of factors below this is not worth a fit
 NEAR_FLOOR = 1.2  # residual over noise floor above which something is called unexplained, if it depends on a signal
 FAR_FROM_FLOOR = 1.5  # and above which it is, even if no signal is found that it depends on
 
@@ -98,7 +101,8 @@ class Unexplained:
     where : tuple of Dependence
         What it depends on, strongest first.
     data : tuple of (Regression, array of shape (N, joints))
-        Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m.
+        Where that was looked for: the recordings that were fitted and those that were not, each with what is left, N m;
+        rows near reversals less by what the log leaves open there.
     bands : tuple of Band
         Frequencies in which it repeats with the motion, strongest first; empty where no recording repeats.
     """
@@ -278,7 +282,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         )
     fit_links = declared_robot.inertial_parameters == "fitted"
     tell("identifying the declared model", 0.05)
-    declared = identify(data.regression, data.regression.robot.effects, fit_links=fit_links)
+    declared = _trusting(data.regression, identify(data.regression, data.regression.robot.effects, fit_links=fit_links))
     before = data.errors(declared)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
     rounds = _Rounds(data, campaign, sites, fit_links, tell)
@@ -287,6 +291,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     floor = data.noise_floor(model, campaign)
     tell("looking at what remains", 0.95)
     held_out = Regression.of(declared_robot, campaign.validation, campaign.cutoff_hz)
+    held_out = held_out.trusting(trust(held_out, model))
     left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
     where = dependences(left, seed)
     verdict = _verdict(len(outcome.steps), campaign.joints, after, floor, where)
@@ -370,6 +375,7 @@ class _Rounds:
             candidate = self._identified(added(model.effects, best.effect), model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+            candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
             rivals = tuple(t for t in trials if t is not best)
             # what the new effect stands in for is no longer in the model, even if an earlier round added it
@@ -382,7 +388,9 @@ class _Rounds:
         self.tell(text, done + 0.15 * (0.9 - done) * fraction)
 
     def _identified(self, effects: Sequence[Effect], start: Identification) -> Identification:
-        return identify(self.data.regression, effects, fit_links=self.fit_links, start=start)
+        """With the rows weighted as they are in the model to compare with."""
+        regression = self.data.regression.trusting(start.regression.trust)
+        return identify(regression, effects, fit_links=self.fit_links, start=start)
 
     def _at_floor(self, outcome: _Outcome) -> bool:
         floor = self.data.noise_floor(outcome.model, self.campaign)
@@ -435,6 +443,17 @@ class _Rounds:
             kept[-1] = dataclasses.replace(kept[-1], errors=errors)
             outcome = _Outcome(model, errors, tuple(kept), ())
         return outcome
+
+
+def _trusting(regression: Regression, model: Identification) -> Identification:
+    """The same model fitted with the trust that it has in each row, which its smaller residual may change once more."""
+    for _ in range(TRUST_ROUNDS):
+        known = trust(regression, model)
+        before = model.regression.trust
+        if np.abs(known - (1.0 if before is None else before)).max() < SAME_TRUST:
+            break
+        model = identify(regression.trusting(known), model.effects, fit_links=model.links_fitted, start=model)
+    return model
 
 
 def _weighted_better(new: Identification, old: Identification) -> bool:

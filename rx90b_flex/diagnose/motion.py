@@ -8,7 +8,6 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.output import identified_robot
-from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
@@ -17,6 +16,7 @@ from rx90b_flex.simulate.cs8 import CS8, load_cs8
 from rx90b_flex.simulate.trajectories import from_recording
 
 LONGEST_S = 10.0  # simulated of a recording
+LONGEST_SLOW_S = 3.0  # where an effect has no compiled law: a second then takes about two to simulate
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class MotionErrors:
         Distance of the tip from where the measured link angles put it, hinges straight; root mean square.
     tip_apart_mm : float
         Distance between the tips of the two simulations, root mean square.
-    left_out : tuple of str
-        Effects that take no part in the simulation: between robot and log, or with a memory.
+    of_s : float
+        Length of the recording; a part is simulated where it is long, a shorter one where effects make that slow.
     """
 
     recording: str
@@ -49,7 +49,7 @@ class MotionErrors:
     tip_before_mm: float | None
     tip_after_mm: float | None
     tip_apart_mm: float
-    left_out: tuple[str, ...]
+    of_s: float
 
 
 def motion_errors(result: ClosedLoop) -> MotionErrors | str:
@@ -66,29 +66,29 @@ def motion_errors(result: ClosedLoop) -> MotionErrors | str:
         return f"The controller of {result.robot} is not known, so its closed loop cannot be simulated."
     try:
         robots = [identified_robot(result.source, m, result.joints) for m in (result.declared, result.model)]
-        before, after = (_simulated(robot, controller, recording) for robot in robots)
+        seconds = LONGEST_SLOW_S if any(_is_slow(robot) for robot in robots) else LONGEST_S
+        before, after = (_simulated(robot, controller, recording, seconds) for robot in robots)
     except ValueError as error:
         return f"The closed loop could not be simulated: {error}."
     for run, which in ((before, "before"), (after, "after")):
         if run.ended is not None:
             return f"The simulation {which} ended early: {run.ended}."
-    left_out = tuple(e.label for e in robots[1].effects if not _simulable(e))
-    return _compared(before, after, recording, left_out)
+    return _compared(before, after, recording)
 
 
-def _simulable(effect: Effect) -> bool:
-    return effect.in_dynamics and not effect.remembers
+def _is_slow(robot: Robot) -> bool:
+    """Whether a simulation steps outside its compiled loop for some of the effects."""
+    return bool(robot.plant.others) or not all(e.in_dynamics for e in robot.effects)
 
 
-def _simulated(robot: Robot, controller: CS8, recording: Recording) -> Simulation:
+def _simulated(robot: Robot, controller: CS8, recording: Recording, seconds: float) -> Simulation:
     trajectory = from_recording(recording)
-    if trajectory.duration_s > LONGEST_S:
-        trajectory = trajectory.part(0.0, LONGEST_S)
-    robot = robot.with_effects([e for e in robot.effects if _simulable(e)])
+    if trajectory.duration_s > seconds:
+        trajectory = trajectory.part(0.0, seconds)
     return simulate(robot, controller.for_joints(robot.joints), trajectory)
 
 
-def _compared(before: Simulation, after: Simulation, recording: Recording, left_out: tuple[str, ...]) -> MotionErrors:
+def _compared(before: Simulation, after: Simulation, recording: Recording) -> MotionErrors:
     count = min(len(before.time), len(after.time), recording.samples)
     robot = after.robot
 
@@ -115,7 +115,7 @@ def _compared(before: Simulation, after: Simulation, recording: Recording, left_
         tip_off(before),
         tip_off(after),
         _distance_mm(before.tip[:count], after.tip[:count]),
-        left_out,
+        recording.samples / recording.sample_rate_hz,
     )
 
 

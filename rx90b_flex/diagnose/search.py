@@ -25,6 +25,7 @@ from rx90b_flex.identify.regression import Regression
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
 SMALLEST_GAIN = 0.02  # of the squared error of the joints that an effect touches; less is not worth a name
 GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
+REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
@@ -59,6 +60,8 @@ class Trial:
         Gain over the squared error of the joints that it touches.
     lawful : bool
         Whether its coefficients lie within their physical bounds.
+    colour : float
+        Variance of its torque's product with the residual, over what white noise would give.
     """
 
     effect: Effect
@@ -68,6 +71,7 @@ class Trial:
     size: int
     share: float
     lawful: bool
+    colour: float = 1.0
 
     @property
     def gain_t(self) -> float:
@@ -79,14 +83,32 @@ class Trial:
         return float(roots.mean() / error) if error > 0 else np.inf
 
     @property
+    def replicated(self) -> bool:
+        """Whether several held-out blocks show it, each beyond its own noise, and what the others lose is within theirs.
+
+        A gain g of an effect that is there has the variance 4 g `colour`. An effect that acts in bursts leaves some blocks
+        without a gain; their spread says little of it, but every block that has one is an experiment of its own.
+        """
+        shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
+        lost = -float(np.minimum(self.block_gains, 0.0).sum())
+        return bool(shown.sum() >= REPLICAS and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))
+
+    @property
     def sure_gain(self) -> float:
-        """Gain less twice its standard error: what it explains beyond the luck of a few blocks."""
-        return self.gain * (1.0 - GAIN_T / max(self.gain_t, 1e-9)) if self.gain > 0 else self.gain
+        """Gain less twice its standard error: what it explains beyond the luck of a few blocks.
+
+        Zero for one that is only `replicated`: it gives way to all that every block shows.
+        """
+        if self.gain <= 0:
+            return self.gain
+        sure = self.gain * (1.0 - GAIN_T / max(self.gain_t, 1e-9))
+        return max(sure, 0.0) if self.replicated else sure
 
     @property
     def accepted(self) -> bool:
         """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
-        return self.p_value < SIGNIFICANCE and self.gain_t > GAIN_T and self.share > SMALLEST_GAIN and self.lawful
+        holds = self.gain_t > GAIN_T or self.replicated
+        return self.p_value < SIGNIFICANCE and holds and self.share > SMALLEST_GAIN and self.lawful
 
     def no_better_than(self, other: Trial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
@@ -433,7 +455,7 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
-        p_value, lawful = self._evidence(effect, base, rows, beside, beta)
+        p_value, lawful, colour = self._evidence(effect, base, rows, beside, beta)
         lawful = lawful and not (effect.by_clock and self._follows_motion(base.residual[rows], effect))
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
@@ -445,6 +467,7 @@ class Search:
             size,
             gain / touched if touched > 0 else 0.0,
             lawful,
+            colour,
         )
 
     def _follows_motion(self, residual: Array, effect: Effect) -> bool:
@@ -489,8 +512,10 @@ class Search:
             )
         return out
 
-    def _evidence(self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array) -> tuple[float, bool]:
-        """Wald test of the coefficients under coloured residuals, and whether they can be what they claim to be.
+    def _evidence(
+        self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array
+    ) -> tuple[float, bool, float]:
+        """Wald test of the coefficients under coloured residuals, whether they can be what they claim to be, and `colour`.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
         effect then plays another one's part), or if with the shapes estimated too nothing of them is certain.
@@ -500,7 +525,7 @@ class Search:
         together = np.concatenate([columns, _by_shape(effect, beside[:, :, k:], beta)], axis=2)
         own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
         apart = base.apart(rows, together)
-        residual = base.residual - apart[:, :, :k] @ beta
+        residual = (base.residual - apart[:, :, :k] @ beta) / np.sqrt(self.regression.share)[:, None]
         apart = apart.transpose(1, 0, 2)
         spans = self.regression.spans
         longest = self.longest_lag
@@ -519,7 +544,8 @@ class Search:
             lawful = lawful and bool(certain > SIGN_T**2 * k)
         low, high = effect.shape_bounds()
         inside = bool(((effect.shape > 1.01 * low) & (effect.shape < 0.99 * high)).all())
-        return p_value, lawful and inside
+        white = float(beta @ bread[:k, :k] @ beta)
+        return p_value, lawful and inside, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0
 
 
 def _neighbours(effect: Effect) -> list[Effect]:

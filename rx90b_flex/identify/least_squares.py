@@ -483,7 +483,9 @@ class _Fit:
         spectra = tuple(
             residual_spectrum(r, spans, absorbed, longest)
             for r, absorbed in zip(
-                residual.T, absorbed_each(columns, solution.sigma**-2.0, spans, longest), strict=True
+                (residual / np.sqrt(regression.share)).T,
+                absorbed_each(columns, solution.sigma**-2.0, spans, longest),
+                strict=True,
             )
         )
         size = len(solution.theta) + len(self.shape)

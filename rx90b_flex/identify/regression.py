@@ -158,11 +158,21 @@ class Regression:
     """All stretches of one role, with the columns of the links.
 
     The rows of a column are one array a joint of the campaign; samples of all stretches follow each other.
+
+    Attributes
+    ----------
+    robot : Robot
+        Rigid.
+    joints : tuple of str
+    stretches : tuple of Stretch
+    trust : array, shape (N, joints), or None
+        Factors between 0 and 1 of all rows, torque and columns alike; None leaves them as they are.
     """
 
     robot: Robot
     joints: tuple[str, ...]
     stretches: tuple[Stretch, ...]
+    trust: Array | None = None
 
     @staticmethod
     def of(robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None) -> Regression:
@@ -177,7 +187,17 @@ class Regression:
     @cached_property
     def torque(self) -> Array:
         """Measured torque, shape (N, joints), N m."""
-        return np.concatenate([s.torque for s in self.stretches])
+        torque = np.concatenate([s.torque for s in self.stretches])
+        return torque if self.trust is None else torque * self.trust
+
+    @cached_property
+    def share(self) -> Array:
+        """Part of each joint's samples that `trust` leaves, shape (joints,)."""
+        return np.ones(len(self.joints)) if self.trust is None else np.asarray((self.trust**2).mean(axis=0))
+
+    def trusting(self, trust: Array | None) -> Regression:
+        """The same regression with other factors of its rows."""
+        return self._sharing(dataclasses.replace(self, trust=trust))
 
     @cached_property
     def rows(self) -> Indices:
@@ -196,6 +216,11 @@ class Regression:
 
         With `leading`, only the larger part of those that say which it is.
         """
+        rows, columns = self._untouched(effects, leading)
+        return rows, columns if self.trust is None else columns * self.trust[:, rows, None]
+
+    def _untouched(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
+        """As `compact`, before `trust`."""
         if leading and all(_of_motion_alone(e) for e in effects):
             return self._remembered(effects)
         parts = [self._factored(s, effects, leading) for s in self.stretches]
@@ -216,7 +241,7 @@ class Regression:
             known.clear()
         for effect in effects:
             if effect not in known:
-                known[effect] = self.compact([effect])
+                known[effect] = self._untouched([effect], False)
         return known[effects[0]][0], np.concatenate([known[e][1] for e in effects], axis=2)
 
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
@@ -233,6 +258,11 @@ class Regression:
     @cached_property
     def link_columns(self) -> Array:
         """Columns of the links, shape (N, joints, 10 * bodies)."""
+        columns = self._untouched_links
+        return columns if self.trust is None else columns * self.trust[:, :, None]
+
+    @cached_property
+    def _untouched_links(self) -> Array:
         return np.concatenate([self._brought(s, s.motion.on_tree.link_regressor()) for s in self.stretches])
 
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
@@ -241,10 +271,16 @@ class Regression:
             dataclasses.replace(s, motion=self.robot.on_links(s.motion, link_parameters, effects=effects))
             for s in self.stretches
         )
-        other = dataclasses.replace(self, stretches=stretches)
-        other.__dict__["_first_looks"] = self._first_looks
+        other = self._sharing(dataclasses.replace(self, stretches=stretches))
         if "link_columns" in self.__dict__:
             other.__dict__["link_columns"] = self.link_columns
+        return other
+
+    def _sharing(self, other: Regression) -> Regression:
+        """Another regression on the same motion, with the columns that depend on motion alone."""
+        for name in ("_first_looks", "_untouched_links"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
         return other
 
     def _brought(self, stretch: Stretch, columns: Array) -> Array:

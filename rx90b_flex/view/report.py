@@ -324,7 +324,7 @@ def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
     reasons = []
     if trial.p_value >= search.SIGNIFICANCE:
         reasons.append(f"not significant (p = {p_value(trial.p_value)})")
-    if trial.gain_t <= search.GAIN_T:
+    if trial.gain_t <= search.GAIN_T and not trial.replicated:
         reasons.append("gain not sure from block to block")
     if trial.share <= search.SMALLEST_GAIN:
         reasons.append(f"gains only {percent(max(trial.share, 0.0))} of its joints' squared error")

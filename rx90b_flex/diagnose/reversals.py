@@ -1,0 +1,71 @@
+"""How far each row of a regression can be trusted near reversals, where a log does not say how fast a joint turns.
+
+Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
+that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
+at the velocity of the fit and at that of positions which keep another octave, on the samples and half a sample beside them,
+for a step between two samples has an instant of its own. What they differ by behind the low-pass is a standard deviation that
+a row has beside its noise. It depends on motion and present model, not on what is tried beside it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import interpolate, ndimage
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.least_squares import Identification
+from rx90b_flex.identify.regression import POSITION_CUTOFF_RATIO, Regression, Stretch
+from rx90b_flex.signals import lowpass, motion
+
+WIDER = 2.0  # times the cutoff of positions
+MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
+
+
+def trust(regression: Regression, model: Identification) -> Array:
+    """Factor of each row, ``1 / sqrt(1 + (doubt / sigma)^2)``, shape (N, joints).
+
+    Parameters
+    ----------
+    regression : Regression
+        As measured, without factors of its rows.
+    model : Identification
+        Its friction steps by so much; its residual's median deviation is sigma.
+    """
+    sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(regression)), axis=0)
+    steep = [e for e in model.effects if e.in_dynamics and not (e.virtual or e.remembers or e.needs_model)]
+    seen = regression.with_model(model.link_parameters, model.effects)
+    doubt = np.concatenate([_doubt(s, steep) for s in seen.stretches])[:, regression.rows]
+    return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
+
+
+def _doubt(stretch: Stretch, effects: list[Effect]) -> Array:
+    """What the torque may be off for want of the velocity, after the low-pass; shape (N, n), N m."""
+    if stretch.cutoff_hz is None:
+        return np.zeros((len(stretch), stretch.motion.q.shape[1]))
+    rate = stretch.rate_hz * stretch.factor
+
+    def force(velocity: Array) -> Array:
+        moved = dataclasses.replace(stretch.motion, v=velocity)
+        return np.asarray(sum((e.force(moved) for e in effects), np.zeros_like(velocity)))
+
+    wide = _wide_velocity(stretch)
+    between = interpolate.CubicSpline(np.arange(len(wide)), wide)
+    beside = 0.5 * sum(force(between(np.arange(len(wide)) + half)) for half in (-0.5, 0.5))
+    there, here = force(wide), force(stretch.motion.v)
+    size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in (there - here, beside - there))
+    # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
+    envelope = ndimage.maximum_filter1d(size, 2 * round(0.5 / stretch.cutoff_hz * rate) + 1, axis=0, mode="nearest")
+    return np.asarray(envelope[:: stretch.factor][stretch.kept])
+
+
+def _wide_velocity(stretch: Stretch) -> Array:
+    """Velocity from positions that keep another octave, at the working rate, (N, n), rad/s."""
+    recording = stretch.recording
+    assert stretch.cutoff_hz is not None
+    rate, cutoff = recording.sample_rate_hz, WIDER * POSITION_CUTOFF_RATIO * stretch.cutoff_hz
+    velocity = motion(recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
+    order = [recording.joints.index(j) for j in stretch.motion.coordinates.joints]
+    return np.asarray(velocity[:: stretch.working_factor][:, order])
