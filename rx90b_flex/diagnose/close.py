@@ -294,7 +294,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     held_out = held_out.trusting(trust(held_out, model))
     left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
     where = dependences(left, seed)
-    verdict = _verdict(len(outcome.steps), campaign.joints, after, floor, where)
+    verdict = _verdict(len(outcome.steps), campaign.joints, before, after, floor, where)
     predictions = tuple(
         Prediction(r.recording, r.torque, predict(r, declared), predict(r, model), r.velocity) for r in data.validation
     )
@@ -491,7 +491,12 @@ def _found(steps: Sequence[_Step], search: Search, before: RoleErrors) -> tuple[
 
 
 def _verdict(
-    additions: int, joints: Sequence[str], after: RoleErrors, floor: Array | None, where: Sequence[Dependence]
+    additions: int,
+    joints: Sequence[str],
+    before: RoleErrors,
+    after: RoleErrors,
+    floor: Array | None,
+    where: Sequence[Dependence],
 ) -> str:
     if floor is None:
         left = bool(where)
@@ -501,5 +506,7 @@ def _verdict(
         named = np.array([any(d.joint == joint for d in where) for joint in joints])
         left = bool(((ratio > FAR_FROM_FLOOR) | ((ratio > NEAR_FLOOR) & named)).any())
     if additions:
-        return "partly_explained" if left else "explained"
+        # what helps on the fitted recordings alone explains nothing for certain
+        carried = after.validation.relative_error < before.validation.relative_error
+        return "explained" if carried and not left else "partly_explained"
     return "unexplained" if left else "nothing_missing"
