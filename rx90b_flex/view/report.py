@@ -153,7 +153,7 @@ def _verdict_meaning(result: ClosedLoop) -> str:
     if result.verdict == "unexplained":
         return "Something is left that is more than noise, and no effect that was tried explains it."
     if result.after.validation.relative_error >= result.before.validation.relative_error and result.effects:
-        return "The effects found help on the recordings that were fitted, but not on those that were held out: treat them as doubtful."
+        return "The effects found help on the recordings that were fitted, but not on those that were held out: they are doubtful."
     if result.verdict == "partly_explained":
         return "The effects found are significant, but something else is left that has no name yet."
     left = (
