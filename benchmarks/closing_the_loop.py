@@ -21,7 +21,6 @@ import tempfile
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +147,6 @@ class Subject:
     viscous: tuple[float, ...]
 
 
-@cache
 def subject(name: str) -> Subject:
     if name == "ur10":
         return Subject(name, ind.ur10(), (10.0, 10.0, 6.0, 1.5, 1.5, 1.0), (20.0, 20.0, 12.0, 3.0, 3.0, 2.0))

@@ -10,6 +10,7 @@ from mujoco_engine import Engine
 from scipy.linalg import eigh
 
 from rx90b_flex.diagnose.modal import ModalPose, ModalTable, ModeList
+from rx90b_flex.effects.coupling import JointCoupling
 from rx90b_flex.effects.flexibility import BaseFlexibility
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.robot import Robot, load_robot
@@ -31,7 +32,7 @@ class Truth:
     base: bool
     armature: dict[str, float]
     stiffness: dict[str, float]
-    coupling: tuple[str, str, float] | None = None  # two coordinates and an inertia that turns with their sum
+    coupling: tuple[dict[str, float], float] | None = None  # an inertia, and how often it turns with coordinates
 
     def _matrices(self, angles: dict[str, float]) -> tuple[tuple[str, ...], Array, Array]:
         """Coordinates, mass, and stiffness with gravity's."""
@@ -40,8 +41,8 @@ class Truth:
         q = np.array([angles.get(n.split(":")[0], 0.0) if n.endswith(":drive") else 0.0 for n in names])
         mass, zero, steps = engine.mass_matrix(q), np.zeros(len(q)), 1e-4 * np.eye(len(q))
         if self.coupling is not None:
-            a, b, inertia = self.coupling
-            row = np.array([float(n in (a, b)) for n in names])
+            turns, inertia = self.coupling
+            row = np.array([turns.get(n, 0.0) for n in names])
             mass += inertia * np.outer(row, row)
         force = np.array(
             [engine.inverse_dynamics(q + d, zero, zero) - engine.inverse_dynamics(q - d, zero, zero) for d in steps]
@@ -86,12 +87,14 @@ def measured_response(
 
 def truth_of(robot: Robot) -> Truth:
     """What a robot declares, as plain numbers; springs and friction are not taken over."""
-    armature, stiffness, torsion, bending, base = {}, {}, [], [], False
+    armature, stiffness, torsion, bending, base, coupling = {}, {}, [], [], False, None
     for effect in robot.effects:
         kind, values = effect.type_name(), effect.coefficients
         place = effect.place[0] if effect.place else "base"
         if kind == "drive_inertia":
             armature[f"{place}:drive"] = float(values[0])
+        elif kind == "joint_coupling":
+            coupling = ({f"{j}:drive": 1.0 for j in effect.joints}, float(values[0]))
         elif kind == "drive_flexibility":
             torsion.append(place)
             stiffness[f"{place}:torsion"] = float(values[0])
@@ -99,7 +102,7 @@ def truth_of(robot: Robot) -> Truth:
             stiffness |= {f"{place}:bend_1": float(values[0]), f"{place}:bend_2": float(values[1])}
             bending += [place] if effect.joints else []
             base = base or not effect.joints
-    return Truth(robot.urdf, tuple(torsion), tuple(bending), base, armature, stiffness)
+    return Truth(robot.urdf, tuple(torsion), tuple(bending), base, armature, stiffness, coupling)
 
 
 def measured(
@@ -146,6 +149,8 @@ def lacking(robot: Robot, kind: str, joint: str) -> Robot:
     return robot.with_effects([e for e in robot.effects if (e.type_name(), e.joints) != (kind, (joint,))])
 
 
+TWO_ON_A_MOTOR = JointCoupling(joint_pair=("joint_2", "joint_3"), inertia=0.6, viscous=0.0, coulomb=0.0)
+
 # declared, true, and what is to be found
 CAUSES = {
     "nothing": (PLAIN, PLAIN, []),
@@ -160,6 +165,7 @@ CAUSES = {
         PLAIN.with_effects([*PLAIN.effects, BaseFlexibility(stiffness=(2e6, 8e6), damping=(2e3, 8e3))]),
         ["base.base_flexibility"],
     ),
+    "coupled drives": (PLAIN, PLAIN.with_effects([*PLAIN.effects, TWO_ON_A_MOTOR]), ["joint_2_joint_3.joint_coupling"]),
 }
 
 
@@ -173,6 +179,6 @@ def heavier(urdf: str, link: str, factor: float) -> str:
 
 # what no change of the search can be
 OUTSIDE = {
-    "coupled drives": dataclasses.replace(truth_of(PLAIN), coupling=("joint_2:drive", "joint_3:drive", 0.6)),
+    "differential": dataclasses.replace(truth_of(PLAIN), coupling=({"joint_2:drive": 1.0, "joint_3:drive": -2.0}, 0.6)),
     "heavier forearm": dataclasses.replace(truth_of(PLAIN), urdf=heavier(PLAIN.urdf, "link_3", 1.15)),
 }

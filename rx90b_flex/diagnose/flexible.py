@@ -22,19 +22,14 @@ import numpy as np
 from scipy import stats
 from scipy.special import gammaln
 
-from rx90b_flex.effects import Effect, close_match
-from rx90b_flex.effects.drive import DriveInertia
-from rx90b_flex.effects.flexibility import BaseFlexibility, DriveFlexibility, JointFlexibility
+from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.effects.payload import Payload
-from rx90b_flex.effects.springs import JointSpring
 from rx90b_flex.robot import Robot
 
 SIGNIFICANCE = 1.0e-3  # of a change, after correction for all that was tried
 MISFIT = 1.0e-3  # probability below which scatter beyond the stated errors is not called chance
 RIVAL = 2.0 * np.log(20.0)  # criterion: a change whose odds against the best are better than 1 to 20 is an alternative
 MOST_CHANGES = 6  # more than this describe the table rather than explain it
-DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that is new: table D.1's
 FIRST_ERROR = 0.25  # model error that a fit begins with: wide valleys
 FACTOR_STD = 1.0  # of the logarithm: what a declared value may be wrong by
 NEW_STD = 2.0  # of the logarithm of a new value, about those declared of its kind, else about what the band can show
@@ -167,6 +162,11 @@ class Structure:
         for joint in joints:
             if joint not in robot.joints:
                 raise ValueError(f"unknown joint {joint!r} of {robot.name}; {close_match(joint, robot.joints)}")
+        for pose in poses:
+            if np.shape(pose) != (len(robot.joints),):
+                raise ValueError(
+                    f"a pose has shape {np.shape(pose)}; expected {len(robot.joints)} angles of {robot.name}"
+                )
         full = robot.with_effects([*robot.effects, *_additions(robot, joints, poses[0])])
         coefficients = _coefficients(full, len(robot.effects))
         first = len(coefficients)
@@ -230,56 +230,29 @@ class Structure:
             values = by_effect.get(i, {})
             if i >= len(self.robot.effects) and not any(values.values()):
                 continue
-            own = effect.coefficients
-            for column, value in values.items():
-                own[column] = value
-            if isinstance(effect, JointSpring):  # its coefficients are stiffness and preload; the rest angle stays
-                effects.append(dataclasses.replace(effect, stiffness=float(own[0])))
-            else:
-                effects.append(effect.with_coefficients(own))
+            effects.append(effect.rescaled_to(values) if values else effect)
         return self.robot.with_effects(effects)
 
 
 def _additions(robot: Robot, joints: Sequence[str], pose: Array) -> list[Effect]:
     """What could be there and is not declared, with values to be scaled."""
-    has = {(e.type_name(), e.place) for e in robot.effects}
-
-    def absent(kind: str, joint: str) -> bool:
-        return (kind, (joint,)) not in has
-
-    out: list[Effect] = []
-    for joint in robot.joints:
-        turns = joint in joints
-        # a drive that moves needs an inertia of its own to turn apart from its link
-        if absent("drive_flexibility", joint) and not (turns and absent("drive_inertia", joint)):
-            out.append(DriveFlexibility(joint=joint, stiffness=1.0, damping=DAMPING_TIME))
-        if absent("joint_flexibility", joint):
-            out.append(JointFlexibility(joint=joint, stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2))
-        if turns and absent("drive_inertia", joint):
-            out.append(DriveInertia(joint=joint, inertia=1.0))
-        if turns and absent("joint_spring", joint):
-            angle = float(pose[robot.joints.index(joint)])
-            out.append(JointSpring(joint=joint, stiffness=1.0, rest_angle=angle))
-    if not robot.flexible_places()[2]:
-        out.append(BaseFlexibility(stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2))
-    if ("payload", (robot.tip_frame,)) not in has:
-        out.append(Payload(frame=robot.tip_frame, mass=1.0, centre=(0.0, 0.0, 0.0)))
-    return out
+    declared = frozenset((e.type_name(), e.place) for e in robot.effects)
+    angles = dict(zip(robot.joints, (float(q) for q in pose), strict=True))
+    sites = RestSites(robot.joints, robot.tip_frame, tuple(j for j in robot.joints if j in joints), angles, declared)
+    possible = (effect for cls in catalogue().values() for effect in cls.at_rest(sites))
+    return [e for e in possible if (e.type_name(), e.place) not in declared]
 
 
 def _coefficients(full: Robot, declared: int) -> list[Coefficient]:
     out = []
     for i, effect in enumerate(full.effects):
-        adjustable = effect.part == "drives" or (effect.part == "flexibility" and effect.virtual)
-        if adjustable or (i >= declared and isinstance(effect, JointSpring | Payload)):
+        if effect.scaled and (i >= declared or effect.rescaled):
             values = effect.known_coefficients()
-            out += [Coefficient(i, k, float(v)) for k, v in enumerate(values) if k == 0 or adjustable]
+            out += [Coefficient(i, k, float(values[k])) for k in sorted(itertools.chain(*effect.scaled))]
     return out
 
 
 def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Sequence[Coefficient]) -> Pose:
-    if angles.shape != (len(full.joints),):
-        raise ValueError(f"a pose has shape {angles.shape}; expected {len(full.joints)} angles of {full.name}")
     n, rest = full.model.nv, np.zeros(full.model.nv)
     motion = full.motion(full.input_matrix @ angles, rest, rest)
     patterns = np.zeros((3, len(coefficients), n, n))
@@ -308,80 +281,56 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
 def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float], new_std: float) -> list[Change]:
     """Every change that data over frequency can speak of."""
     full, declared = structure.full, len(structure.robot.effects)
-    places: dict[int, list[int]] = {}
-    for number, coefficient in enumerate(structure.coefficients[:first_slope]):
-        places.setdefault(coefficient.effect, []).append(number)
+    numbers = {(c.effect, c.column): i for i, c in enumerate(structure.coefficients[:first_slope])}
+    total = float(structure.robot.link_parameters[::10].sum())
+    sizes = RestSizes(full.layout, structure.poses[0].constant[0], total, band_hz)
     out: list[Change] = []
-    stiff: dict[str, list[int]] = {"drive": [], "joint": []}
-    factors = np.log(np.array([[0.6], [1.6]]))
-    for e, held in places.items():
-        effect, new, at = full.effects[e], e >= declared, tuple(held)
-        place = effect.place[0] if effect.place else "base"
-        kind = effect.type_name().split("_")[0]
-        if new:
-            groups = _groups(effect, at)
-            coordinates = tuple(f"{place}:{v}" for v in effect.virtual)
-            names = tuple(effect.public_values()[0 if len(groups) == 1 else k][0] for k in range(len(groups)))
-            names = ("stiffness",) if isinstance(effect, JointFlexibility) else names
-            starts = _starts(structure, effect, groups, band_hz)
-            usual = _usual(structure.robot, effect.type_name(), starts)
-            units = tuple(effect.coefficient_units[: len(groups)])
-            out.append(
-                Change(effect.type_name(), place, True, names, units, groups, coordinates, starts, usual, new_std)
-            )
-        elif effect.part == "drives":
-            if place in structure.joints:
-                out.append(_factor(effect, place, "drive_inertia", "kg m^2", at, factors))
-        else:
-            # damping goes along, so that the loss of a mode stays what it was
-            out.append(_factor(effect, place, f"{kind}_stiffness", "N m/rad", at, factors))
-            stiff.setdefault(kind, []).extend(at)
-    for kind in ("drive", "joint"):
-        several = {structure.coefficients[i].effect for i in stiff[kind]}
-        if len(several) > 1:
-            effect = full.effects[min(several)]
-            out.append(_factor(effect, "all", f"{kind}_stiffness", "N m/rad", tuple(stiff[kind]), factors))
+    shared: dict[str, list[int]] = {}
+    for e in sorted({e for e, _ in numbers}):
+        effect = full.effects[e]
+        groups = tuple(tuple(numbers[e, k] for k in group) for group in effect.scaled)
+        at = tuple(sorted(itertools.chain(*groups)))
+        if e >= declared:
+            out.append(_addition(structure.robot, effect, groups, sizes, new_std))
+        elif effect.virtual or set(effect.joints) <= set(structure.joints):
+            out.append(_factor(effect, _place(effect), at))
+            if effect.virtual:
+                shared.setdefault(effect.type_name(), []).append(e)
+    for several in (s for s in shared.values() if len(s) > 1):
+        at = tuple(i for (e, _), i in numbers.items() if e in several)
+        out.append(_factor(full.effects[several[0]], "all", at))
     return out
 
 
-def _factor(effect: Effect, place: str, name: str, unit: str, moved: tuple[int, ...], starts: Array) -> Change:
-    return Change(effect.type_name(), place, False, (name,), (unit,), (moved,), (), starts, np.zeros(1), FACTOR_STD)
+def _place(effect: Effect) -> str:
+    return "_".join(effect.place) or "base"
+
+
+def _addition(
+    robot: Robot, effect: Effect, groups: tuple[tuple[int, ...], ...], sizes: RestSizes, std: float
+) -> Change:
+    single = len(groups) == 1
+    names = tuple(effect.parameters())[:1] if single else effect.coefficient_names[: len(groups)]
+    coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.virtual)
+    starts = np.log(effect.starts_at_rest(sizes))
+    return Change(
+        effect.type_name(), _place(effect), True, names, effect.coefficient_units[: len(groups)], groups, coordinates,
+        starts, _usual(robot, effect.type_name(), starts), std,
+    )  # fmt: skip
+
+
+def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
+    starts = np.log(np.array([[0.6], [1.6]]))
+    return Change(
+        effect.type_name(), place, False, (effect.rescaled,), effect.coefficient_units[:1], (moved,), (),
+        starts, np.zeros(1), FACTOR_STD,
+    )  # fmt: skip
 
 
 def _usual(robot: Robot, kind: str, starts: Array) -> Array:
     """Logarithm of the values that a robot declares of an effect type; the middle of the starts where it declares none."""
     known = [e.coefficients[0] for e in robot.effects if e.type_name() == kind and e.virtual and e.coefficients[0] > 0]
     return np.full(starts.shape[1], np.log(known).mean()) if known else np.asarray(starts.mean(axis=0))
-
-
-def _groups(effect: Effect, at: Sequence[int]) -> tuple[tuple[int, ...], ...]:
-    """Coefficients that one parameter moves: a stiffness with its damping; a round bearing's two axes together."""
-    if isinstance(effect, JointFlexibility):
-        return (tuple(at),)
-    if isinstance(effect, BaseFlexibility):
-        return ((at[0], at[2]), (at[1], at[3]))
-    return (tuple(at),)
-
-
-def _starts(
-    structure: Structure, effect: Effect, groups: Sequence[Sequence[int]], band_hz: tuple[float, float]
-) -> Array:
-    """Stiffnesses that put what stands behind a hinge alone at frequencies of the band; inertias and masses by size."""
-    low, high = band_hz
-    mass = structure.poses[0].constant[0]
-    if isinstance(effect, DriveInertia):
-        size = np.abs(np.diag(mass)[structure.full.layout.index(effect.joint)])
-        return np.log(np.array([[0.05], [0.3]]) * size)
-    if isinstance(effect, Payload):
-        total = structure.robot.link_parameters[::10].sum()
-        return np.log(np.array([[0.01], [0.1]]) * total)
-    if isinstance(effect, JointSpring):
-        index = structure.full.layout.index(effect.joint)
-        return np.log(np.diag(mass)[index] * (2 * np.pi * np.array([[0.1], [0.5]]) * low) ** 2)
-    stiffness = structure.poses[0].patterns[2]
-    frequencies = 2 * np.pi * np.array([0.7 * low, np.sqrt(low * high), high, 3.0 * high])
-    inertia = [np.diag(mass)[np.diag(stiffness[group[0]]) > 0][0] for group in groups]
-    return np.log(np.outer(frequencies**2, inertia))
 
 
 # ---- one model fitted to data ------------------------------------------------------------------------------------------

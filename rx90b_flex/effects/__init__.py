@@ -3,6 +3,8 @@
 from rx90b_flex.effects.effect import (
     Effect,
     Parameter,
+    RestSites,
+    RestSizes,
     Sites,
     catalogue,
     close_match,
@@ -17,6 +19,8 @@ __all__ = [
     "JointMotion",
     "Motion",
     "Parameter",
+    "RestSites",
+    "RestSizes",
     "Sites",
     "TreeMotion",
     "catalogue",

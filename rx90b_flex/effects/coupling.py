@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, linear
+from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, RestSites, RestSizes, linear
 from rx90b_flex.effects.friction import CoulombFriction
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Motion
@@ -38,6 +39,8 @@ class JointCoupling(PairEffect):
     """
 
     adds_inertia: ClassVar[bool] = True
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
+    rescaled: ClassVar[str] = "coupling_inertia"
 
     inertia: float | None = linear("kg m^2", rank=INERTIA)
     viscous: float | None = linear("N m s/rad", rank=FRICTION)
@@ -75,3 +78,12 @@ class JointCoupling(PairEffect):
                 parameters=np.array([*CoulombFriction.law_constants, coulomb]),
             ),
         )
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        pairs = itertools.combinations(sites.moving, 2)
+        return [cls(joint_pair=pair, inertia=1.0, viscous=0.0, coulomb=0.0) for pair in pairs]
+
+    def starts_at_rest(self, sizes: RestSizes) -> Array:
+        drives = (sizes.coordinates.port(joint, "drive") for joint in self.joint_pair)
+        return np.array([[0.05], [0.3]]) * min(sizes.inertia(port) for port in drives)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, linear
+from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, RestSites, RestSizes, linear
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
@@ -36,6 +36,8 @@ class DriveInertia(JointEffect):
     side: ClassVar[str] = "drive"
     adds_inertia: ClassVar[bool] = True
     part: ClassVar[str] = "drives"
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
+    rescaled: ClassVar[str] = "drive_inertia"
 
     inertia: float | None = linear("kg m^2", lower=0.0, rank=INERTIA)
 
@@ -49,6 +51,13 @@ class DriveInertia(JointEffect):
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         port = motion.coordinates.port(self.joint, self.side)
         return (Law(port, inertia=float(self.known_coefficients()[0])),)
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        return [cls(joint=j, inertia=1.0) for j in sites.moving]
+
+    def starts_at_rest(self, sizes: RestSizes) -> Array:
+        return np.array([[0.05], [0.3]]) * sizes.inertia(sizes.coordinates.port(self.joint, self.side))
 
 
 @dataclass(frozen=True, kw_only=True)

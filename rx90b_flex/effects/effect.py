@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
@@ -29,6 +29,48 @@ class Sites:
 
     joints: tuple[str, ...]
     tip_frame: str
+
+
+@dataclass(frozen=True)
+class RestSites(Sites):
+    """Places of a robot at rest in a pose, where data over frequency may show an effect.
+
+    Attributes
+    ----------
+    moving : tuple of str
+        Joints whose drives move; the others are held.
+    angles : mapping of joint to angle, rad
+        The pose.
+    declared : frozenset of (type name, place)
+        Effects that the robot has.
+    """
+
+    moving: tuple[str, ...]
+    angles: Mapping[str, float]
+    declared: frozenset[tuple[str, tuple[str, ...]]]
+
+
+@dataclass(frozen=True, eq=False)
+class RestSizes:
+    """How heavy a robot is at rest, and where data over frequency look: what a new value can be sized by.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+    mass_matrix : array, shape (n, n)
+    total_mass : float
+        Of the links, kg.
+    band_hz : (low, high)
+    """
+
+    coordinates: Coordinates
+    mass_matrix: Array
+    total_mass: float
+    band_hz: tuple[float, float]
+
+    def inertia(self, port: Array) -> float:
+        """Along a port (n,), kg m^2."""
+        return float(port @ self.mass_matrix @ port)
 
 
 @dataclass(frozen=True)
@@ -107,6 +149,8 @@ class Effect(ABC):
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
     needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
     part: ClassVar[str] = "friction"  # of a linearisation: "links", "drives", "flexibility", "spring" or "friction"
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ()  # coefficients that a search over frequency multiplies together
+    rescaled: ClassVar[str] = ""  # what such a search may find another value of where it is declared; empty: nothing
 
     # ---- description ------------------------------------------------------------------------------------
 
@@ -372,6 +416,22 @@ class Effect(ABC):
     @abstractmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         """This effect, without values, in every place where a search may try it."""
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        """This effect, with values to be multiplied, wherever frequency responses and modes may show it; empty: nowhere."""
+        return []
+
+    def starts_at_rest(self, sizes: RestSizes) -> Array:
+        """Values of the first coefficient of each group of `scaled` from which a search over frequency begins, (S, groups)."""
+        raise TypeError(f"{self.type_name()} is not tried against data over frequency")
+
+    def rescaled_to(self, values: Mapping[int, float]) -> Self:
+        """With other values of some coefficients, by their numbers."""
+        own = self.coefficients
+        for number, value in values.items():
+            own[number] = value
+        return self.with_coefficients(own)
 
 
 @dataclass(frozen=True, kw_only=True)

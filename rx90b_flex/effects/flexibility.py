@@ -8,9 +8,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import DAMPING, STIFFNESS, Effect, JointEffect, Sites, linear
+from rx90b_flex.effects.effect import DAMPING, STIFFNESS, Effect, JointEffect, RestSites, RestSizes, Sites, linear
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
+
+DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +59,13 @@ class _Flexibility(Effect):
             for port, k, d in zip(hinges, stiffness, damping, strict=True)
         )
 
+    def starts_at_rest(self, sizes: RestSizes) -> Array:
+        """Stiffnesses that put what stands behind a hinge alone at frequencies of the band."""
+        low, high = sizes.band_hz
+        frequencies = 2 * np.pi * np.array([0.7 * low, np.sqrt(low * high), high, 3.0 * high])
+        hinges = self._hinges(sizes.coordinates)
+        return np.outer(frequencies**2, [sizes.inertia(hinges[group[0]]) for group in self.scaled])
+
 
 @dataclass(frozen=True, kw_only=True)
 class _FlexibilityOfJoint(_Flexibility):
@@ -98,9 +107,17 @@ class DriveFlexibility(_FlexibilityOfJoint):
     """
 
     virtual: ClassVar[tuple[str, ...]] = ("torsion",)
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 1),)  # the loss of a mode stays what it was
+    rescaled: ClassVar[str] = "drive_stiffness"
 
     stiffness: float | None = linear("N m/rad", lower=0.0, rank=STIFFNESS)
     damping: float | None = linear("N m s/rad", lower=0.0, rank=DAMPING)
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        # a drive that moves needs an inertia of its own to turn apart from its link
+        heavy = [j for j in sites.joints if j not in sites.moving or ("drive_inertia", (j,)) in sites.declared]
+        return [cls(joint=j, stiffness=1.0, damping=DAMPING_TIME) for j in heavy]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +139,15 @@ class JointFlexibility(_FlexibilityOfJoint):
     """
 
     virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 1, 2, 3),)  # a round bearing
+    rescaled: ClassVar[str] = "joint_stiffness"
 
     stiffness: tuple[float, float] | None = linear("N m/rad", lower=0.0, size=2, rank=STIFFNESS)
     damping: tuple[float, float] | None = linear("N m s/rad", lower=0.0, size=2, rank=DAMPING)
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        return [cls(joint=j, stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2) for j in sites.joints]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +170,8 @@ class BaseFlexibility(_Flexibility):
 
     on: ClassVar[str] = "robot"
     virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 2), (1, 3))
+    rescaled: ClassVar[str] = "base_stiffness"
 
     stiffness: tuple[float, float] | None = linear("N m/rad", lower=0.0, size=2, rank=STIFFNESS)
     damping: tuple[float, float] | None = linear("N m s/rad", lower=0.0, size=2, rank=DAMPING)
@@ -158,6 +183,10 @@ class BaseFlexibility(_Flexibility):
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         return [cls()]
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        return [cls(stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import INERTIA, FrameEffect, linear, shape
+from rx90b_flex.effects.effect import INERTIA, FrameEffect, RestSites, RestSizes, linear, shape
 from rx90b_flex.effects.motion import Array, Motion
 
 REACH = 0.1  # m; how far from the tip a search first looks for the mass
@@ -38,6 +38,7 @@ class Payload(FrameEffect):
 
     adds_inertia: ClassVar[bool] = True
     part: ClassVar[str] = "links"
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
 
     mass: float | None = linear("kg", lower=0.0, rank=INERTIA)
     centre: tuple[float, float, float] | None = shape("m", start=REACH, lower=-2.0, upper=2.0, size=3)
@@ -70,3 +71,10 @@ class Payload(FrameEffect):
 
     def independent_shapes(self, motion: Motion) -> int:
         return 4
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        return [cls(frame=sites.tip_frame, mass=1.0, centre=(0.0, 0.0, 0.0))]
+
+    def starts_at_rest(self, sizes: RestSizes) -> Array:
+        return np.array([[0.01], [0.1]]) * sizes.total_mass

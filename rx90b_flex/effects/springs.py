@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, JointEffect, derived, linear
+from rx90b_flex.effects.effect import SPRING, JointEffect, RestSites, RestSizes, derived, linear
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
@@ -36,6 +36,7 @@ class JointSpring(JointEffect):
     """
 
     part: ClassVar[str] = "spring"
+    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
 
     stiffness: float | None = linear("N m/rad", lower=0.0, rank=SPRING)
     rest_angle: float | None = derived("rad")
@@ -87,3 +88,14 @@ class JointSpring(JointEffect):
         stiffness, preload = self.known_coefficients()
         port = motion.coordinates.port(self.joint, self.side)
         return (Law(port, stiffness=float(stiffness), function=constant, parameters=np.array([-preload]), stores=True),)
+
+    @classmethod
+    def at_rest(cls, sites: RestSites) -> list[Self]:
+        return [cls(joint=j, stiffness=1.0, rest_angle=sites.angles[j]) for j in sites.moving]
+
+    def starts_at_rest(self, sizes: RestSizes) -> Array:
+        inertia = sizes.inertia(sizes.coordinates.port(self.joint, "drive"))
+        return inertia * (2 * np.pi * np.array([[0.1], [0.5]]) * sizes.band_hz[0]) ** 2
+
+    def rescaled_to(self, values: Mapping[int, float]) -> Self:
+        return dataclasses.replace(self, stiffness=values[0])  # the rest angle stays
