@@ -17,10 +17,9 @@ from scipy import interpolate, ndimage
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import POSITION_CUTOFF_RATIO, Regression, Stretch
-from rx90b_flex.signals import lowpass, motion
+from rx90b_flex.identify.regression import Regression, Stretch
+from rx90b_flex.signals import lowpass
 
-WIDER = 2.0  # times the cutoff of positions
 MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
 
 
@@ -37,12 +36,13 @@ def trust(regression: Regression, model: Identification) -> Array:
     sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(regression)), axis=0)
     steep = [e for e in model.effects if e.in_dynamics and not (e.virtual or e.remembers or e.needs_model)]
     seen = regression.with_model(model.link_parameters, model.effects)
-    doubt = np.concatenate([_doubt(s, steep) for s in seen.stretches])[:, regression.rows]
+    pairs = zip(seen.stretches, regression.stretches, strict=True)
+    doubt = np.concatenate([_doubt(s, first.wider_velocity, steep) for s, first in pairs])[:, regression.rows]
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
-def _doubt(stretch: Stretch, effects: list[Effect]) -> Array:
-    """What the torque may be off for want of the velocity, after the low-pass; shape (N, n), N m."""
+def _doubt(stretch: Stretch, wide: Array, effects: list[Effect]) -> Array:
+    """What the torque may be off for want of the velocity, `wide` another guess at it; after the low-pass, (N, n), N m."""
     if stretch.cutoff_hz is None:
         return np.zeros((len(stretch), stretch.motion.q.shape[1]))
     rate = stretch.rate_hz * stretch.factor
@@ -51,7 +51,6 @@ def _doubt(stretch: Stretch, effects: list[Effect]) -> Array:
         moved = dataclasses.replace(stretch.motion, v=velocity)
         return np.asarray(sum((e.force(moved) for e in effects), np.zeros_like(velocity)))
 
-    wide = _wide_velocity(stretch)
     between = interpolate.CubicSpline(np.arange(len(wide)), wide)
     beside = 0.5 * sum(force(between(np.arange(len(wide)) + half)) for half in (-0.5, 0.5))
     there, here = force(wide), force(stretch.motion.v)
@@ -59,13 +58,3 @@ def _doubt(stretch: Stretch, effects: list[Effect]) -> Array:
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
     envelope = ndimage.maximum_filter1d(size, 2 * round(0.5 / stretch.cutoff_hz * rate) + 1, axis=0, mode="nearest")
     return np.asarray(envelope[:: stretch.factor][stretch.kept])
-
-
-def _wide_velocity(stretch: Stretch) -> Array:
-    """Velocity from positions that keep another octave, at the working rate, (N, n), rad/s."""
-    recording = stretch.recording
-    assert stretch.cutoff_hz is not None
-    rate, cutoff = recording.sample_rate_hz, WIDER * POSITION_CUTOFF_RATIO * stretch.cutoff_hz
-    velocity = motion(recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
-    order = [recording.joints.index(j) for j in stretch.motion.coordinates.joints]
-    return np.asarray(velocity[:: stretch.working_factor][:, order])

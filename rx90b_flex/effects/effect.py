@@ -308,7 +308,11 @@ class Effect(ABC):
 
     def force(self, motion: Motion) -> Array:
         """Generalised force on the inverse-dynamics side, shape (N, n), N m."""
-        return self.columns(motion) @ self.known_coefficients()
+        factors, coefficients = self.factors(motion), self.known_coefficients()
+        if factors is None:
+            return self.columns(motion) @ coefficients
+        port, basis = factors
+        return np.outer(basis @ coefficients, port)
 
     def leading(self, motion: Motion) -> tuple[Array, Array] | None:
         """The larger part of the columns as `factors` has it, enough for a first look; the same where they are factors."""

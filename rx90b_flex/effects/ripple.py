@@ -13,6 +13,8 @@ import numpy as np
 from rx90b_flex.effects.effect import OTHER, JointEffect, derived, shape
 from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 
+GROUP = 16  # orders of a spectrum over the angle that are worked out together
+
 
 def sine_and_cosine(amplitude: float | None, phase: float | None) -> Array:
     """Coefficients of sin and cos in ``amplitude * sin(x + phase)``; shape (2,), NaN where not known."""
@@ -100,20 +102,25 @@ class PeriodicEffect(SineEffect):
 
     def _spectra(self, orders: Array, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> list[Array]:
         """For each weight w: |sum w r exp(-i order q)|^2 over the sum of w^2, where the low-pass lets the order through."""
+        if len(orders) == 0:
+            return []
         fastest = np.inf if cutoff_hz is None else 2.0 * np.pi * cutoff_hz
+        # orders are evenly spaced: those of a group turn on from its first by the same few steps, and are heard alike
+        groups, steps = orders[::GROUP], orders[:GROUP] - orders[0]
         sums: list[Array] = []
         own: list[Array] = []
         for m, left in residual:
             at = m.joint(self.joint, "drive")
-            heard = np.outer(orders, np.abs(at.v)) < fastest
-            turned = np.exp(-1j * np.outer(orders, at.q)) * heard
+            heard = np.outer(groups + 0.5 * steps[-1], np.abs(at.v)) < fastest
+            turned = np.exp(-1j * np.outer(groups, at.q)) * heard
+            onward = np.exp(-1j * np.outer(at.q, steps))
             for i, w in enumerate(self.weights(at)):
                 if i == len(sums):
-                    sums.append(np.zeros(len(orders), dtype=complex))
-                    own.append(np.full(len(orders), 1e-300))
-                sums[i] = sums[i] + turned @ (w * left)
-                own[i] = own[i] + heard @ w**2
-        return [np.abs(s) ** 2 / o for s, o in zip(sums, own, strict=True)]
+                    sums.append(np.zeros((len(groups), len(steps)), dtype=complex))
+                    own.append(np.full((len(groups), 1), 1e-300))
+                sums[i] = sums[i] + turned @ ((w * left)[:, None] * onward)
+                own[i] = own[i] + (heard @ w**2)[:, None]
+        return [(np.abs(s) ** 2 / o).ravel()[: len(orders)] for s, o in zip(sums, own, strict=True)]
 
     def shape_spread(self, motion: Motion) -> Array:
         return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])

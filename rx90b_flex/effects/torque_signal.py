@@ -53,7 +53,9 @@ class TorqueDelay(Effect):
 
     def columns(self, motion: Motion) -> Array:
         step = _sample(motion) if self.delay is None else max(self.SHORTEST, self.delay)
-        return self._own(motion, self._change(motion, step) / step)[:, :, None]
+        # all joints ask for the same
+        (change,) = motion.once((self.type_name(), repr(step)), lambda: (self._change(motion, step),))
+        return self._own(motion, change / step)[:, :, None]
 
     def logged(self, motion: Motion, torque: Array) -> Array:
         (delay,) = self.known_coefficients()
@@ -137,8 +139,9 @@ class MotorSaturation(JointEffect):
     def _asked(self, given: Array) -> Array:
         """Logged torque for a torque that the motor gives: Newton's method from the torque itself."""
         c = 0.0 if self.coefficient is None or self.coefficient <= 0 else self.coefficient
-        # beyond the top of the cubic no torque gives more
-        top = np.inf if c == 0 else 1.0 / np.sqrt(3.0 * c)
+        if c == 0:
+            return given
+        top = 1.0 / np.sqrt(3.0 * c)  # beyond the top of the cubic no torque gives more
         asked = np.clip(given, -0.95 * top, 0.95 * top)
         for _ in range(30):
             asked = np.clip(

@@ -33,6 +33,8 @@ LATEST_S = 1.0e6
 # Left out of a fit at both ends, in periods of the cutoff: where the filter and the differences lack neighbours.
 EDGE_PERIODS = 1.0
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
+WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
+MOST_KEPT = 200  # effects whose columns are kept from one identification to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,16 @@ class Stretch:
         if self.cutoff_hz is not None:
             columns = lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
         return columns[:: self.factor][self.kept]
+
+    @cached_property
+    def wider_velocity(self) -> Array:
+        """Velocity from positions that keep another octave, at the working rate, (N_working, joints), rad/s."""
+        if self.cutoff_hz is None:
+            return self.motion.v
+        rate, cutoff = self.recording.sample_rate_hz, WIDER * POSITION_CUTOFF_RATIO * self.cutoff_hz
+        velocity = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
+        order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
+        return np.asarray(velocity[:: self.working_factor][:, order])
 
     @cached_property
     def sampled(self) -> Motion:
@@ -223,6 +235,11 @@ class Regression:
         """As `compact`, before `trust`."""
         if leading and all(_of_motion_alone(e) for e in effects):
             return self._remembered(effects)
+        if not leading and len(effects) == 1 and _of_motion_alone(effects[0]):
+            return self._kept(effects[0])
+        return self._made(effects, leading)
+
+    def _made(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         parts = [self._factored(s, effects, leading) for s in self.stretches]
         rows = np.unique(np.concatenate([r for r, _ in parts]))
         out = np.zeros((len(self), len(rows), parts[0][1].shape[2]))
@@ -241,8 +258,22 @@ class Regression:
             known.clear()
         for effect in effects:
             if effect not in known:
-                known[effect] = self._untouched([effect], False)
+                known[effect] = self._made([effect], False)
         return known[effects[0]][0], np.concatenate([known[e][1] for e in effects], axis=2)
+
+    @cached_property
+    def _columns_kept(self) -> dict[Effect, tuple[Indices, Array]]:
+        return {}
+
+    def _kept(self, effect: Effect) -> tuple[Indices, Array]:
+        """As `_untouched`, for an effect whose columns do not depend on the model: a fit asks again with other coefficients."""
+        known = self._columns_kept
+        key = effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
+        if key not in known:
+            if len(known) >= MOST_KEPT:
+                del known[next(iter(known))]
+            known[key] = self._made([effect], False)
+        return known[key]
 
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         factors = [e.leading(stretch.motion) if leading else e.factors(stretch.motion) for e in effects]
@@ -278,9 +309,9 @@ class Regression:
 
     def _sharing(self, other: Regression) -> Regression:
         """Another regression on the same motion, with the columns that depend on motion alone."""
-        for name in ("_first_looks", "_untouched_links"):
-            if name in self.__dict__:
-                other.__dict__[name] = self.__dict__[name]
+        other.__dict__.update(_first_looks=self._first_looks, _columns_kept=self._columns_kept)
+        if "_untouched_links" in self.__dict__:
+            other.__dict__["_untouched_links"] = self._untouched_links
         return other
 
     def _brought(self, stretch: Stretch, columns: Array) -> Array:
