@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternativ
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.residual import Errors, Replay, noise_floor
 from rx90b_flex.diagnose.reversals import trust
-from rx90b_flex.diagnose.search import Search, Trial, added, choose
+from rx90b_flex.diagnose.search import SIGNIFICANCE, Search, Trial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
@@ -27,6 +27,8 @@ from rx90b_flex.signals import Campaign, Recording, load_campaign
 SCHEMA = 1
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
+MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
+PAIRS = 3  # such effects that are tried with company
 FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain between them says nothing
 RIVALS = 5  # refused trials of a round that a result keeps
 TRUST_ROUNDS = 2  # fits after which the trust in rows near reversals is kept until the next effect
@@ -370,7 +372,11 @@ class _Rounds:
             trials = Search(model, self.sites).run(told)
             best = choose(trials)
             if best is None:
-                return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+                two = self._two_together(outcome, trials, done)
+                if two is None:
+                    return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+                outcome = two
+                continue
             self.tell(f"adding {best.effect.label}", done)
             candidate = self._identified(added(model.effects, best.effect), model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
@@ -383,6 +389,33 @@ class _Rounds:
             steps = (*kept, _Step(best, rivals, errors))
             outcome = self._pruned(_Outcome(candidate, errors, steps, ()))
         return outcome
+
+    def _two_together(self, outcome: _Outcome, trials: Sequence[Trial], done: float) -> _Outcome | None:
+        """Two additions where neither is sure alone, each in the other's residual; None where no two are sure together.
+
+        Worth a try where a lawful effect explains much: what keeps it from being sure is then no noise.
+        """
+        for first in [t for t in trials if t.lawful and t.share > MUCH][:PAIRS]:
+            self.tell(f"trying effects beside {first.effect.label}", done)
+            half = self._identified(added(outcome.model.effects, first.effect), outcome.model)
+            search = Search(half, self.sites)
+            beside = search.run()
+            second = choose(beside)
+            # as many pairs might have been tried as there are trials
+            if second is None or second.p_value * search.tests > SIGNIFICANCE:
+                continue
+            if len(added([first.effect], second.effect)) < 2:
+                continue  # one stands in for the other
+            whole = _trusting(self.data.regression, self._identified(added(half.effects, second.effect), half))
+            again = Search(whole, self.sites).without(_find(whole.effects, first.effect))
+            if not again.accepted:
+                continue
+            steps = (
+                _Step(again, tuple(t for t in trials if t is not first), self.data.errors(half)),
+                _Step(second, tuple(t for t in beside if t is not second), self.data.errors(whole)),
+            )
+            return self._pruned(_Outcome(whole, steps[-1].errors, (*outcome.steps, *steps), ()))
+        return None
 
     def _tell_part(self, text: str, done: float, fraction: float) -> None:
         self.tell(text, done + 0.15 * (0.9 - done) * fraction)
