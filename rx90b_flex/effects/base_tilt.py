@@ -38,6 +38,7 @@ class BaseTilt(Effect):
 
     on: ClassVar[str] = "robot"
     part: ClassVar[str] = "links"
+    needs_model: ClassVar[bool] = True  # gravity of the links as they are identified, not as they are declared
 
     angle_x: float | None = linear("rad", rank=OTHER)
     angle_y: float | None = linear("rad", rank=OTHER)
