@@ -78,7 +78,7 @@ def close_loop_command(
         result = close_loop(campaign, seed=seed, progress=tell)
         tell("simulating the closed loop and writing the report", 1.0)
         motion = motion_errors(result)
-        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)])
+        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)], motion)
     console = Console()
     _print_result(console, result)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
@@ -115,6 +115,7 @@ def demo(
     """
     from rx90b_flex.demo import make_demonstration
     from rx90b_flex.diagnose.close import close_loop
+    from rx90b_flex.diagnose.motion import motion_errors
     from rx90b_flex.diagnose.output import write_result
     from rx90b_flex.signals.folders import check_folder, fill_folder
     from rx90b_flex.view.report import write_report
@@ -129,7 +130,8 @@ def demo(
             # the loop reads the campaign from disk, as it would read anyone's: it is not told what is hidden
             result = close_loop(demonstration.write(folder), progress=tell)
             tell("writing the report", 0.98)
-            write_result(result, folder, [lambda r, at: write_report(r, at / "report.html")])
+            motion = motion_errors(result)
+            write_result(result, folder, [lambda r, at: write_report(r, at / "report.html", motion)], motion)
             results.append(result)
 
         results: list[object] = []
@@ -535,6 +537,8 @@ def _print_result(console: Console, result: object) -> None:
         console.print(f"Noise floor: {rms} N m a joint")
     for d in result.unexplained.where[:3]:
         console.print(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+    for caution in result.cautions:
+        console.print(f"[yellow]Beware:[/yellow] {caution}", soft_wrap=True, highlight=False)
 
 
 def _value(name: str, value: float | None, std: float | None, unit: str) -> str:

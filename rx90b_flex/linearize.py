@@ -178,6 +178,10 @@ class Linearization:
         locked = self.input_matrix[:, self.joints.index(joint)]
         return self._undamped_hz(np.flatnonzero(locked == 0), elastic_only)
 
+    def with_drives_locked_hz(self) -> Array:
+        """Undamped frequencies of the hinges with every drive locked, Hz, ascending; shape (n - joints,)."""
+        return self._undamped_hz(np.flatnonzero(~self.input_matrix.any(axis=1)), True)
+
     def _undamped_hz(self, free: NDArray[np.intp], elastic_only: bool) -> Array:
         at = np.ix_(free, free)
         if elastic_only:

@@ -10,7 +10,9 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose import motion
+from rx90b_flex.diagnose.close import _cautions
 from rx90b_flex.diagnose.motion import LONGEST_SLOW_S, MotionErrors, motion_errors
+from rx90b_flex.diagnose.output import closed_loop_json
 from rx90b_flex.effects import Effect, effect_from_table
 from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.torque_signal import TorqueDelay
@@ -45,8 +47,20 @@ def test_the_simulated_motion_comes_nearer_to_the_log_when_the_spring_is_added(r
     assert errors.motor_after_mrad[2] < errors.motor_before_mrad[2]
     assert errors.link_before_mrad is None and errors.tip_before_mm is None
     assert errors.tip_apart_mm > 0
+    told = closed_loop_json(result, errors)["motion"]
+    assert told["motor_rms_mrad"]["after"] == errors.motor_after_mrad.tolist() and told["tip_rms_mm"] is None
     page = report_html(result, errors)
     assert "Motion in closed loop" in page and "No link side was measured" in page
+
+
+@pytest.mark.slow
+def test_hinges_that_the_band_reaches_are_said_to_be_left_out(result):
+    # its drives twist at a few Hz and the campaign keeps 20
+    (caution,) = result.cautions
+    assert "left out" in caution
+    low = dataclasses.replace(result.campaign, cutoff_hz=0.5)
+    assert _cautions(result.source, low) == ()
+    assert _cautions(result.source.rigid(), result.campaign) == ()
 
 
 @pytest.mark.slow

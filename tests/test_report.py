@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from rx90b_flex.diagnose.close import ClosedLoop, LastRound, Unexplained, close_loop
-from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence
+from rx90b_flex.diagnose.evidence import STANDSTILL, Band, Dependence, signals
+from rx90b_flex.diagnose.output import closed_loop_json
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.friction import CoulombFriction
 from rx90b_flex.robot import load_robot
@@ -240,6 +241,47 @@ def test_a_residual_at_standstill_is_shown_over_time_with_the_rests(nothing: Clo
     figure = plots.remaining_dependence(left, dependence)
     assert figure is not None
     assert "at rest" in figure.axes[0].get_xlabel()
+
+
+def test_a_residual_that_repeats_with_an_angle_is_shown_over_one_cycle(nothing: ClosedLoop) -> None:
+    order = 7.0
+    data = []
+    for regression, left in nothing.unexplained.data:
+        angle = dict(signals(regression))[f"{JOINTS[0]} position"]
+        data.append((regression, np.stack([np.sin(order * angle), 0 * angle], axis=1) + 0 * left))
+    dependence = Dependence(JOINTS[0], f"{JOINTS[0]} order {order}", 0.9, 1e-9)
+    result = dataclasses.replace(nothing, unexplained=Unexplained(0.1, (dependence,), tuple(data)))
+    figure = plots.remaining_dependence(result, dependence)
+    assert figure is not None
+    (line,) = [line for line in figure.axes[0].lines if line.get_label() == "mean"]
+    part, mean = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    # a mean over one of 32 parts of a cycle lies within its width of the sine at its middle
+    assert np.abs(mean - np.sin(2 * np.pi * part)).max() < 2 * np.pi / 32
+    assert "part of a cycle" in figure.axes[0].get_xlabel()
+
+
+def test_bands_in_which_the_error_repeats_are_shaded_in_its_spectrum(nothing: ClosedLoop, empty_page: Page) -> None:
+    band = Band(JOINTS[1], 3.0, 6.0, 0.4, 1e-6)
+    left = dataclasses.replace(
+        nothing, verdict="unexplained", unexplained=Unexplained(0.1, (), nothing.unexplained.data, (band,))
+    )
+    figure = plots.remaining_bands(left, JOINTS[1])
+    (shade,) = figure.axes[0].patches
+    assert (shade.get_x(), shade.get_x() + shade.get_width()) == (3.0, 6.0)  # type: ignore[attr-defined]
+    page = Page(report_html(left))
+    assert len(page.pictures()) == len(empty_page.pictures()) + 1
+    assert "3.00 6.00 40.0 %" in page.text
+
+
+def test_cautions_stand_at_the_head_and_in_the_file(nothing: ClosedLoop) -> None:
+    careful = dataclasses.replace(nothing, cautions=("The hinges are left out.",))
+    text = Page(report_html(careful)).text
+    assert text.index("Beware. The hinges are left out.") < text.index("What was found, and how sure it is")
+    assert closed_loop_json(careful, "The controller is not known.") | {"effects": []} == closed_loop_json(nothing) | {
+        "effects": [],
+        "cautions": ["The hinges are left out."],
+        "motion": {"not_simulated": "The controller is not known."},
+    }
 
 
 def test_undetermined_parameters_are_named_and_get_no_value(nothing: ClosedLoop, empty_page: Page) -> None:

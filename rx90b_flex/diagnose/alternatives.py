@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.search import Base, Search, Trial
+from rx90b_flex.diagnose.search import JUST_AS_GOOD, Base, Search, Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.identify.coloured import scatter
@@ -106,8 +106,12 @@ class Comparison:
 
     @property
     def rival_wins(self) -> bool:
-        """Whether the rival explains more than chance allows, now that all else is in the model."""
-        return self.rival.accepted and self.behind < -APART
+        """Whether the rival explains more than chance allows, now that all else is in the model.
+
+        One with more parameters has to explain more than a trifle: the named effect was preferred for having less.
+        """
+        trifle = self.rival.size > self.named.size and self.named.gain >= JUST_AS_GOOD * self.rival.gain
+        return self.rival.accepted and self.behind < -APART and not trifle
 
 
 def compare(search: Search, named: Effect, rival: Effect) -> Comparison:

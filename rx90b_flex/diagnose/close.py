@@ -27,6 +27,7 @@ from rx90b_flex.signals import Campaign, Recording, load_campaign
 SCHEMA = 1
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
+RIGID_BAND = 1 / 3  # of the first frequency with drives held, up to which a rigid model with more inertia does as well
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain between them says nothing
@@ -161,6 +162,8 @@ class ClosedLoop:
     campaign : Campaign
     last_round : LastRound
     seed : int
+    cautions : tuple of str
+        What limits how far the result can be trusted, in sentences.
     """
 
     robot: str
@@ -178,6 +181,7 @@ class ClosedLoop:
     campaign: Campaign
     last_round: LastRound
     seed: int
+    cautions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,6 +323,29 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         campaign,
         last_round,
         seed,
+        _cautions(declared_robot, campaign),
+    )
+
+
+def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
+    """Where the rigid band that torques over time are held against ends below what the campaign keeps."""
+    hinges = [e for e in robot.effects if e.virtual]
+    if not hinges:
+        return ()
+    column = {joint: i for i, joint in enumerate(campaign.joints)}
+    angles = np.concatenate([r.position for r in campaign.identification]).mean(axis=0)
+    pose = np.array([angles[column[j]] if j in column else 0.0 for j in robot.joints])
+    small = robot.with_effects([e for e in robot.effects if e.part in ("links", "drives", "flexibility")])
+    linear = small.linearize(small.input_matrix @ pose)
+    first = float(linear.with_drives_locked_hz()[0])
+    top = campaign.cutoff_hz or campaign.sample_rate_hz / 2
+    if top <= RIGID_BAND * first:
+        return ()
+    return (
+        f"The {len(hinges)} hinges that {robot.name} declares are left out: torques over time are held against its rigid tree. "
+        f"They bend from about a third of {first:.2g} Hz, where its links first swing with all drives held, and this campaign keeps "
+        f"what is below {top:.3g} Hz. What they do in between may be given another name, such as a delay; a low-pass at "
+        f"{RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
     )
 
 

@@ -48,6 +48,12 @@ class Dependence:
     score: float
     p_value: float
 
+    @property
+    def order(self) -> float | None:
+        """Cycles a turn of the joint itself, where that is what the residual repeats with."""
+        _, _, order = self.signal.partition(f"{self.joint} order ")
+        return float(order) if order else None
+
 
 def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tuple[Dependence, ...]:
     """Signals that a residual depends on, strongest first.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,23 @@ class MotionErrors:
     tip_after_mm: float | None
     tip_apart_mm: float
     of_s: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The content of ``motion`` in ``closed_loop.json``."""
+
+        def both(before: Array | float | None, after: Array | float | None) -> dict[str, Any] | None:
+            if before is None or after is None:
+                return None
+            return {"before": np.asarray(before).tolist(), "after": np.asarray(after).tolist()}
+
+        return {
+            "recording": self.recording,
+            "seconds": self.seconds,
+            "motor_rms_mrad": both(self.motor_before_mrad, self.motor_after_mrad),
+            "link_rms_mrad": both(self.link_before_mrad, self.link_after_mrad),
+            "tip_rms_mm": both(self.tip_before_mm, self.tip_after_mm),
+            "tip_apart_rms_mm": self.tip_apart_mm,
+        }
 
 
 def motion_errors(result: ClosedLoop) -> MotionErrors | str:

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,9 +19,12 @@ from rx90b_flex.identify.physical import possible_coefficients
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import fill_folder
 
+if TYPE_CHECKING:
+    from rx90b_flex.diagnose.motion import MotionErrors
 
-def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
-    """The content of ``closed_loop.json``, schema 1."""
+
+def closed_loop_json(result: ClosedLoop, motion: MotionErrors | str | None = None) -> dict[str, Any]:
+    """The content of ``closed_loop.json``, schema 1; `motion` as `rx90b_flex.diagnose.motion.motion_errors` gives it."""
     return {
         "schema": SCHEMA,
         "robot": result.robot,
@@ -39,6 +42,8 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
                 for b in result.unexplained.bands
             ],
         },
+        "cautions": list(result.cautions),
+        "motion": {"not_simulated": motion} if isinstance(motion, str) else motion and motion.as_json(),
     }
 
 
@@ -121,7 +126,10 @@ def _quoted(name: str) -> str:
 
 
 def write_result(
-    result: ClosedLoop, folder: str | os.PathLike[str], extra: Iterable[Callable[[ClosedLoop, Path], None]] = ()
+    result: ClosedLoop,
+    folder: str | os.PathLike[str],
+    extra: Iterable[Callable[[ClosedLoop, Path], None]] = (),
+    motion: MotionErrors | str | None = None,
 ) -> Path:
     """Write everything that belongs to a result; all of it or nothing.
 
@@ -132,11 +140,13 @@ def write_result(
         Made if it does not exist; files of the same names in it are replaced.
     extra : iterable of callable
         Each gets the result and the folder to write more into, such as a report.
+    motion : MotionErrors or str, optional
+        What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
     """
     folder = Path(folder)
 
     def fill(at: Path) -> None:
-        text = json.dumps(closed_loop_json(result), indent=2, allow_nan=False)
+        text = json.dumps(closed_loop_json(result, motion), indent=2, allow_nan=False)
         (at / "closed_loop.json").write_text(text + "\n", encoding="utf-8")
         for prediction in result.predictions:
             name = f"prediction_{prediction.recording.name}.csv"

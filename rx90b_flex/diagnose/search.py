@@ -457,16 +457,17 @@ class Search:
         block_gains = present.held_out - self._held_out(base, b, y, d)
         p_value, lawful, colour = self._evidence(effect, base, rows, beside, beta)
         lawful = lawful and not (effect.by_clock and self._follows_motion(base.residual[rows], effect))
+        found = effect.with_coefficients(beta)
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
         return Trial(
-            effect.with_coefficients(beta),
+            found,
             gain,
             block_gains,
             min(1.0, p_value * tests),
             size,
             gain / touched if touched > 0 else 0.0,
-            lawful,
+            lawful and found.possible(),
             colour,
         )
 

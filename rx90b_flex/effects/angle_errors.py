@@ -20,6 +20,7 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.ripple import PeriodicEffect
 
+STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
 LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other
 
 
@@ -29,6 +30,10 @@ class _AngleError(PeriodicEffect):
     in_dynamics: ClassVar[bool] = False
 
     amplitude: float | None = derived("rad", lower=0.0)
+
+    def possible(self) -> bool:
+        (order,), (sine, cosine) = self.known_shape(), self.known_coefficients()
+        return bool(order * np.hypot(sine, cosine) <= STEEPEST)
 
     @abstractmethod
     def sensitivity(self, motion: Motion) -> tuple[Array, ...]:

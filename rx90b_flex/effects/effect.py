@@ -284,6 +284,10 @@ class Effect(ABC):
         """How many independent shapes a search tries, for the correction of its significance."""
         return 1
 
+    def possible(self) -> bool:
+        """Whether its values go together, and with what its force assumes; bounds of single values are no part of it."""
+        return True
+
     def public_values(self) -> list[tuple[str, str, float]]:
         """Name, unit and value (NaN where not known) of each parameter that can be estimated."""
         out: list[tuple[str, str, float]] = []

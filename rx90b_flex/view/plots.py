@@ -142,13 +142,17 @@ def residual_against_velocity(result: ClosedLoop, joint: str) -> Figure:
 def remaining_dependence(result: ClosedLoop, dependence: Dependence) -> Figure | None:
     """What is left of a joint's torque in motion, fitted and held out, over the signal that it still depends on.
 
-    Over time, with the rests shaded, where that signal is standstill. None where the result does not hold the signal.
+    Over time, with the rests shaded, where that signal is standstill; over one cycle, where it is an order. None where the result
+    does not hold the signal.
     """
     column = result.joints.index(dependence.joint)
     if dependence.signal == STANDSTILL:
         return _rests(result, column)
-    values = [dict(signals(regression)).get(dependence.signal) for regression, _ in result.unexplained.data]
-    known = [v for v in values if v is not None]
+    order, name = dependence.order, dependence.signal
+    if order is not None:
+        name = f"{dependence.joint} position"
+    values = [dict(signals(regression)).get(name) for regression, _ in result.unexplained.data]
+    known = [v if order is None else (order * v / (2 * np.pi)) % 1.0 for v in values if v is not None]
     moving = ~np.concatenate([at_rest(regression) for regression, _ in result.unexplained.data])
     if len(known) < len(values) or not moving.any():
         return None
@@ -160,8 +164,28 @@ def remaining_dependence(result: ClosedLoop, dependence: Dependence) -> Figure |
     ax.fill_between(x, binned.low, binned.high, color=AFTER, alpha=0.12, linewidth=0, label="smallest, largest")
     ax.fill_between(x, *binned.band, color=AFTER, alpha=0.25, linewidth=0, label="± 1 std")
     ax.plot(x, binned.mean, color=AFTER, marker="o", markersize=3, linewidth=1.2, label="mean")
-    ax.set_xlabel(_with_unit(_plain(dependence.signal)), fontsize=9)
+    cycle = f"part of a cycle, {_plain(dependence.signal)} (cycles a turn)"
+    ax.set_xlabel(_with_unit(_plain(dependence.signal)) if order is None else cycle, fontsize=9)
     ax.set_ylabel("error left, N m", fontsize=9)
+    _legend(ax)
+    return figure
+
+
+def remaining_bands(result: ClosedLoop, joint: str) -> Figure:
+    """Amplitude spectrum of what is left of a joint's torque, fitted and held out; bands in which it repeats are shaded."""
+    column = result.joints.index(joint)
+    figure, (ax,) = _figure(1, 2.7)
+    for (regression, left), label in zip(result.unexplained.data, ("fitted", "held out"), strict=True):
+        rate = min(s.rate_hz for s in regression.stretches)
+        parts = [left[span, column] for span in regression.spans]
+        hz, amplitude = _welch(parts, rate)
+        ax.plot(hz, amplitude, color=AFTER, linewidth=1.0, linestyle="-" if label == "fitted" else "--", label=label)
+    for i, band in enumerate(b for b in result.unexplained.bands if b.joint == joint):
+        ax.axvspan(band.low_hz, band.high_hz, color=BEFORE, alpha=0.18, linewidth=0, label=None if i else "repeats")
+    ax.set_xlim(0, _highest_hz(result))
+    ax.set_ylim(0, None)
+    ax.set_xlabel("frequency, Hz", fontsize=9)
+    ax.set_ylabel("amplitude, N m", fontsize=9)
     _legend(ax)
     return figure
 
@@ -284,13 +308,19 @@ def _spectrum(result: ClosedLoop, column: int, kind: str) -> tuple[Array, Array]
     """Amplitude of a sine at each frequency: Welch's average over all validation recordings, Hann window."""
     rate = result.campaign.sample_rate_hz
     parts = [p.torque[:, column] for p in result.predictions] if kind == "torque" else _residuals(result, column, kind)
+    hz, amplitude = _welch(parts, rate)
+    shown = hz <= _highest_hz(result)
+    return hz[shown], amplitude[shown]
+
+
+def _welch(parts: Sequence[Array], rate: float) -> tuple[Array, Array]:
+    """Amplitude of a sine at each frequency, averaged over recordings of one joint, each (N,)."""
     samples = max(2, min(round(SEGMENT_S * rate), *(len(x) for x in parts)))
-    power = 0.0
+    power = np.zeros(samples // 2 + 1)
     for x in parts:
         hz, density = signal_processing.welch(x, rate, nperseg=samples, scaling="spectrum", detrend="constant")
-        power = power + density * len(x) / sum(len(y) for y in parts)
-    shown = hz <= _highest_hz(result)
-    return hz[shown], np.sqrt(2 * np.asarray(power)[shown])
+        power += density * len(x) / sum(len(y) for y in parts)
+    return hz, np.sqrt(2 * power)
 
 
 def _highest_hz(result: ClosedLoop) -> float:

@@ -88,6 +88,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         joint_figures=[_joint_figures(result, joint) for joint in result.joints],
         rounds=_rounds(result),
         dependence_figures=_dependence_figures(result),
+        band_figures=_band_figures(result),
         advice=next_measurements(result),
         parameters=_parameters(result),
         links=_links(result),
@@ -489,6 +490,15 @@ def _dependence_figures(result: ClosedLoop) -> list[Image]:
         figure = plots.remaining_dependence(result, d)
         if figure is not None:
             over = "over time" if d.signal == evidence.STANDSTILL else f"against {d.signal}, in motion"
+            over = f"over one of the {d.signal.rpartition(' ')[2]} cycles of a turn, in motion" if d.order else over
             text = f"Error left of {d.joint} {over} ({percent(d.score)} of its power)"
             out.append(image(figure, text, text))
+    return out
+
+
+def _band_figures(result: ClosedLoop) -> list[Image]:
+    out = []
+    for joint in dict.fromkeys(b.joint for b in result.unexplained.bands[:SHOWN_DEPENDENCES]):
+        text = f"Spectrum of the error left of {joint}; shaded: where it repeats with the motion"
+        out.append(image(plots.remaining_bands(result, joint), text, text))
     return out
