@@ -28,6 +28,8 @@ SCHEMA = 1
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 RIGID_BAND = 1 / 3  # of the first frequency with drives held, up to which a rigid model with more inertia does as well
+TRIES = 3  # effects of a round that are added for a trial at the most
+WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain between them says nothing
@@ -300,7 +302,10 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     held_out = held_out.trusting(trust(held_out, model))
     left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
     where = dependences(left, seed)
+    cautions = _cautions(declared_robot, campaign)
     verdict = _verdict(len(outcome.steps), campaign.joints, before, after, floor, where)
+    if cautions and verdict == "explained":
+        verdict = "partly_explained"  # the band holds what the rigid tree cannot have, whatever depends on it
     predictions = tuple(
         Prediction(r.recording, r.torque, predict(r, declared), predict(r, model), r.velocity) for r in data.validation
     )
@@ -323,7 +328,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         campaign,
         last_round,
         seed,
-        _cautions(declared_robot, campaign),
+        cautions,
     )
 
 
@@ -397,25 +402,33 @@ class _Rounds:
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
             trials = Search(model, self.sites).run(told)
-            best = choose(trials)
+            more = self._one_more(outcome, trials, done) or self._two_together(outcome, trials, done)
+            if more is None:
+                return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+            outcome = more
+        return outcome
+
+    def _one_more(self, outcome: _Outcome, trials: Sequence[Trial], done: float) -> _Outcome | None:
+        """With the best effect that still helps once everything is fitted again; None where none does."""
+        model, left = outcome.model, list(trials)
+        for _ in range(TRIES):
+            best = choose(left)
             if best is None:
-                two = self._two_together(outcome, trials, done)
-                if two is None:
-                    return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
-                outcome = two
-                continue
+                return None
+            left.remove(best)
             self.tell(f"adding {best.effect.label}", done)
             candidate = self._identified(added(model.effects, best.effect), model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
-                return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+                continue
             candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
+            if errors.identification.relative_error > WORSE * outcome.errors.identification.relative_error:
+                continue  # it helps where rows count, and spoils more where they do not
             rivals = tuple(t for t in trials if t is not best)
             # what the new effect stands in for is no longer in the model, even if an earlier round added it
             kept = [s for s in outcome.steps if added([s.trial.effect], best.effect)[0] is s.trial.effect]
-            steps = (*kept, _Step(best, rivals, errors))
-            outcome = self._pruned(_Outcome(candidate, errors, steps, ()))
-        return outcome
+            return self._pruned(_Outcome(candidate, errors, (*kept, _Step(best, rivals, errors)), ()))
+        return None
 
     def _two_together(self, outcome: _Outcome, trials: Sequence[Trial], done: float) -> _Outcome | None:
         """Two additions where neither is sure alone, each in the other's residual; None where no two are sure together.
