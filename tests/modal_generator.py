@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterable
 from xml.etree import ElementTree
 
 import numpy as np
 from mujoco_engine import Engine
 from scipy.linalg import eigh
 
+from rx90b_flex.diagnose.close_flexible import FlexibleLoop
 from rx90b_flex.diagnose.modal import ModalPose, ModalTable, ModeList
 from rx90b_flex.effects.coupling import JointCoupling
 from rx90b_flex.effects.flexibility import BaseFlexibility
@@ -182,3 +184,17 @@ OUTSIDE = {
     "differential": dataclasses.replace(truth_of(PLAIN), coupling=({"joint_2:drive": 1.0, "joint_3:drive": -2.0}, 0.6)),
     "heavier forearm": dataclasses.replace(truth_of(PLAIN), urdf=heavier(PLAIN.urdf, "link_3", 1.15)),
 }
+
+
+def share_named_wrongly(closed: Callable[[str, int], FlexibleLoop], seeds: Iterable[int]) -> float:
+    """Part of the runs of all causes that are there whose changes are not the ones hidden; prints those."""
+    runs = [(cause, seed) for cause in CAUSES if cause != "nothing" for seed in seeds]
+    found = [[f.change.label for f in closed(cause, seed).found] for cause, seed in runs]
+    wrong = [(run, labels) for run, labels in zip(runs, found, strict=True) if labels != CAUSES[run[0]][2]]
+    print(wrong)
+    return len(wrong) / len(runs)
+
+
+def times_called_complete(closed: Callable[[str, int], FlexibleLoop], seeds: Iterable[int]) -> int:
+    """Runs with nothing hidden that say so."""
+    return sum(closed("nothing", seed).verdict == "nothing_missing" for seed in seeds)
