@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rx90b_flex.diagnose.close import ClosedLoop
-from rx90b_flex.diagnose.output import identified_robot
+from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording

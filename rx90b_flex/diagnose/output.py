@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
+from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.effects import Effect
-from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.identify.least_squares import Estimate, Identification
-from rx90b_flex.identify.physical import possible_coefficients
+from rx90b_flex.export import save_robot
+from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import fill_folder
 
@@ -97,18 +97,6 @@ def closed_loop_robot(result: ClosedLoop) -> Robot:
     in the metric of the data's own information (see `rx90b_flex.identify.physical`).
     """
     return identified_robot(result.source, result.model, result.joints)
-
-
-def identified_robot(source: Robot, model: Identification, joints: Sequence[str]) -> Robot:
-    """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
-    flexible = [e for e in source.effects if e.virtual]
-    if not model.links_fitted:
-        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(joints)]
-        return source.with_effects([*flexible, *held, *model.effects])
-    links = len(model.link_parameters)
-    theta, _ = possible_coefficients(model)
-    effects = model.with_rest(theta[links:] - model.theta[links:])
-    return with_link_parameters(model.regression.robot, theta[:links]).with_effects([*flexible, *effects])
 
 
 def prediction_table(prediction: Prediction) -> str:
