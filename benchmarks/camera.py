@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 import rx90b_flex as rf
 from rx90b_flex.identify.camera import calibrate_base, fit_joint, joint_frames
+from rx90b_flex.identify.camera_study import ESTIMATORS, TRIANGLE, Scene, Study, make_scene, make_study
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import static_start
 from rx90b_flex.simulate.camera import VALIDATED_FACTOR, CameraNoise, marker_positions
-from rx90b_flex.simulate.camera_study import ESTIMATORS, TRIANGLE, Scene, Study, make_scene, make_study
 from rx90b_flex.view.camera_plots import error_map_figure, leak_figure
 
 RATE_HZ = 250.0

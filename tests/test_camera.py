@@ -20,9 +20,7 @@ from rx90b_flex.identify.camera import (
     mismatched,
     regress_bending,
 )
-from rx90b_flex.robot import Robot
-from rx90b_flex.simulate.camera import Camera, CameraNoise, carried_motion, link_poses, marker_positions
-from rx90b_flex.simulate.camera_study import (
+from rx90b_flex.identify.camera_study import (
     ESTIMATORS,
     REQUIRED,
     TRIANGLE,
@@ -33,6 +31,8 @@ from rx90b_flex.simulate.camera_study import (
     rigid_bodies,
     sine_motion,
 )
+from rx90b_flex.robot import Robot
+from rx90b_flex.simulate.camera import Camera, CameraNoise, carried_motion, link_poses, marker_positions
 from rx90b_flex.view.camera_plots import error_map_figure, leak_figure
 
 STD = np.array([0.02e-3, 0.02e-3, 0.10e-3])  # m, in about table C.2's ratio
