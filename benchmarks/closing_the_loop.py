@@ -129,9 +129,9 @@ OUTSIDE_KINDS: Mapping[str, Kind] = {
 }
 # types that a rigid band cannot show, and one whose geometry cannot be estimated: why they are not in this study
 ELSEWHERE = {
-    "drive_flexibility": "modes and frequency responses (`rx90b_flex.diagnose.modal`)",
-    "joint_flexibility": "modes and frequency responses (`rx90b_flex.diagnose.modal`)",
-    "base_flexibility": "modes and frequency responses (`rx90b_flex.diagnose.modal`)",
+    "drive_flexibility": "in `closing_the_loop_over_frequency.py`",
+    "joint_flexibility": "in `closing_the_loop_over_frequency.py`",
+    "base_flexibility": "in `closing_the_loop_over_frequency.py`",
     "stiffness_hardening": "needs a measured torsion: no motor signal in the rigid band holds it",
     "gravity_spring": "declared, its geometry given; no search tries it",
 }

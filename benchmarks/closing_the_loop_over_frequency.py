@@ -49,7 +49,7 @@ BAND_HZ = (8.0, 80.0)
 EXACT = 1e-3  # model error that is allowed for: the responses are those of a linear robot
 LAG_S = 1e-3  # damping over stiffness, as declared
 FITTED = 2  # poses; the third is held out
-SHAKE = 0.2  # rad, by which a drawn pose differs from those below
+SHAKE, WRIST, TURN = 0.2, 0.5, 1.0  # rad, by which drawn angles differ from those below; of other joints; of the first
 STRENGTHS = (1.0, 3.0, 10.0)
 NEAR = 0.1  # of the strength: how well it is met
 
@@ -151,10 +151,13 @@ class Scene:
     def draw(rng: np.random.Generator, name: str) -> Scene:
         subject = SUBJECTS[name]
         robot = subject.declared()
+        far = {j: 0.0 if "finger" in j else WRIST for j in robot.joints} | {subject.measured[0]: TURN}
         poses = []
         for k in rng.permutation(len(subject.poses)):
-            pose = {j: a + rng.uniform(-SHAKE, SHAKE) for j, a in subject.poses[k].items()}
-            poses.append(pose | {subject.measured[0]: rng.uniform(-1.0, 1.0)})
+            near = subject.poses[k]
+            poses.append(
+                {j: near.get(j, 0.0) + (SHAKE if j in near else r) * rng.uniform(-1.0, 1.0) for j, r in far.items()}
+            )
         low, high = np.log(subject.slope)
         slopes = tuple(np.exp(rng.uniform(low, high, 3)).tolist())
         lag = LAG_S * float(np.exp(rng.uniform(-0.4, 0.4)))
