@@ -202,10 +202,11 @@ def heavier(urdf: str, link: str, factor: float) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def carrying(urdf: str, link: str, mass: float) -> str:
-    """A URDF with a point mass at the origin of a link."""
+def carrying(urdf: str, link: str, mass: float, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
+    """A URDF with a point mass on a link, at a point of the link's frame, m."""
     root = ElementTree.fromstring(urdf)
     load = ElementTree.SubElement(ElementTree.SubElement(root, "link", name="load"), "inertial")
+    ElementTree.SubElement(load, "origin", xyz=" ".join(repr(x) for x in centre))
     ElementTree.SubElement(load, "mass", value=repr(mass))
     ElementTree.SubElement(load, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
     joint = ElementTree.SubElement(root, "joint", name="load", type="fixed")
