@@ -25,7 +25,6 @@ import sys
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -405,16 +404,17 @@ class Strength:
 
     scene: Scene
     hidden: Hidden
+    structure: Structure
 
-    @cached_property
-    def _structure(self) -> Structure:
-        robot, measured = self.hidden.declared, self.scene.subject.measured
-        angles = [np.array([p.get(j, 0.0) for j in robot.joints]) for p in self.scene.poses[:FITTED]]
-        return Structure.of(robot, measured, angles, BAND_HZ)
+    @staticmethod
+    def of(scene: Scene, hidden: Hidden) -> Strength:
+        robot = hidden.declared
+        angles = [np.array([p.get(j, 0.0) for j in robot.joints]) for p in scene.poses[:FITTED]]
+        return Strength(scene, hidden, Structure.of(robot, scene.subject.measured, angles, BAND_HZ))
 
     def at(self, size: float) -> float:
         responses = self.scene.responses(self.hidden.truth(self.hidden.values(size)), FITTED)
-        residual = ResponseResidual(self._structure, [thinned(r.band(*BAND_HZ))[0] for r in responses], EXACT)
+        residual = ResponseResidual(self.structure, [thinned(r.band(*BAND_HZ))[0] for r in responses], EXACT)
         errors = residual.errors(residual.fit(()))
         return float(np.mean([weighted**2 for _, weighted in errors])) - 1.0
 
@@ -483,7 +483,7 @@ def draw(case: Case) -> Drawn | str:
     make = kind.changed if way == "changed" and kind.changed is not None else kind.added
     for place in places(kind.on, scene.subject.measured, rng):
         hidden = make(scene, place, rng)
-        size = Strength(scene, hidden).size(case.strength)
+        size = Strength.of(scene, hidden).size(case.strength)
         if size is not None:
             values = hidden.values(size)
             responses = tuple(scene.responses(hidden.truth(values), len(scene.poses)))

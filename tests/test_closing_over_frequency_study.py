@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from joblib.externals import cloudpickle
 
 from rx90b_flex.diagnose.flexible import Structure
 from rx90b_flex.diagnose.response import response_of
@@ -64,3 +65,12 @@ def test_a_size_of_nothing_leaves_what_is_declared(name):
     assert list(hidden.values(0.0).values()) == [1.0]
     assert hidden.truth(hidden.values(0.0)) == study.truth_of(hidden.declared)
     assert hidden.truth(hidden.values(0.5)) != study.truth_of(hidden.declared)
+
+
+def test_a_run_can_be_sent_to_other_processes():
+    """As a program the study is `__main__`, which workers do not import: what a run needs is sent to them whole."""
+    cloudpickle.register_pickle_by_value(study)
+    try:
+        assert cloudpickle.dumps(study.run_case)
+    finally:
+        cloudpickle.unregister_pickle_by_value(study)
