@@ -129,9 +129,9 @@ OUTSIDE_KINDS: Mapping[str, Kind] = {
 }
 # types that a rigid band cannot show, and one whose geometry cannot be estimated: why they are not in this study
 ELSEWHERE = {
-    "drive_flexibility": "modes and frequency responses (`rx90b_flex.diagnose.modal`)",
-    "joint_flexibility": "modes and frequency responses (`rx90b_flex.diagnose.modal`)",
-    "base_flexibility": "modes and frequency responses (`rx90b_flex.diagnose.modal`)",
+    "drive_flexibility": "in `closing_the_loop_over_frequency.py`",
+    "joint_flexibility": "in `closing_the_loop_over_frequency.py`",
+    "base_flexibility": "in `closing_the_loop_over_frequency.py`",
     "stiffness_hardening": "needs a measured torsion: no motor signal in the rigid band holds it",
     "gravity_spring": "declared, its geometry given; no search tries it",
 }
@@ -530,20 +530,13 @@ def mistakes(rows: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(f"{text} ({n})" for text, n in sorted(count.items(), key=lambda item: -item[1])[:3])
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The study in Markdown."""
-    done = [r for r in rows if "skipped" not in r]
-    lines = ["# Hidden effect against found effect", ""]
-    lines += [
-        "Right: the effects found are the one hidden, on its joint, and no other. Within: parameters less than",
-        f"{DEVIATIONS:g} standard deviations off. Held out: runs whose error on held-out data is at most {NEAR_FLOOR:g} times",
-        "the noise floor (root mean square over joints).",
-        "Rates with their 95 % intervals. Data: torque over time, made without the package.",
-        "",
+def hidden_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line a type and strength, then one a strength over all types."""
+    lines = [
         "| hidden | strength | right | among those found | within | held out | else named |",
         "|---|---|---|---|---|---|---|",
     ]
-    singles = [r for r in done if r["study"] == "hidden"]
+    singles = [r for r in rows if r["study"] == "hidden"]
     groups = sorted({(r["name"], r["strength"]) for r in singles})
     strengths = sorted({s for _, s in groups})
     for name, strength in [*groups, *(("all types", s) for s in strengths)]:
@@ -555,6 +548,31 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
             f"| {name} | {strength:g} | {rate(sum(map(right, these)), len(these))} | {sum(map(among, these))}/{len(these)}"
             f" | {within}/{len(z)} | {held}/{len(these)} | {mistakes(these) if name != 'all types' else ''} |"
         )
+    return lines
+
+
+def left_out(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What could not be hidden, a sentence each."""
+    skipped: dict[str, int] = {}
+    for r in rows:
+        if "skipped" in r:
+            skipped[r["skipped"]] = skipped.get(r["skipped"], 0) + 1
+    return [f"Left out {n} times: {text}." for text, n in skipped.items()]
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The study in Markdown."""
+    done = [r for r in rows if "skipped" not in r]
+    lines = ["# Hidden effect against found effect", ""]
+    lines += [
+        "Right: the effects found are the one hidden, on its joint, and no other. Within: parameters less than",
+        f"{DEVIATIONS:g} standard deviations off. Held out: runs whose error on held-out data is at most {NEAR_FLOOR:g} times",
+        "the noise floor (root mean square over joints).",
+        "Rates with their 95 % intervals. Data: torque over time, made without the package.",
+        "",
+        *hidden_table(done),
+    ]
+    strengths = sorted({r["strength"] for r in done if r["study"] == "hidden"})
     lines += ["", "| study | strength | rate |", "|---|---|---|"]
     for strength in strengths:
         pairs = [r for r in done if r["study"] == "pair" and r["strength"] == strength]
@@ -571,11 +589,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
             these = [r for r in done if r["name"] == name and r["strength"] == strength]
             honest = sum(r["verdict"] in ("unexplained", "partly_explained") for r in these)
             lines.append(f"| outside: {name}, not called explained | {strength:g} | {rate(honest, len(these))} |")
-    skipped: dict[str, int] = {}
-    for r in rows:
-        if "skipped" in r:
-            skipped[r["skipped"]] = skipped.get(r["skipped"], 0) + 1
-    lines += ["", *(f"Left out {n} times: {text}." for text, n in skipped.items())]
+    lines += ["", *left_out(rows)]
     lines += ["", "Not in this study:", "", *(f"- `{name}`: {why}" for name, why in ELSEWHERE.items())]
     return "\n".join(lines) + "\n"
 
@@ -624,6 +638,25 @@ def finished(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
+def continued(
+    path: Path, every: Iterator[Case], run: Callable[[Case], dict[str, Any]], limit: int, jobs: int
+) -> list[dict[str, Any]]:
+    """Rows of a file of results, with at most `limit` of the runs that it lacks added to it."""
+    rows = finished(path)
+    keys = {Case(r["study"], r["name"], r["strength"], r["seed"]).key for r in rows}
+    left = list(itertools.islice((c for c in every if c.key not in keys), limit))
+    began = clock.monotonic()
+    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+    for number, row in enumerate(parallel(joblib.delayed(run)(case) for case in left), start=1):
+        rows.append(row)
+        with path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        found = row.get("skipped") or [f"{f['type']}@{','.join(f['joints'])}" for f in row["found"]]
+        key = Case(row["study"], row["name"], row["strength"], row["seed"]).key
+        print(f"{number}/{len(left)} {clock.monotonic() - began:.0f} s {key} {found}", flush=True)
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="file of results, one JSON line a run; it is continued")
@@ -635,19 +668,8 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=10**9, help="runs at most, this time")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    rows = finished(options.out)
-    keys = {Case(r["study"], r["name"], r["strength"], r["seed"]).key for r in rows}
     every = cases(options.studies, options.types, options.strengths, options.seeds)
-    left = list(itertools.islice((c for c in every if c.key not in keys), options.limit))
-    began = clock.monotonic()
-    parallel = joblib.Parallel(n_jobs=options.jobs, return_as="generator_unordered")
-    for number, row in enumerate(parallel(joblib.delayed(run_case)(case) for case in left), start=1):
-        rows.append(row)
-        with options.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        found = row.get("skipped") or [f"{f['type']}@{','.join(f['joints'])}" for f in row["found"]]
-        key = Case(row["study"], row["name"], row["strength"], row["seed"]).key
-        print(f"{number}/{len(left)} {clock.monotonic() - began:.0f} s {key} {found}", flush=True)
+    rows = continued(options.out, every, run_case, options.limit, options.jobs)
     text = table(rows)
     print(text)
     if options.table:

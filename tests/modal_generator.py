@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from xml.etree import ElementTree
 
 import numpy as np
@@ -35,8 +35,11 @@ class Truth:
     armature: dict[str, float]
     stiffness: dict[str, float]
     coupling: tuple[dict[str, float], float] | None = None  # an inertia, and how often it turns with coordinates
+    springs: dict[str, float] = dataclasses.field(
+        default_factory=dict
+    )  # across a joint, drive and its torsion together
 
-    def _matrices(self, angles: dict[str, float]) -> tuple[tuple[str, ...], Array, Array]:
+    def matrices(self, angles: dict[str, float]) -> tuple[tuple[str, ...], Array, Array]:
         """Coordinates, mass, and stiffness with gravity's."""
         engine = Engine(self.urdf, self.torsion, self.bending, self.base, self.armature, self.stiffness)
         names = engine.coordinates
@@ -49,15 +52,24 @@ class Truth:
         force = np.array(
             [engine.inverse_dynamics(q + d, zero, zero) - engine.inverse_dynamics(q - d, zero, zero) for d in steps]
         )
-        return names, mass, (force + force.T) / 4e-4
+        stiff = (force + force.T) / 4e-4
+        for joint, spring in self.springs.items():
+            stiff += spring * np.outer(*2 * [_turning(joint, names)])
+        return names, mass, stiff
 
-    def response(self, angles: dict[str, float], measured: tuple[str, ...], hz: Array, slope: float = 30.0) -> Array:
-        """Acceleration of the measured drives over their torque; dampings 1 ms times the stiffness, viscous friction."""
-        names, mass, stiff = self._matrices(angles)
-        damping = np.diag([1e-3 * self.stiffness.get(n, 0.0) for n in names])
-        for joint in measured:
-            port = np.array([float(n in (f"{joint}:drive", f"{joint}:torsion")) for n in names])
-            damping += slope * np.outer(port, port)
+    def response(
+        self,
+        angles: dict[str, float],
+        measured: tuple[str, ...],
+        hz: Array,
+        slope: float | Sequence[float] = 30.0,
+        lag: float = 1e-3,
+    ) -> Array:
+        """Acceleration of the measured drives over their torque; dampings are `lag` times the stiffness, friction is viscous."""
+        names, mass, stiff = self.matrices(angles)
+        damping = np.diag([lag * self.stiffness.get(n, 0.0) for n in names])
+        for joint, viscous in zip(measured, np.broadcast_to(slope, len(measured)), strict=True):
+            damping += viscous * np.outer(*2 * [_turning(joint, names)])
         free = [i for i, n in enumerate(names) if not n.endswith(":drive") or n.split(":")[0] in measured]
         drives = np.array([[float(names[i] == f"{j}:drive") for j in measured] for i in free])
         at = np.ix_(free, free)
@@ -66,7 +78,7 @@ class Truth:
 
     def modes(self, angles: dict[str, float], measured: tuple[str, ...], locked: str | None) -> Array:
         """Undamped elastic frequencies, Hz."""
-        names, mass, stiff = self._matrices(angles)
+        names, mass, stiff = self.matrices(angles)
         free = [i for i, n in enumerate(names) if not n.endswith(":drive") or n.split(":")[0] in measured]
         free = [i for i in free if names[i] != f"{locked}:drive"]
         at = np.ix_(free, free)
@@ -74,17 +86,29 @@ class Truth:
         return np.sqrt(squares[len(measured) - (locked is not None) :]) / (2 * np.pi)
 
 
+def _turning(joint: str, names: tuple[str, ...]) -> Array:
+    """What turns a joint behind its gear."""
+    return np.array([float(n in (f"{joint}:drive", f"{joint}:torsion")) for n in names])
+
+
 def measured_response(
-    truth: Truth, rng: np.random.Generator, noise: float, angles: dict[str, float], joints: tuple[str, ...]
+    truth: Truth,
+    rng: np.random.Generator,
+    noise: float,
+    angles: dict[str, float],
+    joints: tuple[str, ...],
+    measured: tuple[str, ...] = MEASURED,
+    slope: float | Sequence[float] = 30.0,
+    lag: float = 1e-3,
 ) -> FrequencyResponse:
     """On the lines of section 6.6.2 from 8 to 78 Hz; each entry's error of that part of its magnitude."""
     hz = np.arange(33, 322, 2) / 4.096
-    clean = truth.response(angles, MEASURED, hz)
+    clean = truth.response(angles, measured, hz, slope, lag)
     size = noise * np.abs(clean)
     drawn = rng.standard_normal((2, *clean.shape)) / np.sqrt(2.0)
-    covariance = (size.reshape(len(hz), -1) ** 2)[:, :, None] * np.eye(9).astype(complex)
+    covariance = (size.reshape(len(hz), -1) ** 2)[:, :, None] * np.eye(len(measured) ** 2).astype(complex)
     pose = np.array([angles.get(j, 0.0) for j in joints])
-    return FrequencyResponse(hz, clean + size * (drawn[0] + 1j * drawn[1]), covariance, MEASURED, pose)
+    return FrequencyResponse(hz, clean + size * (drawn[0] + 1j * drawn[1]), covariance, measured, pose)
 
 
 def truth_of(robot: Robot) -> Truth:
@@ -176,6 +200,19 @@ def heavier(urdf: str, link: str, factor: float) -> str:
     root = ElementTree.fromstring(urdf)
     (mass,) = (m for x in root.findall("link") if x.get("name") == link for m in x.iter("mass"))
     mass.set("value", repr(factor * float(mass.get("value", ""))))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def carrying(urdf: str, link: str, mass: float, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
+    """A URDF with a point mass on a link, at a point of the link's frame, m."""
+    root = ElementTree.fromstring(urdf)
+    load = ElementTree.SubElement(ElementTree.SubElement(root, "link", name="load"), "inertial")
+    ElementTree.SubElement(load, "origin", xyz=" ".join(repr(x) for x in centre))
+    ElementTree.SubElement(load, "mass", value=repr(mass))
+    ElementTree.SubElement(load, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    joint = ElementTree.SubElement(root, "joint", name="load", type="fixed")
+    ElementTree.SubElement(joint, "parent", link=link)
+    ElementTree.SubElement(joint, "child", link="load")
     return ElementTree.tostring(root, encoding="unicode")
 
 

@@ -22,8 +22,9 @@ from modal_generator import (
 )
 
 from rx90b_flex.diagnose.close_flexible import close_response, write_loop
-from rx90b_flex.diagnose.flexible import Structure
-from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, response_of
+from rx90b_flex.diagnose.flexible import CLOSE, FIRST_ERROR, Structure
+from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, response_of, thinned
+from rx90b_flex.effects.coupling import JointCoupling
 from rx90b_flex.robot import load_robot
 
 NOISE = 0.03  # relative, of each entry: as in the trial that PHYSICS.md tells of
@@ -72,6 +73,21 @@ def test_a_hidden_cause_is_named(cause):
     loop = closed(cause, 0)
     assert [f.change.label for f in loop.found] == CAUSES[cause][2]
     assert loop.verdict == ("explained" if loop.found else "nothing_missing")
+
+
+def test_what_is_far_smaller_than_a_search_begins_with_is_seen_at_once():
+    """A fit from there is on its way for more steps than others take; it may not be given up before it has settled."""
+    coupled = JointCoupling(joint_pair=("joint_1", "joint_2"), inertia=0.005, viscous=0.0, coulomb=0.0)
+    truth, rng = truth_of(PLAIN.with_effects([*PLAIN.effects, coupled])), np.random.default_rng(11)
+    responses = [thinned(measured_response(truth, rng, NOISE, a, PLAIN.joints))[0] for a in (STRETCHED, BENT)]
+    structure = Structure.of(PLAIN, MEASURED, [r.pose for r in responses], (8.0, 80.0))
+    residual = ResponseResidual(structure, responses, EXACT)
+    (change,) = (c for c in structure.changes if c.label == coupled.label)
+    assert min(np.exp(change.starts)) > 100 * coupled.inertia
+    without = residual.fit(())
+    for scouted in residual.scouted((change,), residual.begin(without), FIRST_ERROR):
+        assert scouted.deviance < without.deviance - CLOSE
+        assert np.exp(scouted.x[-1]) == pytest.approx(coupled.inertia, rel=0.1)
 
 
 def test_a_pose_that_was_not_fitted_is_predicted_to_its_noise():

@@ -33,7 +33,7 @@ MOST_CHANGES = 6  # more than this describe the table rather than explain it
 FIRST_ERROR = 0.25  # model error that a fit begins with: wide valleys
 FACTOR_STD = 1.0  # of the logarithm: what a declared value may be wrong by
 NEW_STD = 2.0  # of the logarithm of a new value, about those declared of its kind, else about what the band can show
-SCOUTED = 8  # steps from each start before the best are followed
+SCOUTED = 8  # steps from each start, at the least, before the best are followed
 STEPS = 60  # at the most
 CLOSE = 20.0  # deviance: scouted starts and changes this near the best are followed to their end
 
@@ -408,7 +408,7 @@ class Residual(ABC):
         return min(found, key=lambda f: f.deviance)
 
     def scouted(self, changes: tuple[Change, ...], begin: dict[Change, Array] | None, error: float) -> list[Fit]:
-        """A few steps from each start, best first."""
+        """From each start until a step gains little, best first."""
         known = begin or {}
         choices = [np.atleast_2d(known[c]) if c in known else c.starts for c in (*self.nuisance, *changes)]
         starts = [np.concatenate([*start, np.zeros(0)]) for start in itertools.product(*choices)]
@@ -418,8 +418,11 @@ class Residual(ABC):
         """A fit brought to its end."""
         return self._descend(fit.changes, fit.x, fit.model_error, STEPS)
 
-    def _descend(self, changes: tuple[Change, ...], x: Array, error: float, steps: int) -> Fit:
-        """Levenberg-Marquardt on the deviance; the model error shrinks as the fit gets better."""
+    def _descend(self, changes: tuple[Change, ...], x: Array, error: float, least: int) -> Fit:
+        """Levenberg-Marquardt on the deviance; the model error shrinks as the fit gets better.
+
+        After `least` steps one that gains less than `CLOSE` is the last.
+        """
         everything = (*self.nuisance, *changes)
         weight = np.concatenate([*(np.full(c.size, c.std**-2.0) for c in everything), np.zeros(0)])
         centre = np.concatenate([*(c.usual for c in everything), np.zeros(0)])
@@ -430,7 +433,7 @@ class Residual(ABC):
 
         state, value = at(x, error)
         damping, gain = 1e-2, 0.0
-        for _ in range(steps):
+        for count in range(1, STEPS + 1):
             # no faster than by halves: a small error too early fixes a wrong pairing of modes
             next_error = max(state.model_error, 0.5 * error)
             if abs(next_error - error) > 1e-3 * error:
@@ -451,7 +454,7 @@ class Residual(ABC):
             else:
                 damping = 1e-2
             settled = abs(max(state.model_error, 0.5 * error) - error) <= 1e-3 * error
-            if settled and (not moved or gain < 1e-4):
+            if settled and (not moved or gain < (1e-4 if count < least else CLOSE)):
                 break
         curvature = state.information + np.diag(weight)
         covariance: Array = np.asarray(np.linalg.inv(curvature)) if len(x) else np.zeros((0, 0))

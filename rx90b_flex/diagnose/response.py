@@ -47,10 +47,10 @@ def _response(
     s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=np.complex128)
     Z = s**2 * M + s * D + K
     right = np.linalg.solve(Z, drives[None])
+    left = right.transpose(0, 2, 1)  # at rest all but damping has a potential, and that is symmetric too: so is Z
     response: ComplexArray = np.asarray(s**2 * (drives.T @ right))
     if not slopes:
         return response, np.zeros((0, *response.shape), dtype=complex)
-    left = np.linalg.solve(Z.transpose(0, 2, 1), drives[None]).transpose(0, 2, 1)
     out = np.zeros((len(x), *response.shape), dtype=complex)
     for k, patterns in enumerate(by_x):
         for power, pattern in ((4, patterns[0]), (3, patterns[1]), (2, patterns[2])):
@@ -116,6 +116,15 @@ class ResponseResidual(Residual):
     def size(self) -> float:
         return sum(2.0 * r.value.size / m for r, m in zip(self.responses, self._together, strict=True))
 
+    @cached_property
+    def _weights(self) -> list[tuple[Array, Array]]:
+        """Of each response at each model error: what a squared error counts, (E, F*n*n), and the sum of log variances, (E,)."""
+        out = []
+        for own, size in zip(self._variances, self._sizes, strict=True):
+            variance = own.ravel() + (self._errors[:, None] * size.ravel()) ** 2
+            out.append((1.0 / variance, np.asarray(np.log(variance).sum(axis=1))))
+        return out
+
     def _whiteners(self, error: float) -> list[tuple[ComplexArray, float]]:
         """Of each response at a model error: inverse Cholesky factors, and the sum of log determinants."""
         if error not in self._parts:
@@ -133,8 +142,8 @@ class ResponseResidual(Residual):
         error = float(self._errors[np.argmin(np.abs(np.log(self._errors / max(model_error, 1e-9))))])
         deviance, gradient, information = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
         likely = np.zeros(len(self._errors))
-        parts = zip(self.responses, self._whiteners(error), self._variances, self._sizes, self._together, strict=True)
-        for k, (r, (whitener, logs), own, size, many) in enumerate(parts):
+        parts = zip(self.responses, self._whiteners(error), self._weights, self._together, strict=True)
+        for k, (r, (whitener, logs), (weights, log_variances), many) in enumerate(parts):
             model, by_x = _response(self.structure, k, changes, x, r.hz)
             e = (r.value - model).reshape(len(r.hz), -1)
             white = np.einsum("fab,fb->fa", whitener, e).ravel()
@@ -142,9 +151,7 @@ class ResponseResidual(Residual):
             deviance += 2.0 * (logs + float((np.abs(white) ** 2).sum())) / many
             gradient += 2.0 * (slopes.conj() @ white).real / many
             information += 2.0 * (slopes.conj() @ slopes.T).real / many
-            for i, one in enumerate(self._errors):
-                variance = own + (one * size) ** 2
-                likely[i] += float((np.log(variance) + np.abs(e) ** 2 / variance).sum()) / many
+            likely += (log_variances + weights @ np.abs(e.ravel()) ** 2) / many
         return State(deviance, gradient, information, float(self._errors[np.argmin(likely)]))
 
     @cached_property
