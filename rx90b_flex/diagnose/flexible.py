@@ -27,6 +27,7 @@ from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 
 SIGNIFICANCE = 1.0e-3  # of a change, after correction for all that was tried
+PAIRS = 2  # changes that are tried with company where none is sure alone
 MISFIT = 1.0e-3  # probability below which scatter beyond the stated errors is not called chance
 RIVAL = 2.0 * np.log(20.0)  # criterion: a change whose odds against the best are better than 1 to 20 is an alternative
 MOST_CHANGES = 6  # more than this describe the table rather than explain it
@@ -587,10 +588,16 @@ class _Search:
         while len(present.changes) < self.most and self.residual.chance(present) < MISFIT:
             refused = tuple(self._round(present.changes, present))
             best = refused[0]
-            if best.p_value > SIGNIFICANCE or best.criterion > self._criterion(present):
+            if best.p_value <= SIGNIFICANCE and best.criterion <= self._criterion(present):
+                rounds[best.change] = (present, best.fit)
+                present, refused = self._pruned(best.fit), ()
+                continue
+            two = self._two_together(present, refused)
+            if two is None:
                 break
-            rounds[best.change] = (present, best.fit)
-            present, refused = self._pruned(best.fit), ()
+            first, second = two
+            rounds |= {first.change: (present, first.fit), second.change: (first.fit, second.fit)}
+            present, refused = second.fit, ()
         present = self._pruned(self._swapped(present, rounds))
         found = tuple(self._found(present, change, rounds) for change in present.changes)
         chance = self.residual.chance(present)
@@ -598,6 +605,18 @@ class _Search:
             declared, present, found, refused, _verdict(bool(found), chance),
             self.residual.chance(declared), chance, len(self._changes),
         )  # fmt: skip
+
+    def _two_together(self, present: Fit, trials: Sequence[Trial]) -> tuple[Trial, Trial] | None:
+        """Two changes of which none is sure alone, each needed beside the other; None where no two are sure together."""
+        many = len(self._changes)
+        for first in [t for t in trials[:PAIRS] if t.criterion < self._criterion(present)]:
+            second = self._round(first.fit.changes, first.fit)[0]
+            size = first.change.size + second.change.size
+            p_value = 0.5 * many * (many - 1) * self._by_chance(first.gain + second.gain, size, second.fit)
+            worth = p_value <= SIGNIFICANCE and second.criterion < first.criterion
+            if worth and self._pruned(second.fit) is second.fit:
+                return first, second
+        return None
 
     def _round(self, kept: tuple[Change, ...], beside: Fit) -> list[Trial]:
         """Try every change beside `kept`, whose values begin near those of a fit."""
@@ -618,10 +637,14 @@ class _Search:
 
     def _trial(self, change: Change, without: Fit, fit: Fit) -> Trial:
         gain = without.deviance - fit.deviance
+        p_value = min(1.0, len(self._changes) * self._by_chance(gain, change.size, fit))
+        return Trial(change, fit, gain, p_value, self._criterion(fit))
+
+    def _by_chance(self, gain: float, size: int, fit: Fit) -> float:
+        """Probability of such a gain by parameters that mean nothing."""
         # a likelihood ratio of few data is too large: charge it for the parameters already fitted
         fair = max(1.0 - (len(fit.x) + 1) / self.residual.size, 0.1)
-        p_value = min(1.0, len(self._changes) * float(stats.chi2.sf(max(fair * gain, 0.0), change.size)))
-        return Trial(change, fit, gain, p_value, self._criterion(fit))
+        return float(stats.chi2.sf(max(fair * gain, 0.0), size))
 
     def _criterion(self, fit: Fit) -> float:
         chosen, many = len(fit.changes), len(self._changes)
