@@ -107,3 +107,17 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
     """What acts much in one block and little in others differs between held-out blocks without being less sure."""
     found = study.run_case(study.Case("hidden", name, 10.0, 0))
     assert study.right(found), found["found"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pair", "seed"),
+    [("joint_spring+drive_inertia", 0), ("asymmetric_friction+viscous_power_friction", 4), ("asymmetric_friction+joint_spring", 4)],
+)  # fmt: skip
+def test_two_causes_that_hide_each_other_on_one_joint_are_found_together(pair, seed):
+    """Runs of the study that were missed as long as effects were added one at a time."""
+    row = study.run_case(study.Case("pair", pair, 10.0, seed))
+    first, second = row["hidden"]
+    assert first["joints"] == second["joints"]
+    assert study.right(row)
+    assert row["held_out"] < study.NEAR_FLOOR

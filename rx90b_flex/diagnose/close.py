@@ -383,6 +383,13 @@ class _Outcome:
     steps: tuple[_Step, ...]
     refused: tuple[Trial, ...]
 
+    def with_steps(self, *new: _Step) -> tuple[_Step, ...]:
+        """The steps and new ones; what a new effect stands in for is no longer in the model, even if an earlier round added it."""
+        kept = list(self.steps)
+        for step in new:
+            kept = [s for s in kept if added([s.trial.effect], step.trial.effect)[0] is s.trial.effect]
+        return (*kept, *new)
+
 
 @dataclass(frozen=True, eq=False)
 class _Rounds:
@@ -397,7 +404,9 @@ class _Rounds:
     def run(self, declared: Identification, before: RoleErrors) -> _Outcome:
         """Add effects until nothing more is significant, or the noise floor is reached."""
         outcome = _Outcome(declared, before, (), ())
-        while len(outcome.steps) < MOST_EFFECTS and not self._at_floor(outcome):
+        for _ in range(2 * MOST_EFFECTS):  # what is added may be taken out again
+            if len(outcome.steps) >= MOST_EFFECTS or self._at_floor(outcome):
+                break
             model, number = outcome.model, len(outcome.steps)
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
@@ -425,9 +434,7 @@ class _Rounds:
             if errors.identification.relative_error > WORSE * outcome.errors.identification.relative_error:
                 continue  # it helps where rows count, and spoils more where they do not
             rivals = tuple(t for t in trials if t is not best)
-            # what the new effect stands in for is no longer in the model, even if an earlier round added it
-            kept = [s for s in outcome.steps if added([s.trial.effect], best.effect)[0] is s.trial.effect]
-            return self._pruned(_Outcome(candidate, errors, (*kept, _Step(best, rivals, errors)), ()))
+            return self._pruned(_Outcome(candidate, errors, outcome.with_steps(_Step(best, rivals, errors)), ()))
         return None
 
     def _two_together(self, outcome: _Outcome, trials: Sequence[Trial], done: float) -> _Outcome | None:
@@ -454,7 +461,7 @@ class _Rounds:
                 _Step(again, tuple(t for t in trials if t is not first), self.data.errors(half)),
                 _Step(second, tuple(t for t in beside if t is not second), self.data.errors(whole)),
             )
-            return self._pruned(_Outcome(whole, steps[-1].errors, (*outcome.steps, *steps), ()))
+            return self._pruned(_Outcome(whole, steps[-1].errors, outcome.with_steps(*steps), ()))
         return None
 
     def _tell_part(self, text: str, done: float, fraction: float) -> None:
