@@ -131,7 +131,7 @@ def demo(
             result = close_loop(demonstration.write(folder), progress=tell)
             tell("writing the report", 0.98)
             motion = motion_errors(result)
-            write_result(result, folder, [lambda r, at: write_report(r, at / "report.html", motion)], motion)
+            write_result(result, folder, [lambda r, at: write_report(r, at / "report.html", motion)])
             results.append(result)
 
         results: list[object] = []

@@ -293,7 +293,7 @@ def test_close_loop_writes_every_file_and_says_what_it_found(campaign, tmp_path,
     out = tmp_path / "new" / "out"
     found = command("close-loop", campaign, "--out", out)
     assert found.status == 0
-    names = ["closed_loop.json", "prediction_log_2.csv", "report.html", "robot.toml", "robot.urdf"]
+    names = ["closed_loop.json", "motion.json", "prediction_log_2.csv", "report.html", "robot.toml", "robot.urdf"]
     assert sorted(p.name for p in out.iterdir()) == names
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["out"]
     content = json.loads((out / "closed_loop.json").read_text())

@@ -255,6 +255,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
             "relative_error": float,
             "where": [{"joint": str, "signal": str, "score": float}, len(left)],
             "bands": [dict, 0],
+            "cautions": [str, 0],
         },
     }
     assert_form(content, form)
@@ -283,6 +284,7 @@ def test_an_empty_result_has_the_form_of_the_interface_too(nothing):
         "relative_error": content["after"]["validation"]["relative_error"],
         "where": [],
         "bands": [],
+        "cautions": [],
     }
 
 

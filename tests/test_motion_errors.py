@@ -12,7 +12,7 @@ import rx90b_flex as rf
 from rx90b_flex.diagnose import motion
 from rx90b_flex.diagnose.close import _cautions
 from rx90b_flex.diagnose.motion import LONGEST_SLOW_S, MotionErrors, motion_errors
-from rx90b_flex.diagnose.output import closed_loop_json
+from rx90b_flex.diagnose.output import motion_json
 from rx90b_flex.effects import Effect, effect_from_table
 from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.torque_signal import TorqueDelay
@@ -47,7 +47,7 @@ def test_the_simulated_motion_comes_nearer_to_the_log_when_the_spring_is_added(r
     assert errors.motor_after_mrad[2] < errors.motor_before_mrad[2]
     assert errors.link_before_mrad is None and errors.tip_before_mm is None
     assert errors.tip_apart_mm > 0
-    told = closed_loop_json(result, errors)["motion"]
+    told = motion_json(errors)
     assert told["motor_rms_mrad"]["after"] == errors.motor_after_mrad.tolist() and told["tip_rms_mm"] is None
     page = report_html(result, errors)
     assert "Motion in closed loop" in page and "No link side was measured" in page
@@ -67,7 +67,9 @@ def test_hinges_that_the_band_reaches_are_said_to_be_left_out(result):
 def test_without_references_it_is_said_that_no_motion_can_be_compared(result):
     runs = [dataclasses.replace(r, reference_position=None) for r in result.campaign.recordings]
     blind = dataclasses.replace(result, campaign=dataclasses.replace(result.campaign, recordings=tuple(runs)))
-    assert "no references" in str(motion_errors(blind))
+    why = motion_errors(blind)
+    assert isinstance(why, str) and "no references" in why
+    assert motion_json(why) == {"schema": 1, "not_simulated": why}
 
 
 @pytest.mark.slow

@@ -53,7 +53,7 @@ class MotionErrors:
     of_s: float
 
     def as_json(self) -> dict[str, Any]:
-        """The content of ``motion`` in ``closed_loop.json``."""
+        """The content of ``motion.json``, but for its schema."""
 
         def both(before: Array | float | None, after: Array | float | None) -> dict[str, Any] | None:
             if before is None or after is None:

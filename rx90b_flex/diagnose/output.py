@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rx90b_flex.diagnose.motion import MotionErrors
 
 
-def closed_loop_json(result: ClosedLoop, motion: MotionErrors | str | None = None) -> dict[str, Any]:
-    """The content of ``closed_loop.json``, schema 1; `motion` as `rx90b_flex.diagnose.motion.motion_errors` gives it."""
+def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
+    """The content of ``closed_loop.json``, schema 1."""
     return {
         "schema": SCHEMA,
         "robot": result.robot,
@@ -41,10 +41,14 @@ def closed_loop_json(result: ClosedLoop, motion: MotionErrors | str | None = Non
                 {"joint": b.joint, "low_hz": b.low_hz, "high_hz": b.high_hz, "score": b.score}
                 for b in result.unexplained.bands
             ],
+            "cautions": list(result.cautions),
         },
-        "cautions": list(result.cautions),
-        "motion": {"not_simulated": motion} if isinstance(motion, str) else motion and motion.as_json(),
     }
+
+
+def motion_json(motion: MotionErrors | str) -> dict[str, Any]:
+    """The content of ``motion.json``; `motion` as `rx90b_flex.diagnose.motion.motion_errors` gives it."""
+    return {"schema": SCHEMA} | ({"not_simulated": motion} if isinstance(motion, str) else motion.as_json())
 
 
 def _roles(errors: RoleErrors) -> dict[str, Any]:
@@ -134,8 +138,11 @@ def write_result(
     folder = Path(folder)
 
     def fill(at: Path) -> None:
-        text = json.dumps(closed_loop_json(result, motion), indent=2, allow_nan=False)
-        (at / "closed_loop.json").write_text(text + "\n", encoding="utf-8")
+        contents = {"closed_loop.json": closed_loop_json(result)}
+        if motion is not None:
+            contents["motion.json"] = motion_json(motion)
+        for name, content in contents.items():
+            (at / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         for prediction in result.predictions:
             name = f"prediction_{prediction.recording.name}.csv"
             (at / name).write_text(prediction_table(prediction), encoding="utf-8")
