@@ -65,7 +65,7 @@ def close_loop_command(
         _close_over_frequency(campaign, out, robot, model_error)
         return
     for name, value in (("--robot", robot), ("--model-error", model_error)):
-        if value is not None:
+        if value is not None and campaign.exists():  # what is not there is said to be missing, further on
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.motion import motion_errors
