@@ -89,9 +89,11 @@ def test_a_folder_of_frequency_responses_is_closed(folder, monkeypatch, capsys):
         ("broken.toml", [], "broken.toml: pose 1: unknown key 'resonances'; did you mean 'resonance'?"),
         ("frf", ["--robot", "rx90b_3dof"], "a pose has shape (6,); expected 3 angles of rx90b_3dof"),
         ("campaign.toml", ["--robot", "rx90b"], "--robot goes with a modal table"),
+        ("missing.toml", ["--robot", "rx90b"], "missing.toml: no such file"),
     ],
 )
 def test_bad_input_is_one_line_status_2_and_nothing_written(folder, monkeypatch, capsys, source, options, message):
+    (folder / "campaign.toml").write_text('robot = "rx90b"\nsample_rate_hz = 500.0\n')
     (folder / "broken.toml").write_text((folder / "modes.toml").read_text().replace("resonance =", "resonances =", 1))
     assert run(monkeypatch, folder / source, "--out", folder / "out", *options) == 2
     error = capsys.readouterr().err.strip()
