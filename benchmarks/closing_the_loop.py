@@ -657,19 +657,27 @@ def continued(
     return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def command(
+    doc: str | None,
+    studies: Sequence[str],
+    types: Sequence[str],
+    cases: Callable[[Sequence[str], Sequence[str], Sequence[float], int], Iterator[Case]],
+    run: Callable[[Case], dict[str, Any]],
+    table: Callable[[Sequence[Mapping[str, Any]]], str],
+) -> None:
+    """A study as a command: its runs, kept and continued in a file, and its table."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="file of results, one JSON line a run; it is continued")
     parser.add_argument("--table", type=Path, help="file for the table, Markdown")
-    parser.add_argument("--studies", nargs="+", default=["hidden", "pair", "outside", "nothing"])
-    parser.add_argument("--types", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--studies", nargs="+", default=list(studies), choices=list(studies))
+    parser.add_argument("--types", nargs="+", default=list(types), choices=list(types))
     parser.add_argument("--strengths", nargs="+", type=float, default=list(STRENGTHS))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--limit", type=int, default=10**9, help="runs at most, this time")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
     every = cases(options.studies, options.types, options.strengths, options.seeds)
-    rows = continued(options.out, every, run_case, options.limit, options.jobs)
+    rows = continued(options.out, every, run, options.limit, options.jobs)
     text = table(rows)
     print(text)
     if options.table:
@@ -677,4 +685,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(__doc__, ("hidden", "pair", "outside", "nothing"), tuple(KINDS), cases, run_case, table)

@@ -17,7 +17,6 @@ One seed is one run. Finished runs are kept in the file, whole lines, and not ru
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import os
@@ -32,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
-from closing_the_loop import DEVIATIONS, NEAR_FLOOR, Case, continued, hidden_table, left_out, rate
+from closing_the_loop import DEVIATIONS, NEAR_FLOOR, Case, command, hidden_table, left_out, rate
 from modal_generator import Truth, carrying, heavier, measured_response, truth_of, without_springs
 
 import rx90b_flex as rf
@@ -49,7 +48,6 @@ EXACT = 1e-3  # model error that is allowed for: the responses are those of a li
 LAG_S = 1e-3  # damping over stiffness, as declared
 FITTED = 2  # poses; the third is held out
 SHAKE, WRIST, TURN = 0.2, 0.5, 1.0  # rad, by which drawn angles differ from those below; of other joints; of the first
-STRENGTHS = (1.0, 3.0, 10.0)
 NEAR = 0.1  # of the strength: how well it is met
 OFF_FRAME = 0.1  # m from the tip frame's origin to a payload that is not there
 
@@ -580,24 +578,5 @@ def cases(studies: Sequence[str], types: Sequence[str], strengths: Sequence[floa
             yield from (Case("hidden", name, strength, seed) for name in types)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="file of results, one JSON line a run; it is continued")
-    parser.add_argument("--table", type=Path, help="file for the table, Markdown")
-    parser.add_argument("--studies", nargs="+", default=["hidden", "outside", "nothing"])
-    parser.add_argument("--types", nargs="+", default=list(KINDS), choices=list(KINDS))
-    parser.add_argument("--strengths", nargs="+", type=float, default=list(STRENGTHS))
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--limit", type=int, default=10**9, help="runs at most, this time")
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    every = cases(options.studies, options.types, options.strengths, options.seeds)
-    rows = continued(options.out, every, run_case, options.limit, options.jobs)
-    text = table(rows)
-    print(text)
-    if options.table:
-        options.table.write_text(text)
-
-
 if __name__ == "__main__":
-    main()
+    command(__doc__, ("hidden", "outside", "nothing"), tuple(KINDS), cases, run_case, table)

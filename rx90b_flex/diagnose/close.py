@@ -337,21 +337,30 @@ def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
     hinges = [e for e in robot.effects if e.virtual]
     if not hinges:
         return ()
+    left_out = (
+        f"The {len(hinges)} hinges that {robot.name} declares are left out: torques over time are held against its rigid "
+        "tree. "
+    )
+    loads = [e for e in robot.effects if e.part == "links" and _has_values(e)]
+    if not all(_has_values(e) for e in hinges):
+        return (f"{left_out}Not all of them have a value, so it is not known from which frequency on they bend.",)
     column = {joint: i for i, joint in enumerate(campaign.joints)}
     angles = np.concatenate([r.position for r in campaign.identification]).mean(axis=0)
     pose = np.array([angles[column[j]] if j in column else 0.0 for j in robot.joints])
-    small = robot.with_effects([e for e in robot.effects if e.part in ("links", "drives", "flexibility")])
-    linear = small.linearize(small.input_matrix @ pose)
-    first = float(linear.with_drives_locked_hz()[0])
+    small = robot.with_effects([*hinges, *loads])  # what sits on the drives does not move with them locked
+    first = float(small.linearize(small.input_matrix @ pose).with_drives_locked_hz()[0])
     top = campaign.cutoff_hz or campaign.sample_rate_hz / 2
     if top <= RIGID_BAND * first:
         return ()
     return (
-        f"The {len(hinges)} hinges that {robot.name} declares are left out: torques over time are held against its rigid tree. "
-        f"They bend from about a third of {first:.2g} Hz, where its links first swing with all drives held, and this campaign keeps "
-        f"what is below {top:.3g} Hz. What they do in between may be given another name, such as a delay; a low-pass at "
-        f"{RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
+        f"{left_out}They bend from about a third of {first:.2g} Hz, where its links first swing with all drives held, and "
+        f"this campaign keeps what is below {top:.3g} Hz. What they do in between may be given another name, such as a delay; "
+        f"a low-pass at {RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
     )
+
+
+def _has_values(effect: Effect) -> bool:
+    return not np.isnan(np.concatenate([effect.coefficients, effect.shape])).any()
 
 
 def _check_joints(campaign: Campaign, robot: Robot) -> None:
