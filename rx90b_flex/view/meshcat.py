@@ -35,6 +35,7 @@ from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.view import scene
 from rx90b_flex.view.page import template, write_text
+from rx90b_flex.view.server import start_server
 
 MAGNIFY = 100.0
 LARGEST_FRAMES = 800  # of an animation; longer runs take fewer a second
@@ -183,9 +184,14 @@ class View:
         return path
 
     def serve(self) -> meshcat.Visualizer:
-        """Start meshcat's server with this scene; it ends with this process. `.url()` of what is returned is its page."""
+        """Start meshcat's server with this scene, for this machine alone; it ends with this process.
+
+        `.url()` of what is returned is its page.
+        """
+        process, address = start_server()
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its address; whoever calls decides on that
-            visualizer = meshcat.Visualizer()
+            visualizer = meshcat.Visualizer(zmq_url=address)
+        visualizer.window.server_proc = process
         for command in self.commands:
             window = visualizer.window
             window.zmq_socket.send_multipart([command.kind.encode(), command.path.encode(), command.packed])
