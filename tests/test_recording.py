@@ -253,7 +253,7 @@ def test_a_motor_table_without_offset_has_none(write: Write) -> None:
     ("old", "new", "expected"),
     [
         ("robot =", "robots =", "'robots': unknown key (did you mean 'robot'?); allowed here: robot, sample_rate_hz"),
-        ("torque =", "torques =", "[signals] 'torques': unknown key (did you mean 'torque'?)"),
+        ("torque =", "torques =", "[signals] 'torques': unknown key (did you mean 'torque' or 'joint_torque'?)"),
         ("role =", "start = 1\nrole =", "[[recording]] 1 'start': unknown key (did you mean 'start_s'?)"),
         ("[[recording]]", "[preprocessing]\ncutoff = 3\n[[recording]]", "[preprocessing] 'cutoff': unknown key"),
         ("[[recording]]", "[motor]\noffset = [0.0, 0.0]\n[[recording]]", "[motor] gear_matrix: missing"),

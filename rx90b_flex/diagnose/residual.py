@@ -88,13 +88,13 @@ class Replay:
         return self.robot.link_regressor(self.stretch.motion) if size < KEPT_BYTES else None
 
     def predict(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
-        """Torque of a model on this recording's motion, after the low-pass; shape (N, joints), N m."""
+        """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
         motion = self.stretch.motion
         out = np.empty_like(motion.q)
         step = CHUNK if self._regressor is None else len(motion)
         for at in range(0, len(motion), step):
             part = motion if step >= len(motion) else motion.part(slice(at, at + step))
-            seen = self.robot.on_links(part, link_parameters, self._regressor, effects)
+            seen = self.robot.on_links(part, self.stretch.loaded(link_parameters), self._regressor, effects)
             force = np.array(seen.on_tree.load())
             for effect in (e for e in effects if e.in_dynamics):
                 factors = effect.factors(seen)

@@ -306,7 +306,9 @@ def _predictions(
         stretch = prepare(rigid, recording, cutoff_hz, thin=False)
         seen = stretch.motion
         motion = own.motion(seen.q, seen.v, seen.a, seen.time)
-        force = own.link_torque(motion)
+        if stretch.carried is not None:
+            motion = own.on_links(motion, stretch.loaded(own.link_parameters))
+        force = np.array(motion.on_tree.load())
         for effect in own.effects:
             force = force + effect.force(motion)
         out.append(Prediction(recording, stretch.torque, stretch.brought(force[:, rows])))

@@ -13,6 +13,7 @@ import numpy as np
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import JointEffect, PairEffect
 from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
     Recording,
@@ -59,6 +60,8 @@ class Stretch:
         The fit keeps every `factor`-th sample of the working rate, which keeps every `working_factor`-th of the log.
     kept : slice
         Part of the fit's samples that is away from the ends.
+    carried : array, shape (10 * bodies,), or None
+        What a known payload adds to the links' inertial parameters in this recording.
     """
 
     recording: Recording
@@ -70,6 +73,7 @@ class Stretch:
     factor: int
     working_factor: int
     kept: slice
+    carried: Array | None = None
 
     def brought(self, columns: Array) -> Array:
         """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
@@ -86,6 +90,10 @@ class Stretch:
         velocity = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
         order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
         return np.asarray(velocity[:: self.working_factor][:, order])
+
+    def loaded(self, link_parameters: Array) -> Array:
+        """Inertial parameters of the links with what this recording carries, shape (10 * bodies,)."""
+        return link_parameters if self.carried is None else link_parameters + self.carried
 
     @cached_property
     def sampled(self) -> Motion:
@@ -150,6 +158,7 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         factor,
         working,
         kept,
+        None if recording.payload is None else carried_parameters(robot, recording.payload),
     )
 
 
@@ -198,8 +207,11 @@ class Regression:
 
     @cached_property
     def torque(self) -> Array:
-        """Measured torque, shape (N, joints), N m."""
+        """Measured torque less what known payloads take, shape (N, joints), N m."""
         torque = np.concatenate([s.torque for s in self.stretches])
+        for span, stretch in zip(self.spans, self.stretches, strict=True):
+            if stretch.carried is not None:
+                torque[span] -= self._untouched_links[span] @ stretch.carried
         return torque if self.trust is None else torque * self.trust
 
     @cached_property
@@ -299,7 +311,7 @@ class Regression:
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
         """The same regression, in which effects see a model: the tree with these link parameters and these effects."""
         stretches = tuple(
-            dataclasses.replace(s, motion=self.robot.on_links(s.motion, link_parameters, effects=effects))
+            dataclasses.replace(s, motion=self.robot.on_links(s.motion, s.loaded(link_parameters), effects=effects))
             for s in self.stretches
         )
         other = self._sharing(dataclasses.replace(self, stretches=stretches))

@@ -8,15 +8,22 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.signals import tables
+from rx90b_flex.signals.section import Section
+from rx90b_flex.signals.stated import (
+    FlangeLoad,
+    flange_load_toml,
+    read_flange_load,
+    read_torque_constants,
+)
 
 Array = NDArray[np.float64]
 Role = Literal["identification", "validation"]
@@ -30,7 +37,7 @@ class _Signal:
     key: str
     field: str
     prefix: str
-    kind: Literal["angle", "velocity", "torque"]
+    kind: Literal["angle", "velocity", "torque", "current"]
     always_joint_side: bool = False
 
 
@@ -42,8 +49,10 @@ _SIGNALS = (
     _Signal("reference_position", "reference_position", "ref", "angle"),
     _Signal("reference_velocity", "reference_velocity", "refv", "velocity"),
     _Signal("feedforward_torque", "feedforward_torque", "ff", "torque"),
+    _Signal("joint_torque", "joint_torque", "jtau", "torque", always_joint_side=True),
+    _Signal("motor_current", "motor_current", "i", "current", always_joint_side=True),
 )
-_REQUIRED = ("motor_position", "torque")
+_REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
 _OTHER_UNIT = re.compile(
@@ -69,6 +78,9 @@ class Recording:
     link_position : (N, n) rad, measured behind the gears (`joint_angle`), or None.
     reference_position, reference_velocity : (N, n) rad and rad/s, what the controller was asked for, or None.
     feedforward_torque : (N, n) N m, added to the controller's torque, or None.
+    joint_torque : (N, n) N m, of torque sensors behind the gears, or None.
+    motor_current : (N, n) A, or None.
+    payload : known mass on the flange, or None.
     period_s : s, the excitation's period, a whole number of samples; None where it does not repeat.
     source : the file it came from.
 
@@ -90,6 +102,9 @@ class Recording:
     reference_position: Array | None = None
     reference_velocity: Array | None = None
     feedforward_torque: Array | None = None
+    joint_torque: Array | None = None
+    motor_current: Array | None = None
+    payload: FlangeLoad | None = None
     period_s: float | None = None
     source: Path | None = None
 
@@ -148,6 +163,8 @@ class Campaign:
     cutoff_hz : Hz, zero-phase low-pass that the user asks for on every signal, or None. Not yet applied.
     noise_torque : n values, N m, joint side, 0 or more: stated RMS of the torque sensors' noise (`[noise] torque_rms`),
         or None.
+    torque_constants : n values, N m/A at the joint, where torques come from currents, else None; None for one that is left out:
+        the torque of that joint stands in A until the constant is identified.
     """
 
     path: Path
@@ -158,6 +175,7 @@ class Campaign:
     recordings: tuple[Recording, ...]
     cutoff_hz: float | None = None
     noise_torque: tuple[float, ...] | None = None
+    torque_constants: tuple[float | None, ...] | None = None
 
     @property
     def identification(self) -> tuple[Recording, ...]:
@@ -175,7 +193,8 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
 
     With a `[motor]` table: motor angle = gear_matrix @ (joint angle - offset), joint torque = gear_matrix.T @ motor
     torque; velocities likewise without the offset. References and feed-forward torque are motor side as well then;
-    `link_position` never is. A data file used by several recordings is read once, only the columns needed.
+    `link_position`, `joint_torque` and `motor_current` never are; where there is a current and no torque, the torque is
+    ``torque_constant * motor_current``. A data file used by several recordings is read once, only the columns needed.
 
     Raises
     ------
@@ -186,7 +205,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     path = Path(path)
     text = _read_text(path)
     try:
-        root = _Section(str(path), "", tomllib.loads(text))
+        root = Section(str(path), "", tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{path}: not a TOML file: {tables.one_line(error)}") from error
     layout = _read_layout(root)
@@ -222,12 +241,13 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         recordings=tuple(recordings),
         cutoff_hz=layout.cutoff_hz,
         noise_torque=layout.noise_torque,
+        torque_constants=layout.torque_constants,
     )
 
 
 def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write one recording as .parquet, .csv or .csv.gz: `time` and joint-side columns named `q_<joint>`, `tau_<joint>`,
-    and, for the optional signals there are, `v_`, `link_`, `ref_`, `refv_` and `ff_<joint>`.
+    and, for the optional signals there are, `v_`, `link_`, `ref_`, `refv_`, `ff_`, `jtau_` and `i_<joint>`.
 
     Every format reads back the same numbers. The file appears whole or not at all.
     """
@@ -297,96 +317,14 @@ def write_campaign(
         lines += ["", "[[recording]]", f"file = {_toml(file)}", f"role = {_toml(recording.role)}"]
         if recording.period_s is not None:
             lines.append(f"period_s = {_toml(recording.period_s)}")
+        if recording.payload is not None:
+            lines.append(f"payload = {flange_load_toml(recording.payload)}")
     campaign = directory / "campaign.toml"
     tables.write_whole(campaign, lambda temporary: _write_text(temporary, "\n".join(lines) + "\n"))
     return campaign
 
 
 # --- the campaign file -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Section:
-    """A table of the campaign file whose values are asked for by key and type; every error names file and key."""
-
-    file: str
-    name: str
-    values: Mapping[str, Any]
-
-    def problem(self, key: str, what: str) -> ValueError:
-        where = f"{self.name} {key}" if self.name else key
-        return ValueError(f"{self.file}: {where}: {what}")
-
-    def allow(self, *keys: str) -> None:
-        for key in self.values:
-            if key not in keys:
-                hint = tables.suggestion(key, keys)
-                raise self.problem(repr(key), f"unknown key{hint}; allowed here: {', '.join(keys)}")
-
-    def has(self, key: str) -> bool:
-        return key in self.values
-
-    def _get(self, key: str) -> Any:
-        if key not in self.values:
-            raise self.problem(key, "missing")
-        return self.values[key]
-
-    def text(self, key: str) -> str:
-        value = self._get(key)
-        if not isinstance(value, str) or not value.strip():
-            raise self.problem(key, f"found {_shown(value)}, a text is expected")
-        return value
-
-    def number(self, key: str) -> float:
-        return self._number(key, self._get(key))
-
-    def positive(self, key: str) -> float:
-        value = self.number(key)
-        if value <= 0.0:
-            raise self.problem(key, f"found {value:g}, a number above 0 is expected")
-        return value
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        value = self._get(key)
-        if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
-            raise self.problem(key, f"found {_shown(value)}, a list of texts is expected")
-        return tuple(value)
-
-    def numbers(self, key: str, count: int) -> Array:
-        value = self._get(key)
-        if not isinstance(value, list):
-            raise self.problem(key, f"found {_shown(value)}, a list of {count} numbers is expected")
-        if len(value) != count:
-            raise self.problem(key, f"lists {len(value)} values, joints lists {count}")
-        return np.array([self._number(key, item) for item in value])
-
-    def square(self, key: str, count: int) -> Array:
-        value = self._get(key)
-        expected = f"{count} rows of {count} numbers, one a joint, are expected"
-        if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
-            raise self.problem(key, f"found {_shown(value)}, {expected}")
-        lengths = [len(row) for row in value]
-        if lengths != [count] * count:
-            found = "/".join(str(length) for length in sorted(set(lengths)))
-            raise self.problem(key, f"has {len(value)} rows of {found} numbers, {expected}")
-        return np.array([[self._number(key, item) for item in row] for row in value])
-
-    def section(self, key: str) -> _Section:
-        value = self._get(key)
-        if not isinstance(value, dict):
-            raise self.problem(key, f"found {_shown(value)}, a table [{key}] is expected")
-        return _Section(self.file, f"[{key}]", value)
-
-    def sections(self, key: str) -> list[_Section]:
-        value = self._get(key)
-        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
-            raise self.problem(key, f"found {_shown(value)}, tables [[{key}]] are expected")
-        return [_Section(self.file, f"[[{key}]] {index + 1}", item) for index, item in enumerate(value)]
-
-    def _number(self, key: str, value: object) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.problem(key, f"found {_shown(value)}, a finite number is expected")
-        return float(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,21 +339,23 @@ class _Layout:
     offset: Array
     cutoff_hz: float | None
     noise_torque: tuple[float, ...] | None
+    torque_constants: tuple[float | None, ...] | None
 
 
 @dataclass(frozen=True)
 class _Entry:
     """One [[recording]]."""
 
-    where: _Section
+    where: Section
     file: Path
     role: Role
     start_s: float | None
     end_s: float | None
     period_s: float | None
+    payload: FlangeLoad | None
 
 
-def _read_layout(root: _Section) -> _Layout:
+def _read_layout(root: Section) -> _Layout:
     root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "recording")
     rate = root.positive("sample_rate_hz")
     joints = root.texts("joints")
@@ -426,8 +366,9 @@ def _read_layout(root: _Section) -> _Layout:
     signals.allow(*(item.key for item in _SIGNALS))
     columns: dict[str, tuple[str, ...]] = {}
     used: dict[str, str] = {}
+    from_current = signals.has("motor_current") and not signals.has("torque")
     for item in _SIGNALS:
-        if item.key not in _REQUIRED and not signals.has(item.key):
+        if not signals.has(item.key) and (item.key not in _REQUIRED or (item.key == "torque" and from_current)):
             continue
         names = signals.texts(item.key)
         if len(names) != count:
@@ -443,17 +384,7 @@ def _read_layout(root: _Section) -> _Layout:
             used[name] = item.key
         columns[item.key] = names
 
-    gear_matrix, offset = None, np.zeros(count)
-    if root.has("motor"):
-        motor = root.section("motor")
-        motor.allow("gear_matrix", "offset")
-        gear_matrix = motor.square("gear_matrix", count)
-        # rows are scaled first, for ratios of very different size are no trouble
-        sizes = np.linalg.norm(gear_matrix, axis=1, keepdims=True)
-        if np.any(sizes == 0.0) or np.linalg.cond(gear_matrix / sizes) > 1e10:
-            raise motor.problem("gear_matrix", "is singular; joint angles cannot be found from motor angles")
-        if motor.has("offset"):
-            offset = motor.numbers("offset", count)
+    gear_matrix, offset, constants = _read_motor(root, joints, signals.has("motor_current"), from_current)
 
     cutoff = None
     if root.has("preprocessing"):
@@ -473,11 +404,33 @@ def _read_layout(root: _Section) -> _Layout:
         if np.any(values < 0.0):
             raise section.problem("torque_rms", f"found {float(values.min()):g}, numbers of 0 or more are expected")
         noise = tuple(float(value) for value in values)
-    return _Layout(root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise)
+    return _Layout(root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants)
 
 
-def _read_entry(section: _Section, campaign: Path, layout: _Layout) -> _Entry:
-    section.allow("file", "role", "start_s", "end_s", "period_s")
+def _read_motor(
+    root: Section, joints: Sequence[str], has_current: bool, from_current: bool
+) -> tuple[Array | None, Array, tuple[float | None, ...] | None]:
+    """Gear matrix, offset and torque constants; the constants None where the torque does not come from currents."""
+    count = len(joints)
+    motor = root.section("motor") if root.has("motor") else Section(root.file, "[motor]", {})
+    motor.allow("gear_matrix", "offset", "torque_constant")
+    if motor.has("torque_constant") and not has_current:
+        raise motor.problem("torque_constant", "there is no [signals] motor_current that it belongs to")
+    constants = read_torque_constants(motor, joints)
+    gear_matrix, offset = None, np.zeros(count)
+    if motor.has("gear_matrix") or motor.has("offset") or (root.has("motor") and not motor.has("torque_constant")):
+        gear_matrix = motor.square("gear_matrix", count)
+        # rows are scaled first, for ratios of very different size are no trouble
+        sizes = np.linalg.norm(gear_matrix, axis=1, keepdims=True)
+        if np.any(sizes == 0.0) or np.linalg.cond(gear_matrix / sizes) > 1e10:
+            raise motor.problem("gear_matrix", "is singular; joint angles cannot be found from motor angles")
+        if motor.has("offset"):
+            offset = motor.numbers("offset", count)
+    return gear_matrix, offset, constants if from_current else None
+
+
+def _read_entry(section: Section, campaign: Path, layout: _Layout) -> _Entry:
+    section.allow("file", "role", "start_s", "end_s", "period_s", "payload")
     file = campaign.parent / section.text("file")
     try:
         tables.extension_of(file)
@@ -497,7 +450,7 @@ def _read_entry(section: _Section, campaign: Path, layout: _Layout) -> _Entry:
         problem = _period_problem(period, layout.sample_rate_hz, None)
         if problem:
             raise section.problem("period_s", f"{period!r} {problem}")
-    return _Entry(section, file, role, start, end, period)
+    return _Entry(section, file, role, start, end, period, read_flange_load(section))
 
 
 def _period_problem(period_s: float, rate: float, samples: int | None) -> str | None:
@@ -512,15 +465,10 @@ def _period_problem(period_s: float, rate: float, samples: int | None) -> str | 
     return None
 
 
-def _refuse_repeats(section: _Section, key: str, names: Sequence[str]) -> None:
+def _refuse_repeats(section: Section, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise section.problem(key, f"{name!r} is listed {names.count(name)} times")
-
-
-def _shown(value: object) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _read_text(path: Path) -> str:
@@ -567,6 +515,8 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         if item.kind == "angle":
             _check_angles(table.path, names, joint_side, item, layout)
         values[item.field] = joint_side
+    if layout.torque_constants is not None:
+        values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.torque_constants])
     if entry.period_s is not None:
         problem = _period_problem(entry.period_s, rate, last - first)
         if problem:
@@ -584,6 +534,9 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         reference_position=values.get("reference_position"),
         reference_velocity=values.get("reference_velocity"),
         feedforward_torque=values.get("feedforward_torque"),
+        joint_torque=values.get("joint_torque"),
+        motor_current=values.get("motor_current"),
+        payload=entry.payload,
         period_s=entry.period_s,
         source=table.path,
     )

@@ -1,0 +1,39 @@
+"""What a known payload adds to the inertial parameters of the links."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals.stated import FlangeLoad
+
+
+def carried_parameters(robot: Robot, load: FlangeLoad) -> Array:
+    """Change of a robot's link parameters by a point mass that is known, shape (10 * bodies,).
+
+    A mass fixed to the tip frame is part of the link that the frame belongs to; the dynamics are linear in that link's ten
+    parameters (3.47 to 3.52), so its torque in a recording is ``regressor @ carried_parameters``, with nothing to identify.
+
+    Parameters
+    ----------
+    robot : Robot
+        Rigid; the load's centre is given in its tip frame.
+    load : FlangeLoad
+
+    Raises
+    ------
+    ValueError
+        No joint moves the tip frame, so the load does not show in any torque.
+    """
+    frame = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
+    places = [i for i, (_, joint) in enumerate(robot.bodies) if joint == frame.parentJoint]
+    if not places:
+        raise ValueError(f"payload: no joint of {robot.name} moves its tip frame {robot.tip_frame!r}")
+    centre = frame.placement.act(np.array(load.centre))
+    x, y, z = (float(c) for c in centre)
+    out = np.zeros(10 * len(robot.bodies))
+    out[10 * places[0] : 10 * places[0] + 10] = dataclasses.replace(load, centre=(x, y, z)).body()
+    return out

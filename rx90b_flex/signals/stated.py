@@ -1,0 +1,103 @@
+"""What a campaign file states beside its signals: torque constants of the motors, and what was on the flange."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90b_flex.signals import tables
+from rx90b_flex.signals.section import Section, shown
+
+# A list in a TOML file holds no gaps, but it may hold this.
+LEFT_OUT = "nan"
+
+
+@dataclass(frozen=True)
+class FlangeLoad:
+    """A known point mass on the flange during a recording.
+
+    Attributes
+    ----------
+    mass : kg, above 0.
+    centre : (x, y, z), m, in the robot's tip frame.
+    """
+
+    mass: float
+    centre: tuple[float, float, float]
+
+    def body(self) -> NDArray[np.float64]:
+        """Ten inertial parameters about the tip frame, in the order m, m c (3), J (xx, yy, zz, xy, xz, yz); shape (10,)."""
+        c = np.array(self.centre)
+        inertia = c @ c * np.eye(3) - np.outer(c, c)
+        return self.mass * np.r_[1.0, c, inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+
+
+def read_torque_constants(motor: Section, joints: Sequence[str]) -> tuple[float | None, ...]:
+    """`torque_constant` of a [motor] table, N m/A at the joint, one a joint; None for a value that is left out.
+
+    Either a list with a value a joint, `nan` where it is left out, or a table ``{ joint = value }`` of those that are known; without
+    the key none is.
+
+    Raises
+    ------
+    ValueError
+        One line that names file and key, what was found and what is expected.
+    """
+    key = "torque_constant"
+    if not motor.has(key):
+        return (None,) * len(joints)
+    found = motor.values[key]
+    if isinstance(found, dict):
+        for name in found:
+            if name not in joints:
+                raise motor.problem(key, f"unknown joint {name!r}{tables.suggestion(name, joints)}")
+        return tuple(_constant(motor, key, found.get(joint)) for joint in joints)
+    if not isinstance(found, list):
+        raise motor.problem(
+            key, f"found {shown(found)}, a list of {len(joints)} numbers or a table by joint is expected"
+        )
+    if len(found) != len(joints):
+        raise motor.problem(key, f"lists {len(found)} values, joints lists {len(joints)}")
+    return tuple(_constant(motor, key, value) for value in found)
+
+
+def _constant(motor: Section, key: str, value: object) -> float | None:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return None
+    number = motor.finite(key, value)
+    if number == 0.0:
+        raise motor.problem(key, f"found 0, another number, or {LEFT_OUT} for one to be identified, is expected")
+    return number
+
+
+def read_flange_load(entry: Section) -> FlangeLoad | None:
+    """`payload = { mass = 2.6, centre = [0.0, 0.0, 0.05] }` of a [[recording]], kg and m in the tip frame; None where it has none.
+
+    Raises
+    ------
+    ValueError
+        One line that names file, recording and key, what was found and what is expected.
+    """
+    if not entry.has("payload"):
+        return None
+    expected = "{ mass = kg, centre = [x, y, z] } is expected"
+    found = entry.values["payload"]
+    if not isinstance(found, dict):
+        raise entry.problem("payload", f"found {shown(found)}, {expected}")
+    inside = Section(entry.file, f"{entry.name} payload", found)
+    inside.allow("mass", "centre")
+    centre = found.get("centre")
+    if not isinstance(centre, list) or len(centre) != 3:
+        text = "missing" if centre is None else f"found {shown(centre)}"
+        raise inside.problem("centre", f"{text}; three numbers, m in the tip frame, are expected")
+    x, y, z = (inside.finite("centre", value) for value in centre)
+    return FlangeLoad(inside.positive("mass"), (x, y, z))
+
+
+def flange_load_toml(load: FlangeLoad) -> str:
+    """A payload as `read_flange_load` reads it back."""
+    return f"{{ mass = {load.mass!r}, centre = [{', '.join(repr(float(x)) for x in load.centre)}] }}"
