@@ -31,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
-from closing_the_loop import DEVIATIONS, NEAR_FLOOR, Case, command, hidden_table, left_out, rate
+from hidden_effects.counting import DEVIATIONS, NEAR_FLOOR, Case, command, hidden_table, left_out, rate
 from modal_generator import Truth, carrying, heavier, measured_response, truth_of, without_springs
 
 import rx90b_flex as rf
