@@ -119,20 +119,20 @@ class Scene:
         return Campaign(Path(name), robot, robot, RATE_HZ, self.joints, self.recordings(hidden), CUTOFF_HZ, None)
 
 
-def coloured(rng: np.random.Generator, size: tuple[int, int], colour: str) -> Array:
+def coloured(rng: np.random.Generator, size: tuple[int, int], colour: str, rate_hz: float = RATE_HZ) -> Array:
     """Noise of unit variance after the low-pass, white or first-order autoregressive, (N, n)."""
     memory = MEMORY if colour == "ar" else 0.0
-    hz = np.linspace(0.0, RATE_HZ / 2, 2001)
-    density = (1 - memory**2) / np.abs(1 - memory * np.exp(-2j * np.pi * hz / RATE_HZ)) ** 2
-    kept = float((density * lowpass_gain(hz) ** 2).mean())
+    hz = np.linspace(0.0, rate_hz / 2, 2001)
+    density = (1 - memory**2) / np.abs(1 - memory * np.exp(-2j * np.pi * hz / rate_hz)) ** 2
+    kept = float((density * lowpass_gain(hz, rate_hz) ** 2).mean())
     driven = rng.normal(size=(size[0] + 400, size[1])) * np.sqrt(1 - memory**2)
     return np.asarray(signal.lfilter([1.0], [1.0, -memory], driven, axis=0)[400:] / np.sqrt(kept))
 
 
-def lowpass_gain(hz: Array) -> Array:
+def lowpass_gain(hz: Array, rate_hz: float = RATE_HZ) -> Array:
     """Of INTERFACE.md's zero-phase low-pass: a Butterworth filter of fourth order, forward and backward."""
-    sos = signal.butter(4, CUTOFF_HZ, fs=RATE_HZ, output="sos")
-    return np.asarray(np.abs(signal.sosfreqz(sos, np.minimum(hz, 0.4999 * RATE_HZ), fs=RATE_HZ)[1]) ** 2)
+    sos = signal.butter(4, CUTOFF_HZ, fs=rate_hz, output="sos")
+    return np.asarray(np.abs(signal.sosfreqz(sos, np.minimum(hz, 0.4999 * rate_hz), fs=rate_hz)[1]) ** 2)
 
 
 def lowpassed(x: Array) -> Array:
