@@ -1,6 +1,6 @@
 """How often 95 % intervals of identified parameters hold the truth, under white and under coloured noise
 
-    python benchmarks/coverage.py [--draws 200] [--arms ur10 panda] [--rates 250 100] [--periods 2 1] [--forms tanh_10]
+    python benchmarks/interval_coverage.py [--draws 200] [--arms ur10 panda] [--rates 250 100] [--periods 2 1] [--forms tanh_10]
 
 Nothing is hidden: links and declared friction are identified, two recordings of whole periods of 10 s, the same motion in all
 draws, with noise of its own on the torques in each. Data of `hidden_effects/`, made without the package. Prints, for each
