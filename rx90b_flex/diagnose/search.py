@@ -18,6 +18,7 @@ from rx90b_flex.identify.least_squares import (
     Identification,
     NormalEquations,
     absorbed_each,
+    shared_values,
     solve_weighted,
 )
 from rx90b_flex.identify.regression import Regression
@@ -293,7 +294,7 @@ class Search:
     @cached_property
     def shared(self) -> _Shared:
         """Columns and target in the form that trials use."""
-        columns = np.ascontiguousarray(self.model.columns.transpose(1, 0, 2))
+        columns = np.ascontiguousarray(self.model.all_columns.transpose(1, 0, 2))
         return _Shared(columns, np.ascontiguousarray(self.target.T), self.model.solution.sigma**-2.0, self.blocks)
 
     @cached_property
@@ -303,17 +304,22 @@ class Search:
 
     def base(self, replaced: Effect | None = None, restored: Sequence[Effect] = ()) -> Base:
         """The present model without `replaced`, and with effects beside it that are not in it."""
-        kept = np.arange(len(self.model.theta))
+        model = self.model
+        # what shapes may still do to the model's torque counts with its columns: no candidate is credited with that
+        theta = np.concatenate([model.theta, np.zeros(len(model.shapes))])
+        kept = np.arange(len(theta))
         if replaced is not None:
-            index = self.model.effects.index(replaced)
-            first = self.model.first_column(index)
-            kept = np.delete(kept, np.arange(first, first + len(replaced.coefficients)))
+            index = model.effects.index(replaced)
+            first = model.first_column(index)
+            elsewhere = np.concatenate([np.zeros(0), *(p for i, p in enumerate(model.shapes.places) if i != index)])
+            own = np.setdiff1d(model.shapes.places[index], elsewhere)
+            kept = np.setdiff1d(kept, np.r_[first : first + len(replaced.coefficients), len(model.theta) + own])
         if not restored:
-            return Base(self.shared, kept, self.model.theta[kept])
+            return Base(self.shared, kept, theta[kept])
         more = [self.regression.columns(e).transpose(1, 0, 2) for e in restored]
         columns = np.concatenate([self.shared.columns[:, :, kept], *more], axis=2)
         shared = dataclasses.replace(self.shared, columns=np.ascontiguousarray(columns))
-        prior = np.concatenate([self.model.theta[kept], np.zeros(columns.shape[2] - len(kept))])
+        prior = np.concatenate([theta[kept], np.zeros(columns.shape[2] - len(kept))])
         return Base(shared, np.arange(columns.shape[2]), prior)
 
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
@@ -331,8 +337,27 @@ class Search:
                 if any(cls.type_name() in e.replaces for e in here):
                     continue
                 replaced = next((e for e in here if e.type_name() in cls.replaces), None)
-                out.append((effect, replaced))
+                out.append((self._sharing(effect), replaced))
         return out
+
+    @cached_property
+    def _shared_values(self) -> dict[tuple[str, ...], float]:
+        return shared_values(self.model.effects)
+
+    def _sharing(self, effect: Effect) -> Effect:
+        """With the present values of the shapes that it shares with the model's effects."""
+        known = [self._shared_values.get(k, np.nan) if k is not None else np.nan for k in effect.shape_keys]
+        return effect.with_shape(np.array(known)) if not np.isnan(known).all() else effect
+
+    def free(self, effect: Effect) -> Indices:
+        """Places of the shape parameters that a trial is free to choose."""
+        return np.array([i for i, k in enumerate(effect.shape_keys) if k not in self._shared_values], dtype=np.intp)
+
+    def _shaped(self, effect: Effect, values: Array) -> Effect:
+        """With other values of the free shapes."""
+        shape = effect.shape.copy()
+        shape[self.free(effect)] = values
+        return effect.with_shape(shape)
 
     def run(self, progress: Callable[[float], None] | None = None) -> list[Trial]:
         """Try all candidates.
@@ -347,7 +372,7 @@ class Search:
         rough: list[tuple[float, Effect, Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
-            starts = self._starts(effect) if effect.shape_names() else np.zeros((1, 0))
+            starts = self._starts(effect)
             if len(starts) == 0:
                 continue  # this motion is too small for any of its shapes to show
             best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
@@ -370,10 +395,10 @@ class Search:
         base = self.base(effect)
         return self.trial(effect, base, base, self.tests)
 
-    @cached_property
+    @property
     def longest(self) -> Motion:
-        """Motion of the longest recording, from which starts for shapes are taken."""
-        return max((s.motion for s in self.regression.stretches), key=len)
+        """Motion of the longest recording, from which starts and ranges of shapes are taken."""
+        return self.regression.longest
 
     @cached_property
     def longest_lag(self) -> int:
@@ -384,7 +409,7 @@ class Search:
     def absorbed(self) -> list[Array]:
         """What the present model's fit took out of each joint's noise."""
         weight = self.model.solution.sigma**-2.0
-        return absorbed_each(self.model.columns, weight, self.regression.spans, self.longest_lag)
+        return absorbed_each(self.model.all_columns, weight, self.regression.spans, self.longest_lag)
 
     @cached_property
     def tests(self) -> int:
@@ -392,14 +417,17 @@ class Search:
         return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates())
 
     def _starts(self, effect: Effect) -> Array:
+        free = self.free(effect)
+        if not len(free):
+            return np.zeros((1, 0))
         joint = self.regression.joints.index(effect.joints[0]) if effect.joints else 0
         left = self.present.residual[joint]
         stretches = self.regression.stretches
         beside = [(s.sampled, left[span]) for s, span in zip(stretches, self.regression.spans, strict=True)]
-        return effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)
+        return effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)[:, free]
 
     def _over_shapes(self, effect: Effect, starts: Array, base: Base) -> Iterable[tuple[float, Effect]]:
-        shaped = [effect.with_shape(s) if len(s) else effect for s in starts]
+        shaped = [self._shaped(effect, s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
         per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches)
         batch = max(1, int(BATCH_BYTES / per_effect))
@@ -413,23 +441,25 @@ class Search:
 
     def _refined(self, effect: Effect, base: Base) -> Effect:
         """The shapes that gain most: Gauss-Newton steps with everything linear projected out (variable projection)."""
-        if not effect.shape_names():
+        free = self.free(effect)
+        if not len(free):
             return effect
-        bounds = effect.shape_bounds()
-        logs = (bounds[0] > 0).all()
+        low, high = effect.shape_range(self.longest)[:, free]
+        logs = bool((low > 0).all())
         to, back = (np.log, np.exp) if logs else (np.asarray, np.asarray)
-        spread = effect.shape_spread(self.longest)
-        farthest = spread / effect.shape if logs else spread
+        start = np.clip(effect.shape[free], low, high)
+        spread = effect.shape_spread(self.longest)[free]
+        farthest = spread / start if logs else spread
 
         def looked_at(x: Array) -> _Look:
-            shapes = [np.clip(back(x + step), *bounds) for step in np.vstack([0 * x, np.diag(DIFFERENCE * farthest)])]
-            rows, columns = self.regression.compact([effect.with_shape(s) for s in shapes])
+            shapes = [np.clip(back(x + step), low, high) for step in np.vstack([0 * x, np.diag(DIFFERENCE * farthest)])]
+            rows, columns = self.regression.compact([self._shaped(effect, s) for s in shapes])
             return _Look.at(base, rows, columns, len(effect.coefficients), DIFFERENCE * farthest)
 
-        x = to(effect.shape)
+        x = to(start)
         best, damping = looked_at(x), 1e-3
         for _ in range(REFINEMENTS):
-            moved = to(np.clip(back(x + np.clip(best.step(damping), -farthest, farthest)), *bounds))
+            moved = to(np.clip(back(x + np.clip(best.step(damping), -farthest, farthest)), low, high))
             found = looked_at(moved)
             won = found.gain - best.gain
             if won > 0:
@@ -438,13 +468,13 @@ class Search:
                 damping *= 16
             if abs(won) < SETTLED * max(best.gain, 1.0):
                 break
-        return effect.with_shape(np.clip(back(x), *bounds))
+        return self._shaped(effect, np.clip(back(x), low, high))
 
     def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> Trial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
         effect = self._refined(effect, base)
-        k, s = len(effect.coefficients), len(effect.shape)
-        rows, beside = self.regression.compact([effect, *_neighbours(effect)])
+        k, s = len(effect.coefficients), len(self.free(effect))
+        rows, beside = self.regression.compact([effect, *self._neighbours(effect)])
         columns = beside[:, :, :k]
         size = k + s - (present.size - base.size)
         if len(rows) == 0:
@@ -491,6 +521,23 @@ class Search:
                 return True
         return False
 
+    def _neighbours(self, effect: Effect) -> list[Effect]:
+        """The effect with each free shape parameter a little larger, then a little smaller."""
+        at, steps = effect.shape[self.free(effect)], np.diag(self._shape_steps(effect))
+        return [self._shaped(effect, at + sign * step) for step in steps for sign in (1.0, -1.0)]
+
+    def _by_shape(self, effect: Effect, beside: Array, beta: Array) -> Array:
+        """Derivative of the effect's torque by its free shapes (N, rows, s) from the columns of its neighbours."""
+        samples, rows, _ = beside.shape
+        steps = self._shape_steps(effect)
+        pairs = beside.reshape(samples, rows, len(steps), 2, len(beta))
+        return (pairs[:, :, :, 0] - pairs[:, :, :, 1]) @ beta / (2.0 * steps)
+
+    def _shape_steps(self, effect: Effect) -> Array:
+        low = effect.shape_range(self.longest)[0, self.free(effect)]
+        at = np.abs(effect.shape[self.free(effect)])
+        return 1e-4 * np.maximum(at, np.where(low > 0, 0.0, 1e-3))
+
     def left_with(self, effect: Effect, base: Base) -> Array:
         """What a base and an effect, its shape as it is, leave together; shape (joints, N)."""
         rows, columns = self.regression.compact([effect])
@@ -523,7 +570,7 @@ class Search:
         """
         k = len(beta)
         columns = beside[:, :, :k]
-        together = np.concatenate([columns, _by_shape(effect, beside[:, :, k:], beta)], axis=2)
+        together = np.concatenate([columns, self._by_shape(effect, beside[:, :, k:], beta)], axis=2)
         own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
         apart = base.apart(rows, together)
         residual = (base.residual - apart[:, :, :k] @ beta) / np.sqrt(self.regression.share)[:, None]
@@ -536,34 +583,19 @@ class Search:
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
         wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta, DETERMINED)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        tests = free + len(effect.shape)
+        shapes = self.free(effect)
+        tests = free + len(shapes)
         p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
         lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
-        if len(effect.shape):
-            _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(effect.shape))], 1e-12)
+        if len(shapes):
+            _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             lawful = lawful and bool(certain > SIGN_T**2 * k)
-        low, high = effect.shape_bounds()
-        inside = bool(((effect.shape > 1.01 * low) & (effect.shape < 0.99 * high)).all())
+        low, high = effect.shape_range(self.longest)[:, shapes]
+        at = effect.shape[shapes]
+        inside = bool(((at > 1.01 * low) & (at < 0.99 * high)).all())
         white = float(beta @ bread[:k, :k] @ beta)
         return p_value, lawful and inside, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0
-
-
-def _neighbours(effect: Effect) -> list[Effect]:
-    """The effect with each shape parameter a little larger, then a little smaller."""
-    steps = np.diag(_shape_steps(effect))
-    return [effect.with_shape(effect.shape + sign * step) for step in steps for sign in (1.0, -1.0)]
-
-
-def _by_shape(effect: Effect, beside: Array, beta: Array) -> Array:
-    """Derivative of the effect's torque by its shape parameters (N, rows, s) from the columns of its neighbours."""
-    samples, rows, _ = beside.shape
-    pairs = beside.reshape(samples, rows, len(effect.shape), 2, len(beta))
-    return (pairs[:, :, :, 0] - pairs[:, :, :, 1]) @ beta / (2.0 * _shape_steps(effect))
-
-
-def _shape_steps(effect: Effect) -> Array:
-    return 1e-4 * np.maximum(np.abs(effect.shape), 1e-3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, RestSites, 
 from rx90b_flex.effects.friction import CoulombFriction
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.effects.reversal import reversal, reversal_slope
+from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope, turnover_range, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,25 @@ class JointCoupling(PairEffect):
     inertia: float | None = linear("kg m^2", rank=INERTIA)
     viscous: float | None = linear("N m s/rad", rank=FRICTION)
     coulomb: float | None = linear("N m", rank=FRICTION)
+    turnover: float | None = turnover_shape()
+
+    @property
+    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
+        return ((self.joint_pair[1], "turnover"),)  # motor b's gear
+
+    def shape_range(self, motion: Motion) -> Array:
+        return np.array(turnover_range(motion.joint(self.joint_pair[1])))[:, None]
+
+    def shape_starts(self, motion: Motion) -> Array:
+        low, high = turnover_range(motion.joint(self.joint_pair[1]))
+        return np.array([[np.exp(0.7 * np.log(low) + 0.3 * np.log(high))]])
+
+    @property
+    def _sharpness(self) -> float:
+        return SHARP if self.turnover is None else self.turnover
+
+    def known_shape(self) -> Array:
+        return np.array([self._sharpness])
 
     def _port(self, motion: Motion) -> Array:
         a, b = self.joint_pair
@@ -53,7 +72,7 @@ class JointCoupling(PairEffect):
     def factors(self, motion: Motion) -> tuple[Array, Array]:
         port = self._port(motion)
         v = motion.v @ port
-        return port, np.stack([motion.a @ port, v, reversal(v)], axis=1)
+        return port, np.stack([motion.a @ port, v, reversal(v, self._sharpness)], axis=1)
 
     def columns(self, motion: Motion) -> Array:
         port, basis = self.factors(motion)
@@ -63,7 +82,7 @@ class JointCoupling(PairEffect):
         port = self._port(motion)
         inertia, viscous, coulomb = self.known_coefficients()
         outer = np.outer(port, port)[None]
-        slope = viscous + coulomb * reversal_slope(motion.v @ port)
+        slope = viscous + coulomb * reversal_slope(motion.v @ port, self._sharpness)
         zero = np.zeros((len(motion), 1, 1)) * outer
         return zero, slope[:, None, None] * outer, zero + inertia * outer
 
@@ -75,7 +94,7 @@ class JointCoupling(PairEffect):
                 inertia=inertia,
                 damping=viscous,
                 function=CoulombFriction.law,
-                parameters=np.array([*CoulombFriction.law_constants, coulomb]),
+                parameters=np.array([coulomb, self._sharpness]),
             ),
         )
 

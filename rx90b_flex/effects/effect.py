@@ -249,6 +249,15 @@ class Effect(ABC):
         """Lower and upper bounds of the shape parameters; (2, s)."""
         return np.array([[p.lower, p.upper] for _, p in cls._flat("shape")]).reshape(-1, 2).T
 
+    def shape_range(self, motion: Motion) -> Array:
+        """Lower and upper ends, (2, s), between which this motion can tell the shape parameters, within their bounds."""
+        return self.shape_bounds()
+
+    @property
+    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
+        """What names the one value that several effects share, for each shape parameter; None: it is this effect's own."""
+        return (None,) * len(self.shape_names())
+
     @property
     def shape(self) -> Array:
         """Values of the shape parameters, NaN where not known; shape (s,)."""
@@ -412,7 +421,10 @@ class Effect(ABC):
 
     def known_shape(self) -> Array:
         """Shape parameters, with an error that names the first one without a value."""
-        values = self.shape
+        return self.checked_shape(self.shape)
+
+    def checked_shape(self, values: Array) -> Array:
+        """Values of the shape parameters (s,), with an error that names the first one that is not known."""
         for name, value in zip(self.shape_names(), values, strict=True):
             if np.isnan(value):
                 raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
@@ -448,8 +460,7 @@ class JointEffect(Effect):
 
     joint: str
     side: ClassVar[str] = "joint"  # acts on the joint angle theta, or on the "drive" angle alone
-    law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; parameters: constants, coefficients, shape
-    law_constants: ClassVar[tuple[float, ...]] = ()
+    law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; parameters: coefficients, shape
     law_stores: ClassVar[bool] = False  # whether that law is the gradient of `potential`
 
     @property
@@ -469,7 +480,7 @@ class JointEffect(Effect):
         if function is None:
             return None
         port = motion.coordinates.port(self.joint, self.side)
-        values = np.concatenate([self.law_constants, self.known_coefficients(), self.known_shape()])
+        values = np.concatenate([self.known_coefficients(), self.known_shape()])
         return (Law(port, function=function, parameters=values, stores=self.law_stores),)
 
     def factors(self, motion: Motion) -> tuple[Array, Array] | None:

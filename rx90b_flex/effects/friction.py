@@ -12,17 +12,13 @@ import numpy as np
 from rx90b_flex.effects.effect import FRICTION, JointEffect, linear, shape
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.reversal import REVERSAL_VELOCITY, reversal, reversal_slope
+from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 
-# A torque that fades faster than this cannot be told from the smoothing of the sign itself, rad/s.
-SLOWEST_STRIBECK = 20.0 * REVERSAL_VELOCITY
+FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
 class VelocityFriction(JointEffect):
     """Friction whose one column is a function of velocity."""
-
-    # a parameter of the laws, since compiled code on disk would not notice that it changed
-    law_constants: ClassVar[tuple[float, ...]] = (REVERSAL_VELOCITY,)
 
     @abstractmethod
     def column(self, v: Array) -> Array:
@@ -42,8 +38,8 @@ class VelocityFriction(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoulombFriction(VelocityFriction):
-    """Dry friction, ``torque * sign(v)``, smoothed at reversal.
+class CoulombFriction(VelocityFriction, DryFriction):
+    """Dry friction, ``torque * sign(v)``, its sign ``tanh(v / turnover)`` at reversal.
 
     Signature
     ---------
@@ -57,29 +53,29 @@ class CoulombFriction(VelocityFriction):
 
     Source
     ------
-    Hardeman 2008, equations 3.53 and 3.54: the asperity torque that does not fade, its sign smoothed by an
-    arctangent.
+    Hardeman 2008, equations 3.53 and 3.54: the asperity torque that does not fade, its sign smoothed by a hyperbolic tangent in
+    place of an arctangent.
     """
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
+    turnover: float | None = turnover_shape()
 
     def breakaway_torque(self) -> float:
         return float(self.known_coefficients()[0])
 
     def column(self, v: Array) -> Array:
-        return reversal(v)
+        return self.direction(v)
 
     def column_slope(self, v: Array) -> Array:
-        return reversal_slope(v)
+        return self.direction_slope(v)
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        reversal_velocity, torque = parameters[0], parameters[1]
-        ratio = rate / reversal_velocity
-        scale = torque * 2.0 / math.pi
-        out[0] = scale * math.atan(ratio)
+        torque, turnover = parameters[0], parameters[1]
+        sign = math.tanh(rate / turnover)
+        out[0] = torque * sign
         out[1] = 0.0
-        out[2] = scale / (reversal_velocity * (1.0 + ratio * ratio))
+        out[2] = torque * (1.0 - sign * sign) / turnover
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,13 +138,13 @@ class AsymmetricFriction(VelocityFriction):
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        out[0] = parameters[1] * abs(rate)
+        out[0] = parameters[0] * abs(rate)
         out[1] = 0.0
-        out[2] = parameters[1] * ((rate > 0.0) - (rate < 0.0))
+        out[2] = parameters[0] * ((rate > 0.0) - (rate < 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousPowerFriction(VelocityFriction):
+class ViscousPowerFriction(VelocityFriction, DryFriction):
     """Viscous part of equation 3.53, ``coefficient * sign(v) * |v|^power``, power = 1 - delta_v.
 
     It stands in for `viscous_friction` at the same joint.
@@ -171,31 +167,31 @@ class ViscousPowerFriction(VelocityFriction):
 
     coefficient: float | None = linear("N m (s/rad)^power", lower=0.0, rank=FRICTION)
     power: float | None = shape("-", start=0.7, lower=0.1, upper=3.0)
+    turnover: float | None = turnover_shape()
 
     def column(self, v: Array) -> Array:
-        (power,) = self.known_shape()
-        return reversal(v) * np.abs(v) ** power
+        power = self.known_shape()[0]
+        return self.direction(v) * np.abs(v) ** power
 
     def column_slope(self, v: Array) -> Array:
-        (power,) = self.known_shape()
-        size = np.abs(v)
-        # reversal(v)/|v| is finite at rest, so the two terms are put together before the power is taken
-        ratio = np.where(size > 0, np.abs(reversal(v)) / np.where(size > 0, size, 1.0), reversal_slope(v))
-        return size**power * (reversal_slope(v) + power * ratio)
+        power = self.known_shape()[0]
+        size, slope = np.abs(v), self.direction_slope(v)
+        # direction(v)/|v| is finite at rest, so the two terms are put together before the power is taken
+        ratio = np.where(size > 0, np.abs(self.direction(v)) / np.where(size > 0, size, 1.0), slope)
+        return size**power * (slope + power * ratio)
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        reversal_velocity, coefficient, power = parameters[0], parameters[1], parameters[2]
+        coefficient, power, turnover = parameters[0], parameters[1], parameters[2]
         size = abs(rate)
-        ratio = size / reversal_velocity
-        sign = 2.0 / math.pi * math.atan(ratio)
-        slope = 2.0 / math.pi / (reversal_velocity * (1.0 + ratio * ratio))
+        sign = math.tanh(size / turnover)
+        slope = (1.0 - sign * sign) / turnover
         grown = coefficient * size**power
         out[0] = math.copysign(grown * sign, rate)
         out[1] = 0.0
         out[2] = grown * (slope + power * (sign / size if size > 0.0 else slope))
 
-    def shape_starts(self, motion: Motion) -> Array:
+    def own_starts(self, motion: Motion) -> Array:
         return np.array([[0.2], [0.4], [0.6], [0.8], [1.3], [1.8], [2.4]])
 
     def independent_shapes(self, motion: Motion) -> int:
@@ -203,7 +199,7 @@ class ViscousPowerFriction(VelocityFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StribeckFriction(VelocityFriction):
+class StribeckFriction(VelocityFriction, DryFriction):
     """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed.
 
     Signature
@@ -222,47 +218,47 @@ class StribeckFriction(VelocityFriction):
     """
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
-    velocity: float | None = shape("rad/s", start=0.1, lower=1e-3, upper=20.0)
+    velocity: float | None = shape("rad/s", start=0.1, lower=1e-9, upper=1e3)
     power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0)
+    turnover: float | None = turnover_shape()
 
     def breakaway_torque(self) -> float:
         return float(self.known_coefficients()[0])
 
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.maximum(super().shape_bounds(), [[SLOWEST_STRIBECK, 0.0], [0.0, 0.0]])
+    def own_range(self, motion: Motion) -> Array:
+        low, high = turnover_range(motion.joint(self.joint))
+        out = self.shape_bounds()
+        out[:, 0] = FADES * low, max(4.0 * high, 8.0 * FADES * low)
+        return out
 
     def _fade(self, v: Array) -> Array:
-        velocity, power = self.known_shape()
+        velocity, power, _ = self.known_shape()
         return np.exp(-((np.abs(v) / velocity) ** power))
 
     def column(self, v: Array) -> Array:
-        return reversal(v) * self._fade(v)
+        return self.direction(v) * self._fade(v)
 
     def column_slope(self, v: Array) -> Array:
-        velocity, power = self.known_shape()
-        size = np.abs(v) / velocity
-        ratio = np.where(v != 0, np.abs(reversal(v)) / np.where(v != 0, np.abs(v), 1.0), reversal_slope(v))
-        return self._fade(v) * (reversal_slope(v) - power * size**power * ratio)
+        velocity, power, _ = self.known_shape()
+        size, slope = np.abs(v) / velocity, self.direction_slope(v)
+        ratio = np.where(v != 0, np.abs(self.direction(v)) / np.where(v != 0, np.abs(v), 1.0), slope)
+        return self._fade(v) * (slope - power * size**power * ratio)
 
     @staticmethod
     def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        reversal_velocity = parameters[0]
-        torque, velocity, power = parameters[1], parameters[2], parameters[3]
+        torque, velocity, power, turnover = parameters[0], parameters[1], parameters[2], parameters[3]
         size = abs(rate)
-        ratio = size / reversal_velocity
-        sign = 2.0 / math.pi * math.atan(ratio)
-        slope = 2.0 / math.pi / (reversal_velocity * (1.0 + ratio * ratio))
+        sign = math.tanh(size / turnover)
+        slope = (1.0 - sign * sign) / turnover
         faded = (size / velocity) ** power
         left = torque * math.exp(-faded)
         out[0] = math.copysign(left * sign, rate)
         out[1] = 0.0
         out[2] = left * (slope - power * faded * (sign / size if size > 0.0 else slope))
 
-    def shape_starts(self, motion: Motion) -> Array:
-        fast = float(np.percentile(np.abs(motion.joint(self.joint).v), 95))
-        low, high = self.shape_bounds()[:, 0]
-        velocities = np.clip(fast * np.geomspace(0.02, 0.7, 7), low, high)
+    def own_starts(self, motion: Motion) -> Array:
+        low, high = self.own_range(motion)[:, 0]
+        velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
         return np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
 
     def independent_shapes(self, motion: Motion) -> int:

@@ -12,11 +12,9 @@ import numpy as np
 
 from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.reversal import reversal, reversal_slope
+from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
 
-# rad, between which asperities of gears give way; samples at 150 Hz about a reversal at 5 rad/s^2 lie 1e-4 rad apart, and what turns
-# over within less is dry friction that a log shows up to a sample late
-DEFLECTIONS = (1e-4, 0.3)
+LARGEST_DEFLECTION = 0.3  # of a joint's travel: what takes longer to turn over is a spring
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +60,12 @@ class PreslidingFriction(JointEffect):
 
     @classmethod
     def shape_bounds(cls) -> Array:
-        return np.array(DEFLECTIONS)[:, None]
+        return np.array([[1e-9], [1e3]])
+
+    def shape_range(self, motion: Motion) -> Array:
+        known = Resolution.of(motion.joint(self.joint))
+        low = 2.0 * known.angle
+        return np.array([[low], [max(LARGEST_DEFLECTION * known.travel, 4.0 * low)]])
 
     @property
     def shape(self) -> Array:
@@ -84,12 +87,12 @@ class PreslidingFriction(JointEffect):
     def basis(self, at: JointMotion) -> Array:
         (deflection,) = self.known_shape()
         if not _follows(at.time):
-            return reversal(at.v)[:, None]
+            return reversal(at.v, SHARP)[:, None]
         return hysteresis(at.q, deflection)[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
-        return zero, reversal_slope(at.v)[:, None], zero
+        return zero, reversal_slope(at.v, SHARP)[:, None], zero
 
     def memory(self, motion: Motion) -> Array:
         return np.stack([motion.joint(self.joint).q, np.zeros(len(motion))], axis=1)
@@ -109,9 +112,8 @@ class PreslidingFriction(JointEffect):
         return np.outer(torque * memory[:, 1], at.port), slope[:, None, None] * np.outer(at.port, at.port)
 
     def shape_starts(self, motion: Motion) -> Array:
-        travel = float(np.ptp(motion.joint(self.joint).q))
-        low, high = DEFLECTIONS
-        return np.geomspace(np.clip(2e-4 * travel, low, high), np.clip(0.1 * travel, low, high), 8)[:, None]
+        low, high = self.shape_range(motion)[:, 0]
+        return np.geomspace(1.5 * low, 0.5 * high, 8)[:, None]
 
     def shape_spread(self, motion: Motion) -> Array:
         return 0.5 * self.shape

@@ -13,6 +13,7 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter
 from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
@@ -20,6 +21,9 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 RANK_TOLERANCE = 1.0e-6
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
+DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
+LARGEST_DAMPING = 1.0e7
+SETTLED = 1.0e-6  # part of the squares below which another step is not worth while
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
 
 
@@ -188,6 +192,11 @@ class Identification:
         Of the residual, one a joint.
     regression : Regression
         The data of the fit, seen by the identified links.
+    all_columns : array, shape (N, joints, p + s)
+        Derivatives of the torque by theta and by the shape parameters.
+    links_fitted : bool
+    shapes : Shapes
+        Where the effects' shape parameters stand among the s.
     """
 
     effects: tuple[Effect, ...]
@@ -198,8 +207,19 @@ class Identification:
     residual: Array
     spectra: tuple[Spectrum, ...]
     regression: Regression
-    columns: Array
+    all_columns: Array
     links_fitted: bool
+    shapes: Shapes
+
+    @property
+    def columns(self) -> Array:
+        """Columns of theta, shape (N, joints, p)."""
+        return self.all_columns[:, :, : len(self.theta)]
+
+    @property
+    def shape_columns(self) -> Array:
+        """Derivative of the torque by each shape parameter, shape (N, joints, s)."""
+        return self.all_columns[:, :, len(self.theta) :]
 
     @property
     def relative_error(self) -> float:
@@ -248,10 +268,8 @@ class Identification:
         effect = self.effects[index]
         first = self.first_column(index)
         k = len(effect.coefficients)
-        shapes_before = sum(len(e.shape) for e in self.effects[:index])
-        places = np.r_[
-            first : first + k, len(self.theta) + shapes_before : len(self.theta) + shapes_before + len(effect.shape)
-        ]
+        of_shapes = self.shapes.places[index]
+        places = np.r_[first : first + k, len(self.theta) + of_shapes]
         at = np.concatenate([self.theta[first : first + k], effect.shape])
         determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
 
@@ -260,7 +278,11 @@ class Identification:
             return np.array([value for _, _, value in shown.public_values()])
 
         values = public(at)
-        covariance = self.covariance[np.ix_(places, places)]
+        covariance = self.covariance[np.ix_(places, places)].copy()
+        ends = np.flatnonzero(self.shapes.at_bound(self.shapes.values(self.effects))[of_shapes])
+        for i in k + ends:  # beyond the end the log tells nothing: anything up to there, or from there on
+            covariance[i, :] = covariance[:, i] = 0.0
+            covariance[i, i] = at[i] ** 2
         step = 1e-6 * np.maximum(np.abs(at), np.sqrt(np.maximum(np.diag(covariance), 1e-24)) * 1e-2)
         jacobian = np.stack(
             [(public(at + h * e) - public(at - h * e)) / (2 * h) for h, e in zip(step, np.eye(len(at)), strict=True)],
@@ -315,11 +337,11 @@ def identify(
     -------
     Identification
     """
-    effects = tuple(_with_starts(e, regression) for e in effects)
+    effects = with_starts(effects, regression)
     links = regression.robot.link_parameters if start is None else start.link_parameters
     circular = any(e.needs_load or e.needs_model for e in effects)
     known = effects if start is None else start.effects
-    fit = _Fit(regression.with_model(links, known) if circular else regression, effects, fit_links)
+    fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links)
     for _ in range(CIRCULAR_ROUNDS if circular else 1):
         fit = fit.refined()
         if circular:
@@ -327,13 +349,50 @@ def identify(
     return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
 
 
-def _with_starts(effect: Effect, regression: Regression) -> Effect:
-    shape = effect.shape
-    if not np.isnan(shape).any():
-        return effect
-    starts = effect.shape_starts(regression.stretches[0].motion)
-    middle = starts[len(starts) // 2]
-    return effect.with_shape(np.where(np.isnan(shape), middle, shape))
+def with_starts(effects: Sequence[Effect], regression: Regression) -> tuple[Effect, ...]:
+    """Effects whose shape parameters all have values: their own, those that they share with others, or a start."""
+    known = shared_values(effects)
+    out = []
+    for effect in effects:
+        shape = np.array([known.get(key, x) for key, x in zip(effect.shape_keys, effect.shape, strict=True)])
+        if np.isnan(shape).any():
+            starts = effect.shape_starts(regression.longest)
+            shape = np.where(np.isnan(shape), starts[len(starts) // 2], shape)
+            known.update((k, x) for k, x in zip(effect.shape_keys, shape, strict=True) if k is not None)
+        out.append(effect.with_shape(shape) if len(shape) else effect)
+    return tuple(out)
+
+
+def shared_values(effects: Sequence[Effect]) -> dict[tuple[str, ...], float]:
+    """Values of the shape parameters that effects share, where they are known."""
+    pairs = ((key, x) for e in effects for key, x in zip(e.shape_keys, e.shape, strict=True) if key is not None)
+    return {key: float(x) for key, x in pairs if not np.isnan(x)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Fixed:
+    """Columns that no shape parameter changes, with their products; shared by all steps of a fit.
+
+    Attributes
+    ----------
+    columns : array, shape (joints, N, f)
+    target : array, shape (joints, N)
+    gram : array, shape (joints, f, f)
+    cross : array, shape (joints, f)
+    power : array, shape (joints,)
+    """
+
+    columns: Array
+    target: Array
+    gram: Array
+    cross: Array
+    power: Array
+
+    @staticmethod
+    def of(columns: Array, target: Array) -> _Fixed:
+        x = np.ascontiguousarray(columns.transpose(1, 0, 2))
+        y = np.ascontiguousarray(target.T)
+        return _Fixed(x, y, x.transpose(0, 2, 1) @ x, (x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0], (y**2).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +402,12 @@ class _Fit:
     regression: Regression
     effects: tuple[Effect, ...]
     fit_links: bool
-    sigma: Array | None = None
+    shapes: Shapes
+
+    @staticmethod
+    def of(regression: Regression, effects: Sequence[Effect], fit_links: bool) -> _Fit:
+        shapes = Shapes.of(effects, regression.longest)
+        return _Fit(regression, shapes.put(effects, shapes.values(effects)), fit_links, shapes)
 
     @cached_property
     def target(self) -> Array:
@@ -352,13 +416,47 @@ class _Fit:
             return self.regression.torque
         return self.regression.torque - self.regression.link_columns @ self.regression.robot.link_parameters
 
+    @property
+    def _shaped(self) -> Mask:
+        """Which columns depend on shape parameters, (p,), bool."""
+        links = np.zeros(self._offset, dtype=bool)
+        return np.concatenate([links, *(np.full(len(e.coefficients), len(e.shape) > 0) for e in self.effects)])
+
+    @cached_property
+    def fixed(self) -> _Fixed:
+        """Columns that do not change with the shapes."""
+        parts = [self.regression.link_columns] if self.fit_links else []
+        parts += [self.regression.columns(e) for e in self.effects if not len(e.shape)]
+        empty = np.zeros((*self.regression.torque.shape, 0))
+        return _Fixed.of(np.concatenate([empty, *parts], axis=2), self.target)
+
+    @cached_property
+    def varied(self) -> Array:
+        """Columns that change with the shapes, shape (joints, N, v)."""
+        parts = [self.regression.columns(e) for e in self.effects if len(e.shape)]
+        empty = np.zeros((*self.regression.torque.shape, 0))
+        return np.ascontiguousarray(np.concatenate([empty, *parts], axis=2).transpose(1, 0, 2))
+
     @cached_property
     def columns(self) -> Array:
-        parts = [self.regression.link_columns] if self.fit_links else []
-        parts += [self.regression.columns(e) for e in self.effects]
-        if not parts:
-            return np.zeros((*self.regression.torque.shape, 0))
-        return np.concatenate(parts, axis=2)
+        """All columns, shape (N, joints, p)."""
+        out = np.empty((*self.regression.torque.shape, len(self._shaped)))
+        out[:, :, ~self._shaped] = self.fixed.columns.transpose(1, 0, 2)
+        out[:, :, self._shaped] = self.varied.transpose(1, 0, 2)
+        return out
+
+    @cached_property
+    def normal(self) -> NormalEquations:
+        """Products of all columns on all samples."""
+        x, y, shaped = self.varied, self.fixed.target, self._shaped
+        gram = np.empty((len(y), len(shaped), len(shaped)))
+        cross = np.empty((len(y), len(shaped)))
+        f, v = np.flatnonzero(~shaped), np.flatnonzero(shaped)
+        across = self.fixed.columns.transpose(0, 2, 1) @ x
+        gram[:, f[:, None], f], gram[:, f[:, None], v] = self.fixed.gram, across
+        gram[:, v[:, None], f], gram[:, v[:, None], v] = across.transpose(0, 2, 1), x.transpose(0, 2, 1) @ x
+        cross[:, f], cross[:, v] = self.fixed.cross, (x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0]
+        return NormalEquations(gram[None], cross[None], self.fixed.power[None], np.array([y.shape[1]]))
 
     @cached_property
     def prior(self) -> Array:
@@ -367,12 +465,8 @@ class _Fit:
         return np.where(np.isnan(values), 0.0, values)
 
     @cached_property
-    def whole(self) -> tuple[slice, ...]:
-        return (slice(0, len(self.regression)),)
-
-    @cached_property
     def solution(self) -> Solution:
-        return fit_weighted(NormalEquations.of(self.columns, self.target, self.whole), self.prior)
+        return fit_weighted(self.normal, self.prior)
 
     @property
     def link_parameters(self) -> Array:
@@ -391,7 +485,7 @@ class _Fit:
         return tuple(out)
 
     def seen_by(self, regression: Regression) -> _Fit:
-        return dataclasses.replace(self, regression=regression, effects=self.valued)
+        return _Fit(regression, self.valued, self.fit_links, self.shapes)
 
     @property
     def _offset(self) -> int:
@@ -399,79 +493,76 @@ class _Fit:
 
     @cached_property
     def shape(self) -> Array:
-        return np.concatenate([np.zeros(0), *(e.shape for e in self.effects)])
-
-    @cached_property
-    def bounds(self) -> Array:
-        return np.concatenate([np.zeros((2, 0)), *(e.shape_bounds() for e in self.effects)], axis=1)
+        return self.shapes.values(self.effects)
 
     def with_shape(self, shape: Array) -> _Fit:
-        at, effects = 0, []
-        for e in self.effects:
-            k = len(e.shape)
-            effects.append(e.with_shape(shape[at : at + k]) if k else e)
-            at += k
-        return dataclasses.replace(self, effects=tuple(effects))
+        """With other shapes, and the columns that these do not touch."""
+        other = dataclasses.replace(self, effects=self.shapes.put(self.effects, shape))
+        other.__dict__.update(target=self.target, fixed=self.fixed, prior=self.prior)
+        return other
 
     @cached_property
     def shape_columns(self) -> Array:
         """Derivative of the predicted torque by each shape parameter; (N, joints, s)."""
-        out, at = [np.zeros((*self.regression.torque.shape, 0))], self._offset
-        for e in self.effects:
+        out = np.zeros((*self.regression.torque.shape, len(self.shapes)))
+        at = self._offset
+        for e, places in zip(self.effects, self.shapes.places, strict=True):
             k = len(e.coefficients)
             theta = self.solution.theta[at : at + k]
             at += k
-            for i, value in enumerate(e.shape):
-                low, high = e.shape_bounds()[:, i]
-                step = 1e-4 * max(abs(value), 1e-3)
+            for i, place in enumerate(places):
+                step = DIFFERENCE * max(abs(e.shape[i]), 0.0 if self.shapes.low[place] > 0 else 1e-3)
                 up, down = e.shape.copy(), e.shape.copy()
-                up[i], down[i] = min(value + step, high), max(value - step, low)
-                change = self.regression.columns(e.with_shape(up)) - self.regression.columns(e.with_shape(down))
-                out.append((change @ theta / (up[i] - down[i]))[:, :, None])
-        return np.concatenate(out, axis=2)
+                up[i] += step
+                down[i] -= step
+                rows, columns = self.regression.compact([e.with_shape(up), e.with_shape(down)])
+                out[:, rows, place] += (columns[:, :, :k] - columns[:, :, k:]) @ theta / (2.0 * step)
+        return out
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
-        normal = NormalEquations.of(self.columns, self.target, self.whole)
-        solution = fit_weighted(normal, self.prior, sigma)
-        return float((normal.squares(solution.theta) / sigma**2).sum())
+        solution = fit_weighted(self.normal, self.prior, sigma)
+        return float((self.normal.squares(solution.theta) / sigma**2).sum())
 
     def refined(self, rounds: int = 100) -> _Fit:
-        """Gauss-Newton steps in the shape parameters, coefficients projected out (variable projection)."""
+        """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection)."""
         fit = self
-        if not len(self.shape):
+        if not len(self.shapes):
             return fit
         damping = 1e-3
         for _ in range(rounds):
             sigma = fit.solution.sigma
             before = fit.cost(sigma)
-            step = fit._shape_step(sigma, damping)
-            moved = np.clip(fit.shape + step, *fit.bounds)
-            trial = fit.with_shape(moved)
-            after = trial.cost(sigma)
-            if after < before:
-                fit, damping = trial, max(damping / 4, 1e-9)
-                if before - after < 1e-7 * before:
+            gram, score = fit._shape_equations(sigma)
+            won = False
+            while damping < LARGEST_DAMPING:
+                moved = fit.shapes.moved(fit.shape, _damped_step(gram, score, damping))
+                trial = fit.with_shape(moved)
+                after = trial.cost(sigma)
+                won = after < before
+                if won or np.allclose(moved, fit.shape, rtol=1e-9, atol=0.0):
                     break
-            else:
                 damping *= 8
-                if damping > 1e6 or np.abs(step).max() < 1e-9 * (1 + np.abs(fit.shape).max()):
-                    break
+            if not won:
+                break
+            fit, damping = trial, max(damping / 8, 1e-9)
+            if before - after < SETTLED * before:
+                break
         return fit
 
-    def _shape_step(self, sigma: Array, damping: float) -> Array:
-        residual = self.target - self.columns @ self.solution.theta
-        weight = 1.0 / sigma
-        x = (self.columns * weight[:, None]).reshape(-1, self.columns.shape[2])
-        d = (self.shape_columns * weight[:, None]).reshape(-1, len(self.shape))
-        r = (residual * weight).reshape(-1)
-        weighted_gram = x.T @ x
-        _, inverse, _, _ = solve_weighted(weighted_gram, np.zeros(len(weighted_gram)), np.zeros(len(weighted_gram)))
-        d = d - x @ (inverse @ (x.T @ d))
-        gram = d.T @ d
-        diagonal = np.diag(gram)
-        gram = gram + damping * np.diag(np.where(diagonal > 0, diagonal, 1.0))
-        return np.asarray(np.linalg.lstsq(gram, d.T @ r, rcond=None)[0], dtype=float)
+    def _shape_equations(self, sigma: Array) -> tuple[Array, Array]:
+        """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
+        x = np.concatenate([self.fixed.columns, self.varied], axis=2)
+        order = np.concatenate([np.flatnonzero(~self._shaped), np.flatnonzero(self._shaped)])
+        d = self.shape_columns.transpose(1, 0, 2) * self.shapes.per_step(self.shape)
+        residual = self.fixed.target - x @ self.solution.theta[order]
+        weight = sigma**-2.0
+        gram = np.einsum("j,jpq->pq", weight, self.normal.total[0])[np.ix_(order, order)]
+        inverse = solve_weighted(gram, np.zeros(len(gram)), np.zeros(len(gram)))[1]
+        weighted = (weight[:, None, None] * d).transpose(0, 2, 1)
+        with_columns = (weighted @ x).sum(axis=0)
+        own = (weighted @ d).sum(axis=0) - with_columns @ inverse @ with_columns.T
+        return own, (weighted @ residual[:, :, None]).sum(axis=0)[:, 0]
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution = self.solution
@@ -501,9 +592,17 @@ class _Fit:
             residual,
             spectra,
             regression,
-            self.columns,
+            columns,
             self.fit_links,
+            self.shapes,
         )
+
+
+def _damped_step(gram: Array, score: Array, damping: float) -> Array:
+    """Levenberg's step; a parameter that the data does not tell stays."""
+    size = np.diag(gram)
+    damped = gram + damping * np.diag(np.where(size > 0, size, 1.0))
+    return np.asarray(np.linalg.lstsq(damped, score, rcond=None)[0], dtype=float)
 
 
 def absorbed_each(columns: Array, weight: Array, spans: Sequence[slice], longest: int) -> list[Array]:

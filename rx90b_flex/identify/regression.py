@@ -205,6 +205,11 @@ class Regression:
     def __len__(self) -> int:
         return sum(len(s) for s in self.stretches)
 
+    @property
+    def longest(self) -> Motion:
+        """Motion of the longest recording, from which starts and ranges of shapes are taken."""
+        return max((s.motion for s in self.stretches), key=len)
+
     @cached_property
     def torque(self) -> Array:
         """Measured torque less what known payloads take, shape (N, joints), N m."""
