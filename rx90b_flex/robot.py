@@ -233,7 +233,7 @@ class Robot:
             bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
             return _RobotTreeMotion(self, moved, link_parameters, regressor, bodies)
 
-        known = (e for e in effects if e.in_dynamics and not np.isnan([*e.coefficients, *e.shape]).any())
+        known = (e for e in effects if e.in_dynamics and e.known)
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
 
     def link_regressor(self, motion: Motion) -> Array:

@@ -341,8 +341,8 @@ def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
         f"The {len(hinges)} hinges that {robot.name} declares are left out: torques over time are held against its rigid "
         "tree. "
     )
-    loads = [e for e in robot.effects if e.part == "links" and _has_values(e)]
-    if not all(_has_values(e) for e in hinges):
+    loads = [e for e in robot.effects if e.part == "links" and e.known]
+    if not all(e.known for e in hinges):
         return (f"{left_out}Not all of them have a value, so it is not known from which frequency on they bend.",)
     column = {joint: i for i, joint in enumerate(campaign.joints)}
     angles = np.concatenate([r.position for r in campaign.identification]).mean(axis=0)
@@ -357,10 +357,6 @@ def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
         f"this campaign keeps what is below {top:.3g} Hz. What they do in between may be given another name, such as a delay; "
         f"a low-pass at {RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
     )
-
-
-def _has_values(effect: Effect) -> bool:
-    return not np.isnan(np.concatenate([effect.coefficients, effect.shape])).any()
 
 
 def _check_joints(campaign: Campaign, robot: Robot) -> None:

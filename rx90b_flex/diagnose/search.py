@@ -287,9 +287,7 @@ class Search:
 
     @cached_property
     def target(self) -> Array:
-        if self.model.links_fitted:
-            return self.regression.torque
-        return self.regression.torque - self.regression.link_columns @ self.model.link_parameters
+        return np.asarray(self.model.residual + self.model.columns @ self.model.theta)
 
     @cached_property
     def shared(self) -> _Shared:

@@ -89,9 +89,11 @@ class Parameter:
     start : float
         Where a search for a shape parameter begins.
     size : int
-        Number of values.
+        Number of values; zero: as many as are given.
     rank : int
         Place in the parameter vector.
+    attribute : str
+        Where its value stands in the effect.
     """
 
     unit: str
@@ -101,13 +103,13 @@ class Parameter:
     start: float = np.nan
     size: int = 1
     rank: int = OTHER
+    attribute: str = ""
 
 
-def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER) -> Any:
-    """Field of an effect: a parameter that the force is proportional to."""
-    return dataclasses.field(
-        default=None, metadata={"parameter": Parameter(unit, "linear", lower, size=size, rank=rank)}
-    )
+def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER, public: str = "") -> Any:
+    """Field of an effect: a parameter that the force is proportional to; `public`: its name in files, if not the attribute's."""
+    parameter = Parameter(unit, "linear", lower, size=size, rank=rank)
+    return dataclasses.field(default=None, metadata={"parameter": parameter, "public": public})
 
 
 def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1) -> Any:
@@ -115,9 +117,9 @@ def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1)
     return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "shape", lower, upper, start, size)})
 
 
-def derived(unit: str, *, lower: float = -np.inf) -> Any:
+def derived(unit: str, *, lower: float = -np.inf, size: int = 1) -> Any:
     """Field of an effect: a parameter that its class makes from the coefficients, such as an amplitude."""
-    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "derived", lower)})
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "derived", lower, size=size)})
 
 
 def given(unit: str, *, size: int = 1) -> Any:
@@ -144,6 +146,8 @@ class Effect(ABC):
     needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
     in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
     remembers: ClassVar[bool] = False  # its force depends on the motion before, which a simulation step does not know
+    multiplies: ClassVar[bool] = False  # its one coefficient scales all that its joint's log shows of the model
+    last_resort: ClassVar[bool] = False  # a curve of no known law, tried where nothing with a name explains more
     by_clock: ClassVar[bool] = False  # its torque is a line at a frequency of its own, whatever the robot does
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
@@ -163,8 +167,9 @@ class Effect(ABC):
     @cache
     def parameters(cls) -> Mapping[str, Parameter]:
         """Parameters by name, in the order in which they are declared."""
-        found = {f.name: f.metadata["parameter"] for f in dataclasses.fields(cls) if "parameter" in f.metadata}
-        return MappingProxyType(found)
+        fields = [f for f in dataclasses.fields(cls) if "parameter" in f.metadata]
+        named = ((f.metadata.get("public") or f.name, f) for f in fields)
+        return MappingProxyType({n: dataclasses.replace(f.metadata["parameter"], attribute=f.name) for n, f in named})
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -196,17 +201,17 @@ class Effect(ABC):
 
     def _values(self, kind: str) -> Array:
         out: list[float] = []
-        for name, p in self._named(kind):
-            value = getattr(self, name)
+        for _, p in self._named(kind):
+            value = getattr(self, p.attribute)
             out += [np.nan] * p.size if value is None else list(np.atleast_1d(np.asarray(value, dtype=float)))
         return np.array(out)
 
     def _with_values(self, kind: str, values: Sequence[float] | Array) -> Self:
         change: dict[str, Any] = {}
         at = 0
-        for name, p in self._named(kind):
+        for _, p in self._named(kind):
             part = [None if np.isnan(x) else float(x) for x in values[at : at + p.size]]
-            change[name] = part[0] if p.size == 1 else (None if None in part else tuple(part))
+            change[p.attribute] = part[0] if p.size == 1 else (None if None in part else tuple(part))
             at += p.size
         return dataclasses.replace(self, **change)
 
@@ -303,9 +308,10 @@ class Effect(ABC):
         for name, p in self.parameters().items():
             if p.kind == "given":
                 continue
-            value = getattr(self, name)
-            values = np.full(p.size, np.nan) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
-            names = [name] if p.size == 1 else [f"{name}_{i + 1}" for i in range(p.size)]
+            value = getattr(self, p.attribute)
+            size = p.size or (len(self.coefficients) if value is None else len(value))
+            values = np.full(size, np.nan) if value is None else np.atleast_1d(np.asarray(value, dtype=float))
+            names = [name] if p.size == 1 else [f"{name}_{i + 1}" for i in range(size)]
             out += [(n, p.unit, float(x)) for n, x in zip(names, values, strict=True)]
         return out
 
@@ -429,6 +435,15 @@ class Effect(ABC):
             if np.isnan(value):
                 raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
         return values
+
+    @property
+    def known(self) -> bool:
+        """Whether all that its force needs has a value."""
+        try:
+            self.known_coefficients(), self.known_shape()
+        except ValueError:
+            return False
+        return True
 
     # ---- search -----------------------------------------------------------------------------------------
 
@@ -604,7 +619,7 @@ def effect_from_table(
             raise ValueError(f"{where}: key {key!r} is missing")
     for name, parameter in cls.parameters().items():
         if name in table:
-            values[name] = _read_value(table[name], parameter, f"{where}: {name}")
+            values[parameter.attribute] = _read_value(table[name], parameter, f"{where}: {name}")
         elif parameter.kind == "given":
             raise ValueError(f"{where}: key {name!r} is missing; it cannot be identified")
     return cls(**values)
@@ -644,8 +659,8 @@ def _read_value(found: Any, parameter: Parameter, where: str) -> Any:
         values = np.asarray(found, dtype=float)
     except (TypeError, ValueError):
         values = np.array([])
-    if values.size != parameter.size or not np.isfinite(values).all():
-        raise ValueError(f"{where} is {found!r}; expected {parameter.size} finite numbers{unit}")
+    if values.size != (parameter.size or max(1, values.size)) or not np.isfinite(values).all():
+        raise ValueError(f"{where} is {found!r}; expected {parameter.size or 'some'} finite numbers{unit}")
     if (values < parameter.lower).any():
         raise ValueError(f"{where} is {found!r}; expected at least {parameter.lower:g}{unit_after}")
     if (values > parameter.upper).any():
@@ -662,8 +677,8 @@ def effect_to_table(effect: Effect) -> dict[str, Any]:
         table["joints"] = list(effect.joints)
     elif isinstance(effect, FrameEffect):
         table["frame"] = effect.frame
-    for name in effect.parameters():
-        value = getattr(effect, name)
+    for name, parameter in effect.parameters().items():
+        value = getattr(effect, parameter.attribute)
         if value is not None:
             table[name] = list(value) if isinstance(value, tuple) else float(value)
     return table

@@ -221,6 +221,11 @@ class JointMotion:
     port: Array = field(repr=False)
 
     @property
+    def follows(self) -> bool:
+        """Whether samples follow each other in time."""
+        return len(self.time) > 1 and bool((np.diff(self.time) > 0).all())
+
+    @property
     def load(self) -> Array:
         """Torque through this joint's transmission, shape (N,), N m."""
         place = int(np.flatnonzero(self.port)[-1])

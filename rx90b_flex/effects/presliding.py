@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar, Self
@@ -63,9 +63,7 @@ class PreslidingFriction(JointEffect):
         return np.array([[1e-9], [1e3]])
 
     def shape_range(self, motion: Motion) -> Array:
-        known = Resolution.of(motion.joint(self.joint))
-        low = 2.0 * known.angle
-        return np.array([[low], [max(LARGEST_DEFLECTION * known.travel, 4.0 * low)]])
+        return np.array(deflection_range(motion.joint(self.joint)))[:, None]
 
     @property
     def shape(self) -> Array:
@@ -86,7 +84,7 @@ class PreslidingFriction(JointEffect):
 
     def basis(self, at: JointMotion) -> Array:
         (deflection,) = self.known_shape()
-        if not _follows(at.time):
+        if not at.follows:
             return reversal(at.v, SHARP)[:, None]
         return hysteresis(at.q, deflection)[:, None]
 
@@ -122,9 +120,24 @@ class PreslidingFriction(JointEffect):
         return 3
 
 
-def _follows(time: Array) -> bool:
-    """Whether samples follow each other in time."""
-    return len(time) > 1 and bool((np.diff(time) > 0).all())
+def deflection_range(at: JointMotion) -> tuple[float, float]:
+    """Smallest and largest angle, rad, along which a log can tell that friction turns over."""
+    known = Resolution.of(at)
+    low = 2.0 * known.angle
+    return low, max(LARGEST_DEFLECTION * known.travel, 4.0 * low)
+
+
+def monotone_runs(q: Array) -> Iterator[tuple[int, int, float]]:
+    """First and last sample and direction of each run between reversals; rests belong to the run before them."""
+    step = np.diff(q)
+    moving = np.flatnonzero(step)
+    if len(moving) == 0:
+        return
+    direction = np.sign(step)
+    # where it stands still it keeps the direction it had
+    direction = direction[np.maximum(np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), -1)), moving[0])]
+    for first, last in pairwise(np.r_[0, 1 + np.flatnonzero(np.diff(direction)), len(step)]):
+        yield int(first), int(last), float(direction[first])
 
 
 def hysteresis(q: Array, deflection: float) -> Array:
@@ -133,18 +146,10 @@ def hysteresis(q: Array, deflection: float) -> Array:
     Between reversals ``w = s - (s - w_r) exp(-|q - q_r| / deflection)``, s the direction, r the reversal. It starts slid on in the
     direction of the first move.
     """
-    step = np.diff(q)
-    out = np.empty(len(q))
-    moving = np.flatnonzero(step)
-    if len(moving) == 0:
-        return np.zeros(len(q))
-    direction = np.sign(step)
-    # where it stands still it keeps the direction it had
-    direction = direction[np.maximum(np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), -1)), moving[0])]
-    starts = np.r_[0, 1 + np.flatnonzero(np.diff(direction)), len(step)]
-    at = float(direction[0])
-    for first, last in pairwise(starts):
-        s = direction[first]
+    out = np.zeros(len(q))
+    at: float | None = None
+    for first, last, s in monotone_runs(q):
+        at = s if at is None else at
         out[first : last + 1] = s - (s - at) * np.exp(-np.abs(q[first : last + 1] - q[first]) / deflection)
         at = float(out[last])
     return out

@@ -20,6 +20,8 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
+MULTIPLIED_ROUNDS = 12  # with gains among them, which the links must follow
+SMALLEST_FACTOR = 0.02  # of a torque gain during a fit
 ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
 LARGEST_DAMPING = 1.0e7
@@ -342,7 +344,8 @@ def identify(
     circular = any(e.needs_load or e.needs_model for e in effects)
     known = effects if start is None else start.effects
     fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links)
-    for _ in range(CIRCULAR_ROUNDS if circular else 1):
+    multiplied = any(e.multiplies for e in effects)
+    for _ in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
         fit = fit.refined()
         if circular:
             fit = fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
@@ -410,11 +413,29 @@ class _Fit:
         return _Fit(regression, shapes.put(effects, shapes.values(effects)), fit_links, shapes)
 
     @cached_property
+    def factors(self) -> Array:
+        """Gain of each joint's log so far, shape (joints,): the rows of all columns are multiplied by it."""
+        out = np.ones(len(self.regression.joints))
+        for e in self.effects:
+            if e.multiplies and e.known:
+                at = self.regression.joints.index(e.joints[0])
+                out[at] = max(out[at] * (1.0 + e.coefficients[0]), SMALLEST_FACTOR)
+        return out
+
+    def _scaled(self, effect: Effect) -> Array:
+        columns = self.regression.columns(effect)
+        return columns if effect.multiplies or (self.factors == 1.0).all() else columns * self.factors[:, None]
+
+    @cached_property
     def target(self) -> Array:
-        """Torque that the columns are to explain."""
-        if self.fit_links:
-            return self.regression.torque
-        return self.regression.torque - self.regression.link_columns @ self.regression.robot.link_parameters
+        """Torque that the columns are to explain. Gains are linear about their values so far, whose part is added."""
+        torque = self.regression.torque
+        if not self.fit_links:
+            torque = torque - self.factors * (self.regression.link_columns @ self.regression.robot.link_parameters)
+        for e in self.effects:
+            if e.multiplies and e.known:
+                torque = torque + self.regression.columns(e) @ e.coefficients
+        return torque
 
     @property
     def _shaped(self) -> Mask:
@@ -425,15 +446,15 @@ class _Fit:
     @cached_property
     def fixed(self) -> _Fixed:
         """Columns that do not change with the shapes."""
-        parts = [self.regression.link_columns] if self.fit_links else []
-        parts += [self.regression.columns(e) for e in self.effects if not len(e.shape)]
+        parts = [self.regression.link_columns * self.factors[:, None]] if self.fit_links else []
+        parts += [self._scaled(e) for e in self.effects if not len(e.shape)]
         empty = np.zeros((*self.regression.torque.shape, 0))
         return _Fixed.of(np.concatenate([empty, *parts], axis=2), self.target)
 
     @cached_property
     def varied(self) -> Array:
         """Columns that change with the shapes, shape (joints, N, v)."""
-        parts = [self.regression.columns(e) for e in self.effects if len(e.shape)]
+        parts = [self._scaled(e) for e in self.effects if len(e.shape)]
         empty = np.zeros((*self.regression.torque.shape, 0))
         return np.ascontiguousarray(np.concatenate([empty, *parts], axis=2).transpose(1, 0, 2))
 
@@ -498,7 +519,7 @@ class _Fit:
     def with_shape(self, shape: Array) -> _Fit:
         """With other shapes, and the columns that these do not touch."""
         other = dataclasses.replace(self, effects=self.shapes.put(self.effects, shape))
-        other.__dict__.update(target=self.target, fixed=self.fixed, prior=self.prior)
+        other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed, prior=self.prior)
         return other
 
     @cached_property
@@ -517,7 +538,7 @@ class _Fit:
                 down[i] -= step
                 rows, columns = self.regression.compact([e.with_shape(up), e.with_shape(down)])
                 out[:, rows, place] += (columns[:, :, :k] - columns[:, :, k:]) @ theta / (2.0 * step)
-        return out
+        return out * self.factors[:, None]
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""

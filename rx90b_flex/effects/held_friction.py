@@ -1,0 +1,62 @@
+"""Dry friction that a joint at rest still holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import FRICTION, linear
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.reversal import DryFriction, last_direction, turnover_shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldFriction(DryFriction):
+    """What dry friction still holds at rest in the direction of the last move, ``torque * (last direction - sign(v))``.
+
+    A controller that brings a joint to rest leaves the gear wound up: the motor goes on holding part of the friction that it last
+    overcame. While the joint moves the two directions agree and nothing is left of it.
+
+    Signature
+    ---------
+    At rest, a torque that has the sign of the last move and stays until the next one; nothing while the joint moves.
+
+    Neighbours
+    ----------
+    `torque_offset` does not change with the last move. `presliding_friction` and `maxwell_slip_friction` also turn over
+    gradually after the joint has reversed, along an angle. Needs rests after moves in both directions.
+
+    Source
+    ------
+    Not in Hardeman 2008; dry friction at standstill takes any value up to its own (C. A. Coulomb, 1785).
+    """
+
+    remembers: ClassVar[bool] = True
+
+    torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
+    turnover: float | None = turnover_shape()
+
+    def basis(self, at: JointMotion) -> Array:
+        if not at.follows:
+            return np.zeros((len(at.q), 1))
+        return (last_direction(at) - self.direction(at.v))[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), 1))
+        return zero, -self.direction_slope(at.v)[:, None], zero
+
+    def memory(self, motion: Motion) -> Array:
+        return np.zeros((len(motion), 1))
+
+    def onward(self, memory: Array, motion: Motion) -> Array:
+        """Direction of the last move from one sample to the next."""
+        v = motion.joint(self.joint).v
+        return np.where(np.abs(v) > self.sharpness, np.sign(v), memory[:, 0])[:, None]
+
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+        at = motion.joint(self.joint)
+        (torque,) = self.known_coefficients()
+        held = np.where(np.abs(at.v) > self.sharpness, 0.0, memory[:, 0] - self.direction(at.v))
+        return np.outer(torque * held, at.port), np.zeros((len(at.q), len(at.port), len(at.port)))

@@ -1,0 +1,159 @@
+"""Hysteresis of real gears: several elastic elements side by side, each of which slips at its own torque (Maxwell, Iwan)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.presliding import deflection_range, monotone_runs
+from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
+
+ELEMENTS = 2  # where none are stated
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaxwellSlipFriction(JointEffect):
+    """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
+
+    An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its stiffness. Where samples
+    do not follow each other in time there is no memory, and it is what it comes to after sliding: ``torque * sign(v)``.
+
+    Signature
+    ---------
+    After each reversal the torque turns over along an angle in straight pieces, whatever the speed, and small moves leave loops
+    within loops that rest does not forget.
+
+    Neighbours
+    ----------
+    `presliding_friction` is one smooth element. `coulomb_friction` turns over at once, `held_friction` only shows at rest.
+
+    Source
+    ------
+    Not in Hardeman 2008; F. Al-Bender, V. Lampaert, J. Swevers, IEEE Transactions on Automatic Control 50(11), 2005.
+    """
+
+    remembers: ClassVar[bool] = True
+
+    torques: tuple[float, ...] | None = linear("N m", lower=0.0, rank=FRICTION, size=0)
+    stiffnesses: tuple[float, ...] | None = derived("N m/rad", lower=0.0, size=0)
+    deflections: tuple[float, ...] | None = None  # torques over stiffnesses, rad: the shapes that a fit works with
+
+    def __post_init__(self) -> None:
+        if self.deflections is None and self.torques is not None and self.stiffnesses is not None:
+            if len(self.torques) != len(self.stiffnesses):
+                raise ValueError(
+                    f"{self.label}: {len(self.torques)} torques and {len(self.stiffnesses)} stiffnesses; expected one for each"
+                )
+            parts = zip(self.torques, self.stiffnesses, strict=True)
+            object.__setattr__(self, "deflections", tuple(t / max(k, 1e-300) for t, k in parts))
+
+    def breakaway_torque(self) -> float:
+        return float(self.known_coefficients().sum())
+
+    @property
+    def _count(self) -> int:
+        known = [x for x in (self.deflections, self.torques, self.stiffnesses) if x is not None]
+        return len(known[0]) if known else ELEMENTS
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return tuple(f"torques_{i + 1}" for i in range(self._count))
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return ("N m",) * self._count
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (FRICTION,) * self._count
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.zeros(self._count)
+
+    @property
+    def coefficients(self) -> Array:
+        return np.full(self._count, np.nan) if self.torques is None else np.array(self.torques)
+
+    def shape_names(self) -> tuple[str, ...]:  # type: ignore[override]  # as many as there are elements
+        return tuple(f"deflections_{i + 1}" for i in range(self._count))
+
+    def shape_bounds(self) -> Array:  # type: ignore[override]
+        return np.tile([[1e-9], [1e3]], self._count)
+
+    @property
+    def shape(self) -> Array:
+        return np.full(self._count, np.nan) if self.deflections is None else np.array(self.deflections)
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        return self._consistent(self.coefficients, np.asarray(values, dtype=float))
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        return self._consistent(np.asarray(values, dtype=float), self.shape)
+
+    def _consistent(self, torques: Array, deflections: Array) -> Self:
+        def known(x: Array) -> tuple[float, ...] | None:
+            return None if np.isnan(x).any() else tuple(float(v) for v in x)
+
+        return dataclasses.replace(
+            self, torques=known(torques), stiffnesses=known(torques / deflections), deflections=known(deflections)
+        )
+
+    def shape_range(self, motion: Motion) -> Array:
+        return np.tile(np.array(deflection_range(motion.joint(self.joint)))[:, None], self._count)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        low, high = deflection_range(motion.joint(self.joint))
+        grid = np.geomspace(1.5 * low, 0.5 * high, 6)
+        step = max(1, len(grid) // (self._count + 1))
+        return np.array([grid[i : i + step * self._count : step] for i in range(len(grid) - step * (self._count - 1))])
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return 0.5 * self.shape
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 4
+
+    def basis(self, at: JointMotion) -> Array:
+        if not at.follows:
+            return np.repeat(reversal(at.v, SHARP)[:, None], self._count, axis=1)
+        return np.stack([slipping(at.q, d) for d in self.known_shape()], axis=1)
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), self._count))
+        return zero, np.repeat(reversal_slope(at.v, SHARP)[:, None], self._count, axis=1), zero
+
+    def memory(self, motion: Motion) -> Array:
+        return np.concatenate([motion.joint(self.joint).q[:, None], np.zeros((len(motion), self._count))], axis=1)
+
+    def onward(self, memory: Array, motion: Motion) -> Array:
+        q = motion.joint(self.joint).q[:, None]
+        step = (q - memory[:, :1]) / self.known_shape()
+        return np.concatenate([q, np.clip(memory[:, 1:] + step, -1.0, 1.0)], axis=1)
+
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+        at = motion.joint(self.joint)
+        torques = self.known_coefficients()
+        sticking = np.abs(memory[:, 1:]) < 1.0
+        slope = (sticking * torques / self.known_shape()).sum(axis=1)
+        return np.outer(memory[:, 1:] @ torques, at.port), slope[:, None, None] * np.outer(at.port, at.port)
+
+
+def slipping(q: Array, deflection: float) -> Array:
+    """Torque of one element over its limit along a motion, shape (N,); exact between samples of monotone motion.
+
+    It starts slid on in the direction of the first move.
+    """
+    out = np.zeros(len(q))
+    at: float | None = None
+    for first, last, direction in monotone_runs(q):
+        at = direction if at is None else at
+        out[first : last + 1] = np.clip(at + (q[first : last + 1] - q[first]) / deflection, -1.0, 1.0)
+        at = float(out[last])
+    return out

@@ -1,0 +1,80 @@
+"""Dry friction that changes with the angle of its joint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import derived, shape
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
+from rx90b_flex.effects.ripple import PeriodicEffect
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionFriction(PeriodicEffect, DryFriction):
+    """Dry friction that changes with the angle, ``amplitude * sin(order * q + phase) * sign(v)``, order cycles a joint turn.
+
+    Signature
+    ---------
+    At one angle the residual is opposite for the two directions, and it comes and goes along the angle.
+
+    Neighbours
+    ----------
+    `gear_ripple` is the same in both directions; `coulomb_friction` is the same at all angles; `load_friction` follows the load, which
+    gravity changes with the angle too: other poses of the joints behind tell.
+
+    Source
+    ------
+    Not in Hardeman 2008; friction that depends on the position in gears and seals: B. Armstrong-Hélouvry, P. Dupont, C. Canudas de Wit,
+    Automatica 30(7), 1994.
+    """
+
+    PEAKS: ClassVar[int] = 4
+
+    order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=PeriodicEffect.HIGHEST_ORDER)
+    amplitude: float | None = derived("N m", lower=0.0)
+    phase: float | None = derived("rad")
+    turnover: float | None = turnover_shape()
+
+    def own_range(self, motion: Motion) -> Array:
+        return self.shape_bounds()
+
+    def shape_starts(self, motion: Motion) -> Array:
+        orders = PeriodicEffect.shape_starts(self, motion)
+        low, high = turnover_range(motion.joint(self.joint))
+        return np.concatenate([orders, np.full((len(orders), 1), np.sqrt(low * high))], axis=1)
+
+    def starts_beside(self, motion: Motion, residual: Any, cutoff_hz: float | None) -> Array:
+        """As of a ripple, for a residual that changes sign with the direction."""
+        turned = [(m, left * np.sign(m.joint(self.joint).v)) for m, left in residual]
+        orders = PeriodicEffect.starts_beside(self, motion, turned, cutoff_hz)
+        starts = self.shape_starts(motion)
+        return np.concatenate([orders, np.full((len(orders), 1), starts[0, 1] if len(starts) else 1.0)], axis=1)
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.r_[PeriodicEffect.shape_spread(self, motion), 0.3 * self.sharpness]
+
+    def _waves(self, q: Array) -> tuple[Array, Array]:
+        angle = self.known_shape()[0] * q
+        return np.sin(angle), np.cos(angle)
+
+    def basis(self, at: JointMotion) -> Array:
+        return np.stack(self._waves(at.q), axis=1) * self.direction(at.v)[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        s, c = self._waves(at.q)
+        by_q = self.known_shape()[0] * np.stack([c, -s], axis=1) * self.direction(at.v)[:, None]
+        by_v = np.stack([s, c], axis=1) * self.direction_slope(at.v)[:, None]
+        return by_q, by_v, np.zeros_like(by_q)
+
+    @staticmethod
+    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+        sine, cosine, order, turnover = parameters[0], parameters[1], parameters[2], parameters[3]
+        s, c, sign = math.sin(order * x), math.cos(order * x), math.tanh(rate / turnover)
+        out[0] = (sine * s + cosine * c) * sign
+        out[1] = order * (sine * c - cosine * s) * sign
+        out[2] = (sine * s + cosine * c) * (1.0 - sign * sign) / turnover
