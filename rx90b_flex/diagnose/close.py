@@ -377,6 +377,7 @@ class _Step:
     rivals: tuple[Trial, ...]
     errors: RoleErrors
     compared: tuple[Comparison, ...] = ()
+    before: RoleErrors | None = None  # where several effects were added as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,52 +408,67 @@ class _Rounds:
     tell: Progress
 
     def run(self, declared: Identification, before: RoleErrors) -> _Outcome:
-        """Add effects until nothing more is significant, or the noise floor is reached."""
+        """Add effects until nothing more is significant, or the noise floor is reached. No model is visited twice."""
         outcome = _Outcome(declared, before, (), ())
-        for _ in range(2 * MOST_EFFECTS):  # what is added may be taken out again
-            if len(outcome.steps) >= MOST_EFFECTS or self._at_floor(outcome):
-                break
+        visited = {_signature(declared.effects)}
+        while len(outcome.steps) < MOST_EFFECTS and len(visited) < 2 * MOST_EFFECTS and not self._at_floor(outcome):
             model, number = outcome.model, len(outcome.steps)
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
             trials = Search(model, self.sites).run(told)
-            more = self._one_more(outcome, trials, done) or self._two_together(outcome, trials, done)
+            more = self._one_more(outcome, trials, done, visited) or self._two_together(outcome, trials, done, visited)
             if more is None:
-                return dataclasses.replace(outcome, refused=tuple(trials[:RIVALS]))
+                curves = Search(model, self.sites, last_resort=True).run()
+                more = self._one_more(outcome, curves, done, visited)
+                trials = sorted([*trials, *curves], key=lambda t: -t.gain)
+            if more is None:
+                return dataclasses.replace(outcome, refused=tuple(t for t in trials if not t.members)[: 2 * RIVALS])
             outcome = more
+            visited.add(_signature(outcome.model.effects))
         return outcome
 
-    def _one_more(self, outcome: _Outcome, trials: Sequence[Trial], done: float) -> _Outcome | None:
-        """With the best effect that still helps once everything is fitted again; None where none does."""
+    def _one_more(self, outcome: _Outcome, trials: Sequence[Trial], done: float, visited: set[_Signature]) -> _Outcome | None:
+        """With the best addition that still helps once everything is fitted again; None where none does."""
         model, left = outcome.model, list(trials)
         for _ in range(TRIES):
             best = choose(left)
             if best is None:
                 return None
             left.remove(best)
-            self.tell(f"adding {best.effect.label}", done)
-            candidate = self._identified(added(model.effects, best.effect), model)
+            effects = model.effects
+            for effect in best.effects:
+                effects = added(effects, effect)
+            if _signature(effects) in visited:
+                continue
+            self.tell(f"adding {best.effect.label}" + (f" and {len(best.members) - 1} alike" if best.members else ""), done)
+            candidate = self._identified(effects, model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 continue
             candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
             if errors.identification.relative_error > WORSE * outcome.errors.identification.relative_error:
                 continue  # it helps where rows count, and spoils more where they do not
-            rivals = tuple(t for t in trials if t is not best)
-            return self._pruned(_Outcome(candidate, errors, outcome.with_steps(_Step(best, rivals, errors)), ()))
+            singles = best.members or (best,)
+            rivals = tuple(t for t in trials if not t.members and t not in singles)
+            steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in singles)
+            more = self._pruned(_Outcome(candidate, errors, outcome.with_steps(*steps), ()))
+            if _signature(more.model.effects) not in visited:
+                return more
         return None
 
-    def _two_together(self, outcome: _Outcome, trials: Sequence[Trial], done: float) -> _Outcome | None:
+    def _two_together(
+        self, outcome: _Outcome, trials: Sequence[Trial], done: float, visited: set[_Signature]
+    ) -> _Outcome | None:
         """Two additions where neither is sure alone, each in the other's residual; None where no two are sure together.
 
         Worth a try where a lawful effect explains much: what keeps it from being sure is then no noise.
         """
-        for first in [t for t in trials if t.lawful and t.share > MUCH][:PAIRS]:
+        for first in [t for t in trials if t.lawful and t.share > MUCH and not t.members][:PAIRS]:
             self.tell(f"trying effects beside {first.effect.label}", done)
             half = self._identified(added(outcome.model.effects, first.effect), outcome.model)
             search = Search(half, self.sites)
             beside = search.run()
-            second = choose(beside)
+            second = choose([t for t in beside if not t.members])
             # as many pairs might have been tried as there are trials
             if second is None or second.p_value * search.tests > SIGNIFICANCE:
                 continue
@@ -463,10 +479,12 @@ class _Rounds:
             if not again.accepted:
                 continue
             steps = (
-                _Step(again, tuple(t for t in trials if t is not first), self.data.errors(half)),
-                _Step(second, tuple(t for t in beside if t is not second), self.data.errors(whole)),
+                _Step(again, tuple(t for t in trials if t is not first and not t.members), self.data.errors(half)),
+                _Step(second, tuple(t for t in beside if t is not second and not t.members), self.data.errors(whole)),
             )
-            return self._pruned(_Outcome(whole, steps[-1].errors, outcome.with_steps(*steps), ()))
+            more = self._pruned(_Outcome(whole, steps[-1].errors, outcome.with_steps(*steps), ()))
+            if _signature(more.model.effects) not in visited:
+                return more
         return None
 
     def _tell_part(self, text: str, done: float, fraction: float) -> None:
@@ -530,6 +548,18 @@ class _Rounds:
         return outcome
 
 
+_Signature = frozenset[tuple[str, tuple[str, ...], tuple[int, ...]]]
+
+
+def _signature(effects: Sequence[Effect]) -> _Signature:
+    """What tells two models apart: types and places; of those that may stand twice in one place, the shapes too, to a tenth."""
+
+    def shape(effect: Effect) -> tuple[int, ...]:
+        return tuple(np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)).astype(int).tolist()) if effect.repeats else ()
+
+    return frozenset((e.type_name(), e.place, shape(e)) for e in effects)
+
+
 def _trusting(regression: Regression, model: Identification) -> Identification:
     """The same model fitted with the trust that it has in each row, which its smaller residual may change once more."""
     for _ in range(TRUST_ROUNDS):
@@ -562,7 +592,7 @@ def _found(steps: Sequence[_Step], search: Search, before: RoleErrors) -> tuple[
             FoundEffect(
                 effect,
                 model.estimates(model.effects.index(effect)),
-                last.validation,
+                (step.before or last).validation,
                 step.errors.validation,
                 step.trial.p_value,
                 step.trial.gain_t,

@@ -29,6 +29,12 @@ GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
 REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
+FAMILIES = 4  # laws that are tried on all joints together
+FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
+MEMBER = 0.01  # p-value, not corrected, of a member
+FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
+LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
+LOST_PART = 0.005  # of its squared error, and this much: less is no reason
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
 REFINED = 16  # trials whose shape parameters are refined at the most
 FEWEST_REFINED = 6  # and at the least
@@ -60,9 +66,15 @@ class Trial:
     share : float
         Gain over the squared error of the joints that it touches.
     lawful : bool
-        Whether its coefficients lie within their physical bounds.
+        Whether its values are such as it can have, and this data can tell them.
     colour : float
         Variance of its torque's product with the residual, over what white noise would give.
+    objection : str
+        Why its values are not lawful; empty where they are.
+    worst : float
+        Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
+    members : tuple of Trial
+        Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
     """
 
     effect: Effect
@@ -73,6 +85,14 @@ class Trial:
     share: float
     lawful: bool
     colour: float = 1.0
+    objection: str = ""
+    worst: float = 0.0
+    members: tuple[Trial, ...] = ()
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What it adds: one effect, or a family's."""
+        return tuple(m.effect for m in self.members) or (self.effect,)
 
     @property
     def gain_t(self) -> float:
@@ -108,8 +128,26 @@ class Trial:
     @property
     def accepted(self) -> bool:
         """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
-        holds = self.gain_t > GAIN_T or self.replicated
-        return self.p_value < SIGNIFICANCE and holds and self.share > SMALLEST_GAIN and self.lawful
+        return not self.refusal
+
+    @property
+    def refusal(self) -> str:
+        """Why it is not accepted, in words; empty where it is."""
+        if not self.lawful:
+            return self.objection or "its values are not such as it can have"
+        if self.p_value >= SIGNIFICANCE:
+            return f"chance would do as well (p = {self.p_value:.2g})"
+        if self.share <= SMALLEST_GAIN:
+            return f"it explains {max(self.share, 0.0):.1%} of the squared error, too little for a name"
+        if not (self.gain_t > GAIN_T or self.replicated):
+            return "parts of the data that were held out disagree on it"
+        if self.worst > 1.0:
+            return "it raises the error of a recording that was left out"
+        return ""
+
+    def belongs(self, tests: int) -> bool:
+        """Whether it may be one of a family: by itself as likely as a hypothesis that nobody had to search for."""
+        return self.lawful and self.gain > 0 and self.share > SMALLEST_GAIN and self.p_value < MEMBER * tests and self.worst <= 1.0
 
     def no_better_than(self, other: Trial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
@@ -187,6 +225,16 @@ class Base:
         """Weighted squared error on each block when it is held out, shape (blocks,)."""
         parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
         return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
+
+    def grouped(self, groups: Sequence[Indices]) -> Base:
+        """With blocks put together."""
+        normal = self.shared.normal
+        gram, cross, power, counts = (
+            np.array([x[at].sum(axis=0) for at in groups]) for x in (normal.gram, normal.cross, normal.power, normal.counts)
+        )
+        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared))
+        other.shared.__dict__["normal"] = NormalEquations(gram, cross, power, counts)
+        return other
 
     @cached_property
     def residual(self) -> Array:
@@ -270,10 +318,13 @@ class Search:
     ----------
     model : Identification
     sites : Sites
+    last_resort : bool
+        Whether to try curves of no known law, and those alone.
     """
 
     model: Identification
     sites: Sites
+    last_resort: bool = False
 
     @property
     def regression(self) -> Regression:
@@ -286,7 +337,14 @@ class Search:
         return self.regression.blocks()
 
     @cached_property
+    def by_recording(self) -> tuple[Indices, ...]:
+        """Which blocks each recording holds."""
+        starts = np.array([b.start for b in self.blocks])
+        return tuple(np.flatnonzero((starts >= s.start) & (starts < s.stop)) for s in self.regression.spans)
+
+    @cached_property
     def target(self) -> Array:
+        """Torque that the model's columns explain, shape (N, joints)."""
         return np.asarray(self.model.residual + self.model.columns @ self.model.theta)
 
     @cached_property
@@ -324,7 +382,7 @@ class Search:
         """Effects to try, each with the declared effect that it would replace."""
         out: list[tuple[Effect, Effect | None]] = []
         for cls in catalogue().values():
-            if cls.virtual:
+            if cls.virtual or cls.last_resort is not self.last_resort:
                 continue
             for effect in cls.everywhere(self.sites):
                 here = [e for e in self.model.effects if e.place == effect.place]
@@ -386,7 +444,25 @@ class Search:
             if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
                 break  # neither this one nor those behind it can win
             trials.append(self.trial(effect, base, bases[None], self.tests))
+        trials += self._families(rough, trials, bases[None])
         return sorted(trials, key=lambda t: -t.gain)
+
+    def _families(self, rough: Sequence[tuple[float, Effect, Base]], known: Sequence[Trial], present: Base) -> list[Trial]:
+        """One law on several joints, for the types that a first look at all joints together likes best."""
+        kinds: dict[type[Effect], list[tuple[float, Effect, Base]]] = {}
+        for item in rough:
+            kind = type(item[1])
+            if kind.on == "joint" and not (kind.repeats or kind.multiplies):
+                kinds.setdefault(kind, []).append(item)
+        liked = sorted(kinds.values(), key=lambda items: -sum(max(gain, 0.0) for gain, _, _ in items))[:FAMILIES]
+        tried = {t.effect.label: t for t in known}
+        out = []
+        for items in liked:
+            found = [tried.get(e.label) or self.trial(e, base, present, self.tests) for gain, e, base in items if gain > FAMILY_GAIN]
+            members = tuple(t for t in found if t.belongs(self.tests))
+            if len(members) >= max(2, len(self.sites.joints) / 2):
+                out.append(family(members, len(kinds)))
+        return out
 
     def without(self, effect: Effect) -> Trial:
         """What an effect of the present model is worth: the trial of adding it to the model without it."""
@@ -483,9 +559,12 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
-        p_value, lawful, colour = self._evidence(effect, base, rows, beside, beta)
-        lawful = lawful and not (effect.by_clock and self._follows_motion(base.residual[rows], effect))
+        p_value, objection, colour = self._evidence(effect, base, rows, beside, beta)
+        if effect.by_clock and self._follows_motion(base.residual[rows], effect):
+            objection = "its line lies among those of the motion itself"
         found = effect.with_coefficients(beta)
+        if not objection and not found.possible():
+            objection = "its values do not go together with what its torque assumes"
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
         return Trial(
@@ -495,9 +574,23 @@ class Search:
             min(1.0, p_value * tests),
             size,
             gain / touched if touched > 0 else 0.0,
-            lawful and found.possible(),
+            not objection,
             colour,
+            objection,
+            self._worst(base, present, (b, y, d), len(beta) * colour),
         )
+
+    def _worst(self, base: Base, present: Base, products: tuple[Array, ...], chance: float) -> float:
+        """Largest loss on a whole recording that is left out, over what chance explains; zero where there are too few."""
+        if len(self.by_recording) < FEWEST_RECORDINGS:
+            return 0.0
+        b, y, d = (np.array([part[at].sum(axis=0) for at in self.by_recording]) for part in products)
+        before = present.grouped(self.by_recording)
+        lost = self._held_out(base.grouped(self.by_recording), b, y, d) - before.held_out
+        parts = np.array([len(at) for at in self.by_recording]) / len(self.blocks)
+        # what a fit to the others costs a recording by chance: as much as it is longer than they are together
+        spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
+        return float((lost / np.maximum(spread, 1e-300)).max())
 
     def _follows_motion(self, residual: Array, effect: Effect) -> bool:
         """Whether a line sits among the harmonics of a motion that repeats, and does not stand out of those beside it.
@@ -544,7 +637,7 @@ class Search:
 
     def _held_out(self, base: Base, b: Array, y: Array, d: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
-        out = np.empty(len(self.blocks))
+        out = np.empty(len(b))
         for i, (theta, inverse) in enumerate(base.without):
             bb, yy, dd = b.sum(axis=0) - b[i], y.sum(axis=0) - y[i], d.sum(axis=0) - d[i]
             beta = _solve(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
@@ -560,8 +653,8 @@ class Search:
 
     def _evidence(
         self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array
-    ) -> tuple[float, bool, float]:
-        """Wald test of the coefficients under coloured residuals, whether they can be what they claim to be, and `colour`.
+    ) -> tuple[float, str, float]:
+        """Wald test of the coefficients under coloured residuals, why they cannot be what they claim to be, and `colour`.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
         effect then plays another one's part), or if with the shapes estimated too nothing of them is certain.
@@ -584,16 +677,33 @@ class Search:
         shapes = self.free(effect)
         tests = free + len(shapes)
         p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
-        lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
-        if len(shapes):
+        objection = ""
+        wrong = np.flatnonzero(beta < effect.coefficient_bounds - SIGN_T * std)
+        if len(wrong):
+            i = wrong[0]
+            unit = effect.coefficient_units[i]
+            objection = f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {abs(beta[i] / std[i]):.0f} std of the wrong sign"
+        elif len(shapes):
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
-            lawful = lawful and bool(certain > SIGN_T**2 * k)
+            if not certain > SIGN_T**2 * k:
+                objection = "with its shape open too, nothing of it is certain"
+        objection = self._at_bound(effect) or objection
+        white = float(beta @ bread[:k, :k] @ beta)
+        return p_value, objection, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0
+
+    def _at_bound(self, effect: Effect) -> str:
+        """Which shape ran into an end of what this log can tell, in words; empty where none did."""
+        shapes = self.free(effect)
         low, high = effect.shape_range(self.longest)[:, shapes]
         at = effect.shape[shapes]
-        inside = bool(((at > 1.01 * low) & (at < 0.99 * high)).all())
-        white = float(beta @ bread[:k, :k] @ beta)
-        return p_value, lawful and inside, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0
+        names = [effect.shape_names()[i] for i in shapes]
+        for name, x, a, b in zip(names, at, low, high, strict=True):
+            if x <= 1.01 * a:
+                return f"at its bound: this log does not resolve a {name} below {a:.3g}"
+            if x >= 0.99 * b:
+                return f"at its bound: this log does not hold a {name} beyond {b:.3g}"
+        return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -647,6 +757,24 @@ def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) 
     combined = along.T @ beta
     statistic = combined @ np.linalg.pinv(along.T @ covariance @ along, rcond=1e-10, hermitian=True) @ combined
     return float(statistic), int(kept.sum()), covariance
+
+
+def family(members: Sequence[Trial], kinds: int) -> Trial:
+    """Several trials as one: gains add up, and Fisher's method puts their p-values together; `kinds` families were tried."""
+    chance = -2.0 * float(np.log(np.maximum([m.p_value for m in members], 1e-300)).sum())
+    gain = float(sum(m.gain for m in members))
+    touched_squares = sum(m.gain / m.share for m in members)
+    return dataclasses.replace(
+        members[0],
+        gain=gain,
+        block_gains=np.sum([m.block_gains for m in members], axis=0),
+        p_value=min(1.0, kinds * float(stats.chi2.sf(chance, 2 * len(members)))),
+        size=sum(m.size for m in members),
+        share=gain / touched_squares,
+        colour=max(m.colour for m in members),
+        worst=max(m.worst for m in members),
+        members=tuple(members),
+    )
 
 
 def choose(trials: Sequence[Trial]) -> Trial | None:
