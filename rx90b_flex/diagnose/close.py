@@ -451,7 +451,7 @@ class _Rounds:
             singles = best.members or (best,)
             rivals = tuple(t for t in trials if not t.members and t not in singles)
             steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in singles)
-            more = self._pruned(_Outcome(candidate, errors, outcome.with_steps(*steps), ()))
+            more = self._pruned(_Outcome(candidate, errors, outcome.with_steps(*steps), ()), len(steps))
             if _signature(more.model.effects) not in visited:
                 return more
         return None
@@ -532,19 +532,26 @@ class _Rounds:
         steps = [dataclasses.replace(s, compared=tuple(c)) for s, c in zip(outcome.steps, looked_at, strict=True)]
         return dataclasses.replace(outcome, steps=tuple(steps))
 
-    def _pruned(self, outcome: _Outcome) -> _Outcome:
-        """Take out what the latest effect made needless."""
-        for step in outcome.steps[:-1]:
+    def _pruned(self, outcome: _Outcome, latest: int = 1) -> _Outcome:
+        """Take out what the latest effects made needless, and those of a family that turn out not to belong to it."""
+        for i, step in enumerate(outcome.steps):
+            newest = i >= len(outcome.steps) - latest
+            if newest and latest == 1:
+                continue
             model = outcome.model
             effect = _find(model.effects, step.trial.effect)
-            if effect.replaces or Search(model, self.sites).without(effect).accepted:
+            search = Search(model, self.sites)
+            worth = search.without(effect)
+            if (newest and worth.belongs(search.tests)) or worth.accepted or (effect.replaces and not newest):
                 continue
             self.tell(f"taking out {effect.label}", 0.1 + 0.8 * (1.0 - 0.8 ** len(outcome.steps)))
-            model = self._identified([e for e in model.effects if e is not effect], model)
-            errors = self.data.errors(model)
             kept = [s for s in outcome.steps if s is not step]
+            if not kept:
+                return outcome
+            model = self._identified(search.present_without(effect), model)
+            errors = self.data.errors(model)
             kept[-1] = dataclasses.replace(kept[-1], errors=errors)
-            outcome = _Outcome(model, errors, tuple(kept), ())
+            return self._pruned(_Outcome(model, errors, tuple(kept), ()), max(1, latest - newest))
         return outcome
 
 

@@ -464,6 +464,14 @@ class Search:
                 out.append(family(members, len(kinds)))
         return out
 
+    def present_without(self, effect: Effect) -> list[Effect]:
+        """The model's effects without one, which gives its place back to what it stands in for."""
+        kept = [e for e in self.model.effects if e is not effect]
+        if effect.joints and effect.replaces:
+            kind = catalogue()[effect.replaces[0]]
+            kept += [e for e in kind.everywhere(self.sites) if e.place == effect.place]
+        return kept
+
     def without(self, effect: Effect) -> Trial:
         """What an effect of the present model is worth: the trial of adding it to the model without it."""
         base = self.base(effect)

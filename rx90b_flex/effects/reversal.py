@@ -50,7 +50,7 @@ class Resolution:
     speed : float
         95th percentile of the speed, rad/s.
     angle : float
-        By which the angle changes within a sample beside a reversal, or is off at rest, rad.
+        By which the angle changes within a sample beside a reversal, or is off by noise, rad.
     travel : float
         Range of the angle, rad.
     """
@@ -82,10 +82,11 @@ def _resolution(q: Array, v: Array, time: Array) -> Array:
     if whole == 0:
         window = whole = len(v)
     largest = np.abs(v[:whole]).reshape(-1, window).max(axis=1)
-    ranges = np.ptp(q[:whole].reshape(-1, window), axis=1)
-    quietest = np.argsort(largest, kind="stable")[: max(1, int(QUIET * len(largest)))]
-    noise = min(float(largest[quietest].mean()), SLOWEST_PART * speed)
-    angle = max(0.5 * velocity * step, min(float(ranges[quietest].mean()), 1e-3 * travel))
+    quietest = np.sort(largest)[: max(1, int(QUIET * len(largest)))]
+    noise = min(float(quietest.mean()), SLOWEST_PART * speed)
+    # third differences of a smooth motion hold little but noise, whose variance they multiply by 20
+    rough = float(np.median(np.abs(np.diff(q, 3)))) / np.sqrt(20.0)
+    angle = max(0.5 * velocity * step, 3.0 * rough)
     return np.maximum([velocity, noise, speed, angle, travel], 1e-12)
 
 

@@ -17,7 +17,9 @@ from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueDelay(Effect):
-    """The logged torque is late: it shows what the motor gave `delay` ago. On one joint, or on all joints alike.
+    """The logged torque is late: it shows what the motor gave `delay` ago; a negative delay: it is early, or the position is late.
+
+    On one joint, or on all joints alike.
 
     Its column is the secant ``(tau(t - d) - tau(t)) / d`` of the present model's torque, d the present delay or, before there is
     one, a sample, which no step of dry friction slips through. The model is asked for the torque of the motion of d ago: between
@@ -45,14 +47,14 @@ class TorqueDelay(Effect):
     SHORTEST: ClassVar[float] = 1e-4  # s
 
     joint: str | None = None
-    delay: float | None = linear("s", lower=0.0)
+    delay: float | None = linear("s")
 
     @property
     def joints(self) -> tuple[str, ...]:
         return () if self.joint is None else (self.joint,)
 
     def columns(self, motion: Motion) -> Array:
-        step = _sample(motion) if self.delay is None else max(self.SHORTEST, self.delay)
+        step = _sample(motion) if self.delay is None else np.copysign(max(self.SHORTEST, abs(self.delay)), self.delay)
         # all joints ask for the same
         (change,) = motion.once((self.type_name(), repr(step)), lambda: (self._change(motion, step),))
         return self._own(motion, change / step)[:, :, None]
@@ -78,11 +80,17 @@ class TorqueDelay(Effect):
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
     @property
-    def history_s(self) -> float:
+    def _delay(self) -> float:
         return float(self.known_coefficients()[0])
 
+    @property
+    def history_s(self) -> float:
+        if self._delay < 0:
+            raise ValueError(f"{self.label}: delay is {self._delay:g} s; a simulation cannot log a torque before it is there")
+        return self._delay
+
     def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
-        late = interpolate.make_interp_spline(time, torque, k=1)(np.maximum(time - self.history_s, time[0]))
+        late = interpolate.make_interp_spline(time, torque, k=1)(np.clip(time - self._delay, time[0], time[-1]))
         own = [self.joint in (None, joint) for joint in joints]
         return np.where(np.array(own)[:, None], late, torque)
 
@@ -103,8 +111,8 @@ def _sample(motion: Motion) -> float:
 
 
 def _late(x: Array, time: Array, delay: float) -> Array:
-    """Smooth signals (N, m) of `delay` ago; the first sample where there is none."""
-    return np.asarray(interpolate.CubicSpline(time, x)(np.maximum(time - delay, time[0])))
+    """Smooth signals (N, m) of `delay` ago; the first or last sample where there is none."""
+    return np.asarray(interpolate.CubicSpline(time, x)(np.clip(time - delay, time[0], time[-1])))
 
 
 @dataclass(frozen=True, kw_only=True)
