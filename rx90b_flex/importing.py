@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 from rx90b_flex.robot import load_robot
-from rx90b_flex.signals.folders import check_folder, fill_folder
+from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.signals.importers import Axes, Imported, Options, import_logs
 from rx90b_flex.signals.recording import load_campaign, write_campaign
 
@@ -70,7 +70,7 @@ def _listed(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def import_into(request: Request, folder: Path) -> Imported:
+def import_into(request: Request, folder: Path, overwrite: bool = False) -> Imported:
     """Import and write the campaign; nothing is written unless all of it is, and can be read again.
 
     Raises
@@ -80,7 +80,7 @@ def import_into(request: Request, folder: Path) -> Imported:
     """
     if request.file_format not in FORMATS:
         raise ValueError(f"--format {request.file_format}: expected {', '.join(FORMATS)}")
-    check_folder(folder)
+    check_folder(folder, CAMPAIGN, overwrite)
     robot = load_robot(request.robot)
     tree = robot.tree
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
@@ -92,5 +92,5 @@ def import_into(request: Request, folder: Path) -> Imported:
         file_format = cast(Literal["parquet", "csv", "csv.gz"], request.file_format)
         load_campaign(write_campaign(at, written, imported.recordings, file_format=file_format))
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CAMPAIGN, overwrite)
     return imported

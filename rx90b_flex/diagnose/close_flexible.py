@@ -44,7 +44,7 @@ from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.signals.folders import fill_folder
+from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
 SCHEMA = 1
 UNUSUAL = 10.0  # factor from declared stiffnesses of its kind beyond which a new hinge's is called unusual
@@ -556,6 +556,7 @@ def write_loop(
     loop: ModalLoop | ResponseLoop,
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[ModalLoop | ResponseLoop, Path], None]] = (),
+    overwrite: bool = False,
 ) -> Path:
     """Write ``closed_loop.json``, the robot with what was found, and what else is given; all of it or nothing."""
     folder = Path(folder)
@@ -567,7 +568,7 @@ def write_loop(
         for write in extra:
             write(loop, at)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CLOSED_LOOP, overwrite)
     return folder
 
 

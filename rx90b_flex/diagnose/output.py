@@ -17,7 +17,7 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals.folders import fill_folder
+from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.motion import MotionErrors
@@ -122,6 +122,7 @@ def write_result(
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[ClosedLoop, Path], None]] = (),
     motion: MotionErrors | str | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Write everything that belongs to a result; all of it or nothing.
 
@@ -129,11 +130,13 @@ def write_result(
     ----------
     result : ClosedLoop
     folder : path
-        Made if it does not exist; files of the same names in it are replaced.
+        Made if it does not exist; the result of an earlier run in it is replaced as a whole.
     extra : iterable of callable
         Each gets the result and the folder to write more into, such as a report.
     motion : MotionErrors or str, optional
         What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
+    overwrite : bool
+        Whether other files of the same names are replaced, too.
     """
     folder = Path(folder)
 
@@ -151,5 +154,5 @@ def write_result(
         for write in extra:
             write(result, at)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CLOSED_LOOP, overwrite)
     return folder
