@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,7 +87,8 @@ def import_into(request: Request, folder: Path, overwrite: bool = False) -> Impo
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
     imported = import_logs(request.files, Axes(robot.joints, *limits), request.options)
     path = Path(request.robot)
-    written: str | Path = path.resolve() if path.is_file() else request.robot
+    # as seen from where the campaign will lie, not from where it is made
+    written = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.is_file() else request.robot
 
     def fill(at: Path) -> None:
         file_format = cast(Literal["parquet", "csv", "csv.gz"], request.file_format)

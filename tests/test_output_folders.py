@@ -1,4 +1,4 @@
-"""Folders that exist: an earlier result is replaced as a whole, what is not a result is left alone, and killed runs leave nothing for long."""
+"""Folders that exist: earlier results are replaced as a whole, other things left alone; what killed runs leave goes with the next."""
 
 from __future__ import annotations
 
@@ -51,7 +51,9 @@ def test_the_predictions_of_an_earlier_campaign_go_and_notes_stay(tmp_path: Path
 
 def test_folders_in_a_result_are_replaced_with_it(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    fill_folder(out, writes(path_check_dot_json="1", corrected__tip_dot_csv="1", as_planned__tip_dot_csv="1"), PATH_CHECK)
+    fill_folder(
+        out, writes(path_check_dot_json="1", corrected__tip_dot_csv="1", as_planned__tip_dot_csv="1"), PATH_CHECK
+    )
     fill_folder(out, writes(path_check_dot_json="2", as_planned__tip_dot_csv="2"), PATH_CHECK)
     assert tree(out) == {"as_planned": None, "as_planned/tip.csv": "2", "path_check.json": "2"}
 
@@ -120,7 +122,9 @@ def test_a_link_to_nothing_is_no_folder_and_one_to_a_folder_is(tmp_path: Path) -
     assert (tmp_path / "there" / "closed_loop.json").read_text() == "2"
 
 
-@pytest.mark.parametrize("name", ["x" * 250, "x" * 300, "x" * 5000, "file/out", "file/a/b"], ids=lambda n: n[:8] + str(len(n)))
+@pytest.mark.parametrize(
+    "name", ["x" * 250, "x" * 300, "x" * 5000, "file/out", "file/a/b"], ids=lambda n: n[:8] + str(len(n))
+)
 def test_a_place_that_cannot_be_is_one_line(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("mine")
     for refuses in (check_folder, lambda out: fill_folder(out, SECOND, CLOSED_LOOP)):
@@ -128,6 +132,17 @@ def test_a_place_that_cannot_be_is_one_line(tmp_path: Path, name: str) -> None:
             refuses(tmp_path / name)
         assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
     assert tree(tmp_path) == {"file": "mine"}
+
+
+def test_a_folder_can_be_filled_within_one_that_is_being_filled(tmp_path: Path) -> None:
+    def fill(at: Path) -> None:
+        FIRST(at)
+        fill_folder(at, SECOND, CLOSED_LOOP)
+        fill_folder(at / "within", FIRST, CLOSED_LOOP)
+
+    fill_folder(tmp_path / "out", fill, CLOSED_LOOP)
+    assert (tmp_path / "out" / "closed_loop.json").read_text() == "2"
+    assert not [p for p in tmp_path.rglob(".*")]
 
 
 def test_a_failure_while_results_are_put_in_place_brings_the_earlier_ones_back(
@@ -167,7 +182,9 @@ fill_folder(Path(sys.argv[1]), fill, CLOSED_LOOP)
 
 
 @pytest.mark.parametrize("exists", [False, True], ids=["new", "replaced"])
-def test_what_a_killed_run_leaves_goes_with_the_next_and_a_running_one_is_left_alone(tmp_path: Path, exists: bool) -> None:
+def test_what_a_killed_run_leaves_goes_with_the_next_and_a_running_one_is_left_alone(
+    tmp_path: Path, exists: bool
+) -> None:
     out = tmp_path / "out"
     if exists:
         fill_folder(out, FIRST, CLOSED_LOOP)

@@ -174,7 +174,9 @@ def _refuse_what_is_in_the_way(folder: Path, needed: set[str], output: Output | 
     """Names that are needed must be free, or of an earlier result."""
     if overwrite:
         return
-    for name in sorted(needed - _earlier(folder, output)):
+    order = [*output.names, output.mark] if output is not None else []
+    free = sorted(needed - _earlier(folder, output))
+    for name in sorted(free, key=lambda n: order.index(n) if n in order else -1):
         path = folder / name
         if path.exists() or path.is_symlink():
             kind = f", {_unlike(path)}," if _unlike(path) else ""
@@ -274,6 +276,9 @@ def _remove_if_abandoned(part: Path) -> None:
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """One run at a time puts its results in place."""
+    if _PART.search(folder.name):  # out of sight, and so of one run, which holds a lock on it already
+        yield
+        return
     held = None
     with contextlib.suppress(OSError):  # a folder that may not be read, a file system without locks
         held = os.open(folder, os.O_RDONLY)

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.section import Section
 from rx90b_flex.signals.stated import (
@@ -203,11 +203,8 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         what was found and what is expected.
     """
     path = Path(path)
-    text = _read_text(path)
-    try:
-        root = Section(str(path), "", tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: not a TOML file: {tables.one_line(error)}") from error
+    missing = "no such file; a campaign file (TOML) is expected"
+    root = Section(str(path), "", read_toml(path, "campaign file", missing))
     layout = _read_layout(root)
     entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
     if not any(entry.role == "identification" for entry in entries):
@@ -469,16 +466,6 @@ def _refuse_repeats(section: Section, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise section.problem(key, f"{name!r} is listed {names.count(name)} times")
-
-
-def _read_text(path: Path) -> str:
-    if not path.is_file():
-        found = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {found}; a campaign file (TOML) is expected")
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {tables.one_line(error)}") from error
 
 
 # --- one recording ---------------------------------------------------------------------------------------------------
