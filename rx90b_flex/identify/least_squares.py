@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Mask
-from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter
+from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter, widening
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
@@ -524,4 +524,4 @@ def coloured_covariance(columns: Array, sigma: Array, spectra: Sequence[Spectrum
     weight = sigma**-2.0
     gram = sum(w * columns[:, j].T @ columns[:, j] for j, w in enumerate(weight))
     _, inverse, _, _ = solve_weighted(np.asarray(gram), np.zeros(columns.shape[2]), np.zeros(columns.shape[2]))
-    return inverse @ scatter(columns, weight, spectra, spans) @ inverse
+    return widening(spectra) * inverse @ scatter(columns, weight, spectra, spans) @ inverse
