@@ -235,7 +235,7 @@ class Robot:
         def tree(moved: Motion) -> _RobotTreeMotion:
             same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
             bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
-            return _RobotTreeMotion(self, moved, link_parameters, regressor, bodies)
+            return _RobotTreeMotion(self, moved, link_parameters, regressor if same else None, bodies)
 
         known = (e for e in effects if e.in_dynamics and not np.isnan([*e.coefficients, *e.shape]).any())
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
@@ -414,6 +414,11 @@ class Robot:
         """The robot without the effects that add coordinates."""
         return self.with_effects([e for e in self.effects if not e.virtual])
 
+    def over_time(self) -> Robot:
+        """The robot as measured motors show it over time: a rigid tree, with what stands there for coordinates that it lacks."""
+        standing = (e.on_rigid_tree() for e in self.effects)
+        return self.with_effects([e for e in standing if e is not None])
+
     def restricted(self, joints: Sequence[str]) -> Robot:
         """The robot with all joints but these held at their neutral position; effects on held joints go with them."""
         for joint in joints:
@@ -460,6 +465,11 @@ class _RobotTreeMotion:
     def _load(self) -> Array:
         if self.link_parameters is None:
             return self.robot.link_torque(self.motion)
+        if self.regressor is None and "_regressor" not in self.__dict__:
+            model, motion = self._own_links(), self.motion
+            data, rnea = model.createData(), pin.rnea
+            samples = zip(motion.q, motion.v, motion.a, strict=True)
+            return np.array([rnea(model, data, q, v, a) for q, v, a in samples]).reshape(motion.q.shape)
         return self._regressor @ self.link_parameters
 
     def gravity_torque(self, direction: Array) -> Array:

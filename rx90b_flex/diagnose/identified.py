@@ -12,11 +12,13 @@ from rx90b_flex.robot import Robot
 
 def identified_robot(source: Robot, model: Identification, joints: Sequence[str]) -> Robot:
     """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
-    flexible = [e for e in source.effects if e.virtual]
+    flexible = [e for e in source.effects if e.on_rigid_tree() is None]
     if not model.links_fitted:
-        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(joints)]
-        return source.with_effects([*flexible, *held, *model.effects])
+        held = [e for e in source.effects if e not in flexible and not set(e.joints) <= set(joints)]
+        return source.with_effects([*flexible, *held, *(e.in_tree() for e in model.effects)])
     links = len(model.link_parameters)
     theta, _ = possible_coefficients(model)
     effects = model.with_rest(theta[links:] - model.theta[links:])
-    return with_link_parameters(model.regression.robot, theta[:links]).with_effects([*flexible, *effects])
+    return with_link_parameters(model.regression.robot, theta[:links]).with_effects(
+        [*flexible, *(e.in_tree() for e in effects)]
+    )

@@ -320,13 +320,11 @@ class Search:
         """Effects to try, each with the declared effect that it would replace."""
         out: list[tuple[Effect, Effect | None]] = []
         for cls in catalogue().values():
-            if cls.virtual:
-                continue
-            for effect in cls.everywhere(self.sites):
+            for effect in cls.over_time(self.sites):
                 here = [e for e in self.model.effects if e.place == effect.place]
                 if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
                     continue
-                if any(type(e) is cls and not cls.repeats for e in here):
+                if any(e.type_name() == cls.type_name() and not cls.repeats for e in here):
                     continue
                 if any(cls.type_name() in e.replaces for e in here):
                     continue
@@ -539,7 +537,7 @@ class Search:
         tests = free + len(effect.shape)
         p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
         lawful = bool((beta >= effect.coefficient_bounds - SIGN_T * std).all())
-        if len(effect.shape):
+        if len(effect.shape) and not effect.coefficients_follow:
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(effect.shape))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             lawful = lawful and bool(certain > SIGN_T**2 * k)

@@ -361,6 +361,21 @@ class _Fit:
         return np.concatenate(parts, axis=2)
 
     @cached_property
+    def follows(self) -> Mask:
+        """Which coefficients follow from their effect's shape, shape (p,)."""
+        own = [np.full(len(e.coefficients), e.coefficients_follow) for e in self.effects]
+        return np.concatenate([np.zeros(self._offset, bool), *own])
+
+    @cached_property
+    def free(self) -> tuple[Array, Array]:
+        """Columns of the coefficients that are estimated, zeros for the others, and what those leave of the target."""
+        if not self.follows.any():
+            return self.columns, self.target
+        return np.where(self.follows, 0.0, self.columns), self.target - self.columns[:, :, self.follows] @ self.prior[
+            self.follows
+        ]
+
+    @cached_property
     def prior(self) -> Array:
         links = self.regression.robot.link_parameters if self.fit_links else np.zeros(0)
         values = np.concatenate([links, *(e.coefficients for e in self.effects)])
@@ -372,7 +387,7 @@ class _Fit:
 
     @cached_property
     def solution(self) -> Solution:
-        return fit_weighted(NormalEquations.of(self.columns, self.target, self.whole), self.prior)
+        return fit_weighted(NormalEquations.of(*self.free, self.whole), self.prior)
 
     @property
     def link_parameters(self) -> Array:
@@ -426,13 +441,17 @@ class _Fit:
                 step = 1e-4 * max(abs(value), 1e-3)
                 up, down = e.shape.copy(), e.shape.copy()
                 up[i], down[i] = min(value + step, high), max(value - step, low)
-                change = self.regression.columns(e.with_shape(up)) - self.regression.columns(e.with_shape(down))
-                out.append((change @ theta / (up[i] - down[i]))[:, :, None])
+                above, below = (self._force(e.with_shape(x), theta) for x in (up, down))
+                out.append(((above - below) / (up[i] - down[i]))[:, :, None])
         return np.concatenate(out, axis=2)
+
+    def _force(self, effect: Effect, theta: Array) -> Array:
+        """Torque of an effect with coefficients (k,), or with those that follow from its shape; (N, joints)."""
+        return self.regression.columns(effect) @ (effect.coefficients if effect.coefficients_follow else theta)
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
-        normal = NormalEquations.of(self.columns, self.target, self.whole)
+        normal = NormalEquations.of(*self.free, self.whole)
         solution = fit_weighted(normal, self.prior, sigma)
         return float((normal.squares(solution.theta) / sigma**2).sum())
 
@@ -462,7 +481,7 @@ class _Fit:
     def _shape_step(self, sigma: Array, damping: float) -> Array:
         residual = self.target - self.columns @ self.solution.theta
         weight = 1.0 / sigma
-        x = (self.columns * weight[:, None]).reshape(-1, self.columns.shape[2])
+        x = (self.free[0] * weight[:, None]).reshape(-1, self.columns.shape[2])
         d = (self.shape_columns * weight[:, None]).reshape(-1, len(self.shape))
         r = (residual * weight).reshape(-1)
         weighted_gram = x.T @ x
@@ -479,7 +498,7 @@ class _Fit:
         spans = regression.spans
         rate = regression.stretches[0].rate_hz
         longest = int(CORRELATION_S * rate)
-        columns = np.concatenate([self.columns, self.shape_columns], axis=2)
+        columns = np.concatenate([self.free[0], self.shape_columns], axis=2)
         spectra = tuple(
             residual_spectrum(r, spans, absorbed, longest)
             for r, absorbed in zip(
