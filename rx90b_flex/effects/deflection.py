@@ -4,9 +4,9 @@ Motor angles are measured, links lag behind by the torsion eps, which obeys
 
     tau(q + E eps, v + E eps', a + E eps'')_j + k_j (eps_j + T_j eps_j') = 0
 
-for each twisting joint j (Hardeman 2008, equation 3.58, with the motor's motion given): tau is the torque that links and springs
-ask for, E puts a torsion into its joint's coordinate, k is the stiffness, T the damping over it. What the motors feel beyond the rigid
-tree is ``tau(q + E eps, ...) - tau(q, ...)``. To first order in 1/k that is ``-(K tau/k + D (tau/k)' + M (tau/k)'')``.
+for each twisting joint j (Hardeman 2008, equation 3.58, with the motor's motion given): tau is the torque that links and
+springs ask for, E puts a torsion into its joint's coordinate, k is the stiffness, T the damping over it. What the motors feel
+beyond the rigid tree is ``tau(q + E eps, ...) - tau(q, ...)``, to first order in 1/k ``-(K tau/k + D (tau/k)' + M (tau/k)'')``.
 
 The torsions are stepped on in time as an oscillator, so that nothing is lost near and above the frequency at which a link swings
 on its held drive; steps are then corrected with derivatives of eighth order. What the tree does beyond its
