@@ -18,6 +18,9 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
+MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
+SAME_MISFIT = 1.0e-4  # change of the sum of the residuals' logarithms below which a fit has settled
+BENT = 0.05  # of the torque: with so much left over, links that were fitted to it are far off
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
@@ -320,11 +323,51 @@ def identify(
     circular = any(e.needs_load or e.needs_model for e in effects)
     known = effects if start is None else start.effects
     fit = _Fit(regression.with_model(links, known) if circular else regression, effects, fit_links)
+    if any(e.coefficients_follow and len(e.shape) for e in effects):
+        fit = _settled(fit, links, regression, start)
+        return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
     for _ in range(CIRCULAR_ROUNDS if circular else 1):
         fit = fit.refined()
         if circular:
             fit = fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
     return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
+
+
+def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None) -> _Fit:
+    """A fit whose effects see the model that it ends with, links (10 * bodies,) as they see them at first.
+
+    Where much is left over, links that were fitted to it are far off: then one that begins with the declared links is tried as well.
+    """
+    settled = _circled(fit, links, regression)
+    own = regression.robot.link_parameters
+    if not fit.fit_links or np.array_equal(links, own) or settled.relative_error < BENT:
+        return settled
+    new = [e for e in settled.valued if start is None or not any(e.label == known.label for known in start.effects)]
+    new = [e for e in new if e.coefficients_follow and len(e.shape)]
+    other = dataclasses.replace(fit, regression=regression.with_model(own, ()))
+    for effect in new:
+        starts = effect.shape_starts(max((s.motion for s in other.regression.stretches), key=len))
+        shaped = [other.with_effect(effect.with_shape(x)) for x in starts]
+        other = min(shaped, key=lambda f: f.misfit, default=other)
+    return min(settled, _circled(other, own, regression), key=lambda f: f.misfit)
+
+
+def _circled(fit: _Fit, links: Array, regression: Regression) -> _Fit:
+    """Fits that see one another's links in turn, as far on the way from one to the next as does not spoil them."""
+    for _ in range(MOST_CIRCLES):
+        fit = fit.refined()
+        for part in (1.0, 0.5, 0.25, 0.1):
+            on_the_way = links + part * (fit.link_parameters - links)
+            further = fit.seen_by(regression.with_model(on_the_way, fit.valued))
+            if further.misfit < fit.misfit + SAME_MISFIT:
+                break
+        else:
+            break
+        done = part == 1.0 and fit.misfit - further.misfit < SAME_MISFIT
+        fit, links = further, on_the_way
+        if done:
+            return fit
+    return fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
 
 
 def _with_starts(effect: Effect, regression: Regression) -> Effect:
@@ -404,6 +447,21 @@ class _Fit:
             out.append(e.with_coefficients(self.solution.theta[at : at + k]))
             at += k
         return tuple(out)
+
+    @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of the joints' residual standard deviations."""
+        return float(np.log(self.solution.sigma).sum())
+
+    @property
+    def relative_error(self) -> float:
+        """Norm of what is left over the norm of the torque."""
+        left = self.target - self.columns @ self.solution.theta
+        return float(np.linalg.norm(left) / np.linalg.norm(self.regression.torque))
+
+    def with_effect(self, effect: Effect) -> _Fit:
+        """With an effect in the place of the one of its label."""
+        return dataclasses.replace(self, effects=tuple(effect if e.label == effect.label else e for e in self.effects))
 
     def seen_by(self, regression: Regression) -> _Fit:
         return dataclasses.replace(self, regression=regression, effects=self.valued)
