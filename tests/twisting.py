@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 Array = ind.Array
+Motors = Callable[[float], tuple[Array, Array, Array]]  # angles, rates and accelerations, (n,), at a time
 SUBSTEPS = 4  # of integration a sample
 
 
@@ -33,13 +34,8 @@ class Drive:
         return float(self.stiffness * beyond + self.cubic * beyond**3 + touching * self.damping * rate)
 
 
-def motor_torque(
-    arm: ind.Arm, motors: Callable[[float], tuple[Array, Array, Array]], time: Array, drives: Mapping[int, Drive]
-) -> Array:
-    """Torque (N, n) that motors feel of the links behind twisting drives, which begin at rest under their load.
-
-    `motors` gives angles, rates and accelerations at a time.
-    """
+def motor_torque(arm: ind.Arm, motors: Motors, time: Array, drives: Mapping[int, Drive]) -> Array:
+    """Torque (N, n) that motors feel of the links behind twisting drives, which begin at rest under their load."""
     model, data = arm.model, arm.model.createData()
     places = list(drives)
     own = np.ix_(places, places)
@@ -84,9 +80,7 @@ def motor_torque(
     return out
 
 
-def harmonics(
-    rng: np.random.Generator, joints: int, period_s: float, lines: int, speed: float
-) -> Callable[[float], tuple[Array, Array, Array]]:
+def harmonics(rng: np.random.Generator, joints: int, period_s: float, lines: int, speed: float) -> Motors:
     """Random harmonics of every joint, its fastest velocity about `speed` rad/s, as a function of time."""
     omega = 2 * np.pi / period_s * np.arange(1, lines + 1)
     size = rng.uniform(0.5, 1.0, (lines, joints)) / np.sqrt(omega)[:, None]
@@ -103,3 +97,19 @@ def harmonics(
         return q, (size * np.cos(angle)).sum(axis=0), (-size * w * np.sin(angle)).sum(axis=0)
 
     return motors
+
+
+def from_rest(motors: Motors, ramp_s: float) -> Motors:
+    """The same about its first angles, grown from rest over so many seconds."""
+    start = motors(0.0)[0]
+
+    def grown(t: float) -> tuple[Array, Array, Array]:
+        u = min(t / ramp_s, 1.0)
+        size = u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
+        rate = 140 * u**3 * (1 - u) ** 3 / ramp_s
+        bend = 420 * u**2 * (1 - u) ** 2 * (1 - 2 * u) / ramp_s**2
+        q, v, a = motors(t)
+        way = q - start
+        return start + size * way, size * v + rate * way, size * a + 2 * rate * v + bend * way
+
+    return grown
