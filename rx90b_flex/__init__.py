@@ -6,19 +6,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rx90b_flex.diagnose.check import Checked, check
     from rx90b_flex.diagnose.close import ClosedLoop, close_loop
     from rx90b_flex.identify.inverse_eigenvalue import DriveParameters, drive_parameters
     from rx90b_flex.robot import Robot, load_robot
 
     __version__: str
 
-__all__ = ["ClosedLoop", "DriveParameters", "Robot", "__version__", "close_loop", "drive_parameters", "load_robot"]
+__all__ = ["Checked", "ClosedLoop", "DriveParameters", "Robot", "__version__", "check", "close_loop", "drive_parameters", "load_robot"]
 
 # loaded when they are asked for: the command line must not wait for all of them
 _HOME = {
+    "Checked": "rx90b_flex.diagnose.check",
     "ClosedLoop": "rx90b_flex.diagnose.close",
     "DriveParameters": "rx90b_flex.identify.inverse_eigenvalue",
     "Robot": "rx90b_flex.robot",
+    "check": "rx90b_flex.diagnose.check",
     "close_loop": "rx90b_flex.diagnose.close",
     "drive_parameters": "rx90b_flex.identify.inverse_eigenvalue",
     "load_robot": "rx90b_flex.robot",

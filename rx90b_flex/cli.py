@@ -118,6 +118,59 @@ def close_loop_command(
     _say(f"Report: {out / 'report.html'}")
 
 
+@app.command("check")
+def check_command(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    out: Out,
+    plots: Annotated[
+        bool, typer.Option("--plots", help="Each joint's torque against the declared model's, before any fit.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Look for what is wrong with the data.
+
+    Columns, signs, units, times, the URDF; and what the motion can tell. Exit status: 0 usable, 1 a fault was found, 2 bad input.
+    """
+    from rx90b_flex.signals.folders import CHECKED, check_folder, fill_folder
+
+    check_folder(out, CHECKED, overwrite, [campaign])
+    with _progress() as tell:
+        tell("reading", 0.0)
+        from rx90b_flex.diagnose.check import check
+        from rx90b_flex.view.check_report import write_check_report
+
+        checked = check(campaign, progress=tell)
+        tell("writing the report", 0.95)
+        fill_folder(out, lambda folder: write_check_report(checked, folder, plots), CHECKED, overwrite)
+    _print_checked(checked)
+    _say(f"Report: {out / 'check.html'}")
+    if not checked.usable:
+        raise typer.Exit(1)
+
+
+def _print_checked(checked: object) -> None:
+    """A table of faults, and what the motion can tell."""
+    from rx90b_flex.diagnose.check import Checked
+    from rx90b_flex.view.check_report import basics_words, told_words
+
+    assert isinstance(checked, Checked)
+    rows = [
+        (
+            f.kind,
+            ", ".join(f.joints),
+            "" if f.factor is None else f"{f.factor:.4g}" + (f" ± {f.std:.1g}" if f.std else ""),
+            f.message,
+        )
+        for f in checked.data_faults
+    ]
+    if rows:
+        _show_table(checked.verdict, rows, ("found", "where", "factor", "what to do"), ("factor",))
+    else:
+        _say(checked.verdict)
+    for text in (*told_words(checked), *basics_words(checked)):
+        _say(text)
+
+
 def _close_over_frequency(
     source: Path, out: Path, robot: str | None, model_error: float | None, overwrite: bool
 ) -> None:
@@ -599,7 +652,9 @@ def _describe(effect: object) -> str:
 
 
 # in the order in which a user meets them
-_ORDER = ("demo", "import", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify")
+_ORDER = (
+    "demo", "import", "check", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify"
+)  # fmt: skip
 app.registered_commands.sort(key=lambda c: _ORDER.index(c.name or getattr(c.callback, "__name__", "")))
 
 

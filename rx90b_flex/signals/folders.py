@@ -50,13 +50,14 @@ class Output:
 _MODEL = ("report.html", "robot.toml", "robot.urdf")
 CLOSED_LOOP = Output("closed_loop.json", (*_MODEL, "motion.json", "prediction_*.csv"))
 IDENTIFIED = Output("identification.json", (*_MODEL, "prediction_*.csv"))
+CHECKED = Output("check.json", ("check.html",))
 MOTOR_SIGNALS = Output("frf.json", _MODEL)
 PATH_CHECK = Output(
     "path_check.json",
     ("report.html", "seam.csv", "corrected_path.csv", "corrected_joints.csv", "as_planned", "corrected"),
 )
 RUN = Output("state.parquet", ("campaign.toml", "robot.toml", "robot.urdf", "tip.csv", "tip.png", "tip.svg"))
-RESULTS = (CLOSED_LOOP, IDENTIFIED, MOTOR_SIGNALS, PATH_CHECK, RUN)
+RESULTS = (CHECKED, CLOSED_LOOP, IDENTIFIED, MOTOR_SIGNALS, PATH_CHECK, RUN)
 DEMONSTRATION = Output(
     "declared.toml", (CLOSED_LOOP.mark, *CLOSED_LOOP.names, "campaign.toml", "*.urdf", "run_?.csv.gz")
 )

@@ -55,10 +55,32 @@ _SIGNALS = (
 _REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
+_LARGEST_DEGREES = 360.0  # beyond it, motor turns are as likely
 _OTHER_UNIT = re.compile(
     r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
     re.IGNORECASE,
 )
+
+
+class DataFaultError(ValueError):
+    """A log that is refused for a reason that has a name, as in ``check.json``.
+
+    Attributes
+    ----------
+    kind, signal, joints, factor, rows : as `rx90b_flex.diagnose.faults.fault.DataFault` has them.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        kind: str,
+        signal: str | None = None,
+        joints: tuple[str, ...] = (),
+        factor: float | None = None,
+        rows: tuple[int, ...] = (),
+    ) -> None:
+        super().__init__(message)
+        self.kind, self.signal, self.joints, self.factor, self.rows = kind, signal, joints, factor, rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -547,9 +569,11 @@ def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -
     row = int(np.argmax(bad[:, column]))
     found = "missing or NaN" if np.isnan(values[row, column]) else f"{values[row, column]:g}"
     count = int(np.count_nonzero(bad[:, column]))
-    raise ValueError(
+    raise DataFaultError(
         f"{file}: column {names[column]!r}, row {first + row + 1}: {found}"
-        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected"
+        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected",
+        "glitch",
+        rows=tuple(int(r) + first + 1 for r in np.flatnonzero(bad.any(axis=1))[:20]),
     )
 
 
@@ -562,9 +586,15 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
             if layout.gear_matrix is None or item.always_joint_side
             else "probably degrees, or joint side although [motor] gives a gear_matrix, or a wrong gear_matrix"
         )
-        raise ValueError(
+        beyond = tuple(name for name, x in zip(layout.joints, largest, strict=True) if x > _LARGEST_ANGLE)
+        degrees = layout.gear_matrix is None and largest[joint] <= _LARGEST_DEGREES
+        raise DataFaultError(
             f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} rad"
-            f" on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
+            f" on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}",
+            "unit",
+            item.key,
+            layout.joints if degrees else beyond,
+            180.0 / math.pi if degrees else None,
         )
 
 
@@ -634,9 +664,11 @@ def _check_uniform(file: Path, time: Array, rate: float, resolution: Array, firs
     else:
         contradicts = abs(typical - period) > 0.05 * period + float(np.max(rounding)) / len(steps)
     if contradicts:
-        raise ValueError(
+        raise DataFaultError(
             f"{file}: column 'time': steps of {typical:.6g} s ({1.0 / typical:.6g} Hz) contradict"
-            f" sample_rate_hz = {rate:g} ({period:.6g} s)"
+            f" sample_rate_hz = {rate:g} ({period:.6g} s)",
+            "sample_rate",
+            factor=rate * typical,
         )
     if fine:
         bad = np.abs(steps - period) > 0.01 * period + rounding
