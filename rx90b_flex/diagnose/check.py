@@ -19,6 +19,7 @@ from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.repeated import found_period_s, repeated
 from rx90b_flex.diagnose.faults.sample import Reading, Sample, sensible_cutoff_hz
+from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
 from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
@@ -165,6 +166,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         found, look = faults_of(look)
         fit = look.fit()
         faults += [_fault(f) for f in found]
+        faults += impossible_sizes(look, faults)
         faults += stuck(mended, np.sqrt(fit.error))
         faults += unrelated(campaign.joints, fit.error, moving, constant)
         errors = tuple(float(x) for x in np.sqrt(fit.error))

@@ -20,12 +20,15 @@ from rx90b_flex.diagnose.faults.units import other_units, outside
 
 # in the order in which one is believed where several do equally well
 KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
-    reversed_torques, swapped, other_units, shifted, reversed_positions, torque_gains, sample_rates, zeros, reversed_axes,
-    axes, lengths, mountings,
+    reversed_torques, swapped, other_units, shifted, reversed_positions, torque_gains, zeros, reversed_axes, axes, lengths,
+    sample_rates, mountings,
 )  # fmt: skip
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
-TIE = 0.3  # within which the earlier kind is believed
+MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
+SMALL = 0.15**2
+GAINING = 0.9  # of its squared error before: a joint that gains
+TIE = 0.15  # within which the earlier kind is believed
 THIN = 3  # rows of a first look at every hypothesis: one in so many
 SECOND_LOOKS = 2  # of each kind, at all rows and with the factor refined
 PROMISING = 0.3  # of the best gain of a first look, and this much of the log error itself
@@ -76,14 +79,18 @@ def _best(look: Look) -> Found | None:
     best = max((gain for gain, *_ in finals), default=0.0)
     refined: list[tuple[float, int, Hypothesis, float | None]] = []
     for gain, rank, hypothesis in finals:
-        if gain > PROMISING * max(best, GAIN):
+        if gain > PROMISING * max(best, MODEST):
             better, std = look.refined(hypothesis)
             refined.append((base.score - look.fit(better.reading).score, rank, better, std))
     top = max((gain for gain, *_ in refined), default=0.0)
-    if top < GAIN:
+    if top < MODEST:
         return None
-    _, _, chosen, std = min((f for f in refined if f[0] >= top - TIE), key=lambda f: (f[1], -f[0]))
-    return Found(chosen, std, base, look.fit(chosen.reading))
+    gain, _, chosen, std = min((f for f in refined if f[0] >= top - TIE), key=lambda f: (f[1], -f[0]))
+    after = look.fit(chosen.reading)
+    gaining = after.error < GAINING * base.error
+    if gain < GAIN and (after.error[gaining] > SMALL).any():
+        return None
+    return Found(chosen, std, base, after)
 
 
 def relative_errors(fit: RigidFit) -> tuple[float, ...]:
