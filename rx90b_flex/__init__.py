@@ -13,7 +13,17 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["Checked", "ClosedLoop", "DriveParameters", "Robot", "__version__", "check", "close_loop", "drive_parameters", "load_robot"]
+__all__ = [
+    "Checked",
+    "ClosedLoop",
+    "DriveParameters",
+    "Robot",
+    "__version__",
+    "check",
+    "close_loop",
+    "drive_parameters",
+    "load_robot",
+]
 
 # loaded when they are asked for: the command line must not wait for all of them
 _HOME = {
