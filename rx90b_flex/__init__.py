@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.check import Checked, check
     from rx90b_flex.diagnose.close import ClosedLoop, close_loop
+    from rx90b_flex.diagnose.replayed import replay_errors
     from rx90b_flex.identify.inverse_eigenvalue import DriveParameters, drive_parameters
     from rx90b_flex.robot import Robot, load_robot
 
@@ -23,6 +24,7 @@ __all__ = [
     "close_loop",
     "drive_parameters",
     "load_robot",
+    "replay_errors",
 ]
 
 # loaded when they are asked for: the command line must not wait for all of them
@@ -35,6 +37,7 @@ _HOME = {
     "close_loop": "rx90b_flex.diagnose.close",
     "drive_parameters": "rx90b_flex.identify.inverse_eigenvalue",
     "load_robot": "rx90b_flex.robot",
+    "replay_errors": "rx90b_flex.diagnose.replayed",
 }
 
 
