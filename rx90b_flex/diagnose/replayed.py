@@ -39,6 +39,6 @@ def replay_errors(
     recordings = [r for r in known.recordings if r.role == role]
     if not recordings:
         raise ValueError(f"{known.path}: no recording has role {role!r}")
-    rigid = loaded.rigid().restricted(known.joints)
+    rigid = loaded.over_time().restricted(known.joints)
     replays = [Replay(rigid, prepare(rigid, r, known.cutoff_hz, thin=False)) for r in recordings]
     return Errors.of([r.torque for r in replays], [r.predict(rigid.effects, rigid.link_parameters) for r in replays])
