@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 app = typer.Typer(
     name="rx90b-flex",
@@ -22,12 +18,23 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Out = Annotated[Path, typer.Option("--out", help="Folder for the results; made if it does not exist.")]
+Out = Annotated[
+    Path,
+    typer.Option(
+        "--out", help="Folder for the results; made if it does not exist, an earlier result in it is replaced."
+    ),
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
+]
 
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error, with the present step as its text."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     console = Console(stderr=True)
     bar = Progress(
         TextColumn("{task.description:<36}"),
@@ -43,6 +50,27 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
         yield lambda text, part: bar.update(task, description=text, completed=part)
 
 
+def _say(text: str) -> None:
+    """A line on standard output, as it is: names may hold what rich takes for markup."""
+    from rich.console import Console
+
+    Console().print(text, soft_wrap=True, markup=False, highlight=False)
+
+
+def _show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], right: Sequence[str] = ()) -> None:
+    """A table on standard output; columns of the names in `right` stand to the right."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left")
+    for name in head:
+        table.add_column(name, justify="right" if name in right else "left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
 @app.command("close-loop")
 def close_loop_command(
     campaign: Annotated[
@@ -54,6 +82,7 @@ def close_loop_command(
     model_error: Annotated[
         float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Find what the data hold and the model lacks; add it.
 
@@ -62,43 +91,102 @@ def close_loop_command(
     from rx90b_flex.diagnose.close_flexible import speaks_of_frequency
 
     if speaks_of_frequency(campaign):
-        _close_over_frequency(campaign, out, robot, model_error)
+        _close_over_frequency(campaign, out, robot, model_error, overwrite)
         return
     for name, value in (("--robot", robot), ("--model-error", model_error)):
         if value is not None and campaign.exists():  # what is not there is said to be missing, further on
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
-    from rx90b_flex.diagnose.close import close_loop
-    from rx90b_flex.diagnose.motion import motion_errors
-    from rx90b_flex.diagnose.output import write_result
-    from rx90b_flex.signals.folders import check_folder
-    from rx90b_flex.view.report import write_report
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
+    from rx90b_flex.signals.recording import load_campaign
 
-    check_folder(out)
+    check_folder(out, CLOSED_LOOP, overwrite, [campaign])
     with _progress() as tell:
-        result = close_loop(campaign, seed=seed, progress=tell)
+        tell("reading", 0.0)
+        read = load_campaign(campaign)  # what is wrong with it is said before the libraries of the search are loaded
+        from rx90b_flex.diagnose.close import close_loop
+        from rx90b_flex.diagnose.motion import motion_errors
+        from rx90b_flex.diagnose.output import write_result
+        from rx90b_flex.view.report import write_report
+
+        result = close_loop(read, seed=seed, progress=tell)
         tell("simulating the closed loop and writing the report", 1.0)
         motion = motion_errors(result)
-        write_result(result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)], motion)
-    console = Console()
-    _print_result(console, result)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        write_result(
+            result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)], motion, overwrite
+        )
+    _print_result(result)
+    _say(f"Report: {out / 'report.html'}")
 
 
-def _close_over_frequency(source: Path, out: Path, robot: str | None, model_error: float | None) -> None:
+@app.command("check")
+def check_command(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    out: Out,
+    plots: Annotated[
+        bool, typer.Option("--plots", help="Each joint's torque against the declared model's, before any fit.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Look for what is wrong with the data.
+
+    Columns, signs, units, times, the URDF; and what the motion can tell. Exit status: 0 usable, 1 a fault was found, 2 bad input.
+    """
+    from rx90b_flex.signals.folders import CHECKED, check_folder, fill_folder
+
+    check_folder(out, CHECKED, overwrite, [campaign])
+    with _progress() as tell:
+        tell("reading", 0.0)
+        from rx90b_flex.diagnose.check import check
+        from rx90b_flex.view.check_report import write_check_report
+
+        checked = check(campaign, progress=tell)
+        tell("writing the report", 0.95)
+        fill_folder(out, lambda folder: write_check_report(checked, folder, plots), CHECKED, overwrite)
+    _print_checked(checked)
+    _say(f"Report: {out / 'check.html'}")
+    if not checked.usable:
+        raise typer.Exit(1)
+
+
+def _print_checked(checked: object) -> None:
+    """A table of faults, and what the motion can tell."""
+    from rx90b_flex.diagnose.check import Checked
+    from rx90b_flex.view.check_report import basics_words, told_words
+
+    assert isinstance(checked, Checked)
+    rows = [
+        (
+            f.kind,
+            ", ".join(f.joints),
+            "" if f.factor is None else f"{f.factor:.4g}" + (f" ± {f.std:.1g}" if f.std else ""),
+            f.message,
+        )
+        for f in checked.data_faults
+    ]
+    if rows:
+        _show_table(checked.verdict, rows, ("found", "where", "factor", "what to do"), ("factor",))
+    else:
+        _say(checked.verdict)
+    for text in (*told_words(checked), *basics_words(checked)):
+        _say(text)
+
+
+def _close_over_frequency(
+    source: Path, out: Path, robot: str | None, model_error: float | None, overwrite: bool
+) -> None:
     from rx90b_flex.diagnose.close_flexible import change_words, close_over_frequency, write_loop
-    from rx90b_flex.signals.folders import check_folder
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
     from rx90b_flex.view.flexible_report import headline, write_flexible_report
 
-    check_folder(out)
+    check_folder(out, CLOSED_LOOP, overwrite, [source])
     with _progress() as tell:
         loop = close_over_frequency(source, robot, model_error, tell)
         tell("writing the report", 0.98)
-        write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")])
-    console = Console()
-    console.print(f"[bold]{loop.source.name}: {loop.verdict.replace('_', ' ')}[/bold]")
+        write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")], overwrite)
+    _say(f"{loop.source.name}: {loop.verdict.replace('_', ' ')}")
     for text in (*(change_words(f) for f in loop.found), headline(loop), *loop.doubts()):
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        _say(text)
+    _say(f"Report: {out / 'report.html'}")
 
 
 @app.command()
@@ -108,20 +196,21 @@ def demo(
     hidden: Annotated[
         str | None, typer.Option(help="Effect type to hide, or 'none'; drawn from the seed where not given.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Hide an effect in simulated recordings, then find it.
 
     The recordings, the campaign file and the report stay, to look at and to start from.
     """
+    from rx90b_flex.signals.folders import DEMONSTRATION, check_folder, fill_folder
+
+    check_folder(out, DEMONSTRATION, overwrite)
     from rx90b_flex.demo import make_demonstration
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.motion import motion_errors
     from rx90b_flex.diagnose.output import write_result
-    from rx90b_flex.signals.folders import check_folder, fill_folder
     from rx90b_flex.view.report import write_report
 
-    check_folder(out)
-    console = Console()
     with _progress() as tell:
         tell("making recordings", 0.0)
         demonstration = make_demonstration(seed, hidden)
@@ -135,11 +224,11 @@ def demo(
             results.append(result)
 
         results: list[object] = []
-        fill_folder(out, fill)
-    _print_result(console, results[0])
+        fill_folder(out, fill, DEMONSTRATION, overwrite)
+    _print_result(results[0])
     what = "nothing" if demonstration.hidden is None else _describe(demonstration.hidden)
-    console.print(f"[bold]What had been hidden:[/bold] {what}")
-    console.print(f"Recordings, model and report: {out}", soft_wrap=True)
+    _say(f"What had been hidden: {what}")
+    _say(f"Recordings, model and report: {out}")
 
 
 @app.command()
@@ -169,16 +258,16 @@ def frf(
         bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
     ] = False,
     jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
+    overwrite: Overwrite = False,
 ) -> None:
     """Identify stiffness, damping and inertia from motor signals.
 
     CAMPAIGN is what `rx90b-flex excite` writes, with the logs of its motions.
     """
-    from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
-    from rx90b_flex.signals.folders import check_folder
-    from rx90b_flex.view.frf_report import write_frf_report
+    from rx90b_flex.signals.folders import MOTOR_SIGNALS, check_folder
+    from rx90b_flex.signals.recording import load_campaign
 
-    check_folder(out)
+    check_folder(out, MOTOR_SIGNALS, overwrite, [campaign])
     if not 0.0 < low_hz < high_hz:
         raise ValueError(f"the band is {low_hz:g} to {high_hz:g} Hz; expected a low and a higher frequency above 0")
     if link_mass_std < 0.0 or bending_alike_std < 0.0:
@@ -187,30 +276,32 @@ def frf(
         )
     if jobs < 1:
         raise ValueError(f"jobs is {jobs}; expected 1 or more")
+    read = load_campaign(campaign)
+    from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
+    from rx90b_flex.view.frf_report import write_frf_report
+
     options = Options(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
         mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with _progress() as tell:
-        result = identify_from_motors(campaign, options, tell)
+        result = identify_from_motors(read, options, tell)
         tell("writing the report", 0.97)
-        write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")])
-    console = Console()
+        write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")], overwrite)
     if result.grey is not None:
         how = "as measured" if result.replayed is None else "less the distortion that a replay explains"
-        table = Table(title=f"{result.robot.name}, from motor signals, {how}", title_justify="left")
-        for name in ("parameter", "value", "95 % interval", "unit"):
-            table.add_column(name, justify="left" if name in ("parameter", "unit") else "right", no_wrap=True)
+        rows = []
         best = result.grey if result.replayed is None else result.replayed.grey
         for e in best.estimates:
             said = f"{e.value:.4g}" if e.determined else "not determined"
-            table.add_row(e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit)
-        console.print(table)
+            rows.append((e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit))
+        head = ("parameter", "value", "95 % interval", "unit")
+        _show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
     for remark in result.remarks:
-        console.print(f"Note: {remark}", soft_wrap=True, markup=False, highlight=False)
+        _say(f"Note: {remark}")
     for left in result.left_out:
-        console.print(f"Left out: {left.stage}: {left.why}", soft_wrap=True, markup=False)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        _say(f"Left out: {left.stage}: {left.why}")
+    _say(f"Report: {out / 'report.html'}")
 
 
 @app.command()
@@ -241,11 +332,14 @@ def excite(
     ] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write the motions that frf needs, and the campaign file.
 
     With --simulate, the logs as well, of the robot as its file declares it.
     """
+    import math
+
     from rx90b_flex.simulate.excite import Request, excite_into
 
     poses = tuple(tuple(math.radians(x) for x in _numbers("pose", text)) for text in pose or [])
@@ -255,13 +349,10 @@ def excite(
         not one_sign, white, controller, seed,
     )  # fmt: skip
     with _progress() as tell:
-        said = excite_into(request, out, simulate, tell)
-    console = Console()
+        said = excite_into(request, out, simulate, tell, overwrite)
     for text in said:
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
-    console.print(
-        f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}", soft_wrap=True
-    )
+        _say(text)
+    _say(f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}")
 
 
 def _numbers(name: str, text: str) -> tuple[float, ...]:
@@ -296,7 +387,7 @@ def flexify(
     flexible = virtual.flexify(virtual.read_xml(loaded.urdf), *places)
     virtual.write_urdf(flexible, out)
     added = 2 * places[2] + len(places[0]) + 2 * len(places[1])
-    Console().print(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones", soft_wrap=True)
+    _say(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones")
 
 
 @app.command("simulate")
@@ -320,6 +411,7 @@ def simulate_command(
     torque_noise: Annotated[float, typer.Option(help="Standard deviation at the controller's rate, N m.")] = 0.0,
     position_noise: Annotated[float, typer.Option(help="The same of position, rad.")] = 0.0,
     velocity_noise: Annotated[float, typer.Option(help="The same of velocity, rad/s.")] = 0.0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Simulate a flexible robot under its controller.
 
@@ -339,11 +431,10 @@ def simulate_command(
     noise = Noise(torque_noise, position_noise, velocity_noise)
     request = Request(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
     with _progress() as tell:
-        result = simulate_into(request, out, tell)
-    console = Console()
+        result = simulate_into(request, out, tell, overwrite)
     for text in summary(result):
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
-    console.print(f"Recording, tip.csv and figure: {out}", soft_wrap=True)
+        _say(text)
+    _say(f"Recording, tip.csv and figure: {out}")
 
 
 @app.command("check-path")
@@ -368,6 +459,7 @@ def check_path_command(
     save_example: Annotated[
         Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Check whether the tip keeps to a seam; correct the path.
 
@@ -376,30 +468,34 @@ def check_path_command(
     Exit status: 0 within tolerance, as planned or corrected; 1 not within tolerance; 2 bad input, or a path that the robot cannot
     follow (out of reach, outside limits, through a singularity, too fast), with nothing written.
     """
+    from rx90b_flex.signals.folders import PATH_CHECK, check_folder
+
+    if save_example is None:
+        check_folder(
+            out, PATH_CHECK, overwrite, [path, *([robot] if robot else []), *([controller] if controller else [])]
+        )
     from rx90b_flex.path.check import Options
     from rx90b_flex.path.output import Request, run_request, write_check, write_example
-    from rx90b_flex.signals.folders import check_folder
-    from rx90b_flex.view.path_report import write_path_report
 
-    console = Console()
     if save_example is not None:
         write_example(path, save_example)
-        console.print(f"Path file: {save_example}", soft_wrap=True)
+        _say(f"Path file: {save_example}")
         return
-    check_folder(out)
     options = Options(tolerance_mm, correct, contributions, iterations, jobs)
     with _progress() as tell:
         result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
         tell("writing the report", 0.98)
-        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),))
-    console.print(result.sentence, soft_wrap=True, highlight=False)
+        from rx90b_flex.view.path_report import write_path_report
+
+        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),), overwrite)
+    _say(result.sentence)
     causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
     if causes:
         said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
-        console.print(f"Largest contributions across, RMS, mm: {said}", soft_wrap=True, highlight=False)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        _say(f"Largest contributions across, RMS, mm: {said}")
+    _say(f"Report: {out / 'report.html'}")
     beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
-    console.print(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}", soft_wrap=True, highlight=False)
+    _say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
     if result.verdict == "outside_tolerance":
         raise typer.Exit(1)
 
@@ -427,14 +523,14 @@ def view(
     with _progress() as tell:
         tell("reading", 0.1)
         made = view_of(wanted)
-    console = Console()
-    for line in (made.title, *made.notes):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
     if out is not None:
         write_view(made, out)
-        console.print(f"View: {out}", soft_wrap=True)
+    for line in (made.title, *made.notes):
+        _say(line)
+    if out is not None:
+        _say(f"View: {out}")
         return
-    serve_until_interrupted(made, lambda url: console.print(f"{url} shows it until Ctrl-C", soft_wrap=True))
+    serve_until_interrupted(made, lambda url: _say(f"{url} shows it until Ctrl-C"))
 
 
 @app.command("import")
@@ -456,6 +552,7 @@ def import_command(
     offset: Annotated[str | None, typer.Option(help="Joint angles where the motor angles are zero, rad.")] = None,
     topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
     file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
+    overwrite: Overwrite = False,
 ) -> None:
     """Make a campaign of logs: CSV, Parquet, MATLAB, ROS 2, MCAP.
 
@@ -468,77 +565,76 @@ def import_command(
     )
     with _progress() as tell:
         tell("reading", 0.1)
-        imported = import_into(request, out)
-    console = Console()
+        imported = import_into(request, out, overwrite)
     files_of: dict[str, list[str]] = {}
     for where, finding in imported.findings:
         files_of.setdefault(str(finding), []).append(where)
     for said, where_all in files_of.items():
-        console.print(f"{', '.join(where_all)}: {said}", soft_wrap=True, markup=False, highlight=False)
-    console.print(f"Campaign: {out / 'campaign.toml'}", soft_wrap=True)
+        _say(f"{', '.join(where_all)}: {said}")
+    _say(f"Campaign: {out / 'campaign.toml'}")
 
 
 @app.command("identify")
 def identify_command(
     campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
     out: Out,
+    overwrite: Overwrite = False,
 ) -> None:
     """Fit the declared robot's parameters to a campaign.
 
     Parameters with standard deviations, robot file and URDF, predictions, report.
     """
-    from rx90b_flex.identify.command import identify_campaign, write_identified
-    from rx90b_flex.signals.folders import check_folder, fill_folder
-    from rx90b_flex.view.identify_report import headline, write_identify_report
+    from rx90b_flex.signals.folders import IDENTIFIED, check_folder, fill_folder
+    from rx90b_flex.signals.recording import load_campaign
 
-    check_folder(out)
+    check_folder(out, IDENTIFIED, overwrite, [campaign])
     with _progress() as tell:
-        result = identify_campaign(campaign, progress=tell)
+        tell("reading", 0.0)
+        read = load_campaign(campaign)
+        from rx90b_flex.identify.command import identify_campaign, write_identified
+        from rx90b_flex.view.identify_report import headline, write_identify_report
+
+        result = identify_campaign(read, progress=tell)
         tell("writing the report", 0.95)
 
         def fill(folder: Path) -> None:
             write_identified(result, folder)
             write_identify_report(result, folder / "report.html")
 
-        fill_folder(out, fill)
-    console = Console()
-    table = Table("parameter", "value", title=result.source.name, title_justify="left")
-    for e in result.parameters:
-        if e.value is not None:
-            table.add_row(e.name, _value("", e.value, e.std, e.unit).strip())
-    console.print(table)
+        fill_folder(out, fill, IDENTIFIED, overwrite)
+    known = [e for e in result.parameters if e.value is not None]
+    rows = [(e.name, _value("", e.value, e.std, e.unit).strip()) for e in known]
+    _show_table(result.source.name, rows, ("parameter", "value"))
     for text in headline(result):
-        console.print(text, soft_wrap=True, highlight=False)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        _say(text)
+    _say(f"Report: {out / 'report.html'}")
 
 
-def _print_result(console: Console, result: object) -> None:
+def _print_result(result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
 
     assert isinstance(result, ClosedLoop)
-    table = Table(title=f"{result.robot}: {result.verdict.replace('_', ' ')}", title_justify="left")
-    for name in ("found", "where", "values", "error before", "after"):
-        table.add_column(name, justify="right" if name in ("error before", "after") else "left")
+    rows = []
     for e in result.effects:
         values = ", ".join(_value(p.name, p.value, p.std, p.unit) for p in e.parameters)
         where = " + ".join(e.effect.joints) or "robot"
-        table.add_row(
-            e.effect.type_name(), where, values, f"{e.before.relative_error:.4f}", f"{e.after.relative_error:.4f}"
-        )
-    if not result.effects:
-        table.add_row("nothing", "", "", "", "")
-    console.print(table)
+        before, after = (f"{x.relative_error:.4f}" for x in (e.before, e.after))
+        rows.append((e.effect.type_name(), where, values, before, after))
+    head = ("found", "where", "values", "error before", "after")
+    _show_table(
+        f"{result.robot}: {result.verdict.replace('_', ' ')}", rows or [("nothing", "", "", "", "")], head, head[3:]
+    )
     for role in ("validation", "identification"):
-        before, after = getattr(result.before, role), getattr(result.after, role)
+        first, last = getattr(result.before, role), getattr(result.after, role)
         held = " (held out)" if role == "validation" else ""
-        console.print(f"Relative torque error, {role}{held}: {before.relative_error:.4f} -> {after.relative_error:.4f}")
+        _say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}")
     if result.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
-        console.print(f"Noise floor: {rms} N m a joint")
+        _say(f"Noise floor: {rms} N m a joint")
     for d in result.unexplained.where[:3]:
-        console.print(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+        _say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
     for caution in result.cautions:
-        console.print(f"[yellow]Beware:[/yellow] {caution}", soft_wrap=True, highlight=False)
+        _say(f"Beware: {caution}")
 
 
 def _value(name: str, value: float | None, std: float | None, unit: str) -> str:
@@ -556,14 +652,15 @@ def _describe(effect: object) -> str:
 
 
 # in the order in which a user meets them
-_ORDER = ("demo", "import", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify")
+_ORDER = (
+    "demo", "import", "check", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify"
+)  # fmt: skip
 app.registered_commands.sort(key=lambda c: _ORDER.index(c.name or getattr(c.callback, "__name__", "")))
 
 
 def main() -> None:
-    """Run the command line; bad input is one line on standard error and exit status 2."""
-    try:
-        app()
-    except ValueError as error:
-        print(f"rx90b-flex: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+    """The command line; see `rx90b_flex.endings.run` for how it ends."""
+    from rx90b_flex.endings import run
+
+    usage_error: type[Exception] = typer.BadParameter.__bases__[0]  # the library has it under a name of its own
+    sys.exit(run(app, usage_error, "rx90b-flex"))

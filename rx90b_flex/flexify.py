@@ -21,13 +21,14 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import yourdfpy  # type: ignore[import-untyped, unused-ignore]
 from lxml import etree  # type: ignore[import-untyped, unused-ignore]
-from yourdfpy.urdf import Joint, Limit, Link  # type: ignore[import-untyped, unused-ignore]
+
+if TYPE_CHECKING:  # at run time where it is needed, for it takes a second: it loads what can draw meshes
+    import yourdfpy  # type: ignore[import-untyped, unused-ignore]
 
 __all__ = [
     "BASE_JOINTS",
@@ -242,6 +243,8 @@ def read_xml(text: str) -> yourdfpy.URDF:
 
 
 def _read(data: bytes, mesh_dir: str) -> yourdfpy.URDF:
+    import yourdfpy
+
     root = _parse_xml(data)
     _check_document(root)
     urdf = yourdfpy.URDF.load(
@@ -427,6 +430,8 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
     ValueError
         If a joint is floating or planar: it has several coordinates, none of which one drive moves.
     """
+    from yourdfpy.urdf import Limit
+
     result = _copy(urdf)
     for joint in result.robot.joints:
         if joint.type in ("floating", "planar"):
@@ -538,6 +543,8 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
     ValueError
         If a joint is unknown, fixed, mimicking, floating or planar, or if a new name is already in use.
     """
+    from yourdfpy.urdf import Link
+
     for name in _names(torsion, "torsion"):
         _drivable(urdf, name, "torsion")
     for name in _names(bending, "bending"):
@@ -586,6 +593,8 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
 
 
 def _virtual_joint(name: str, joint_type: str, parent: str, child: str, axis: Vector) -> Any:
+    from yourdfpy.urdf import Joint, Limit
+
     limit = Limit(effort=UNLIMITED, velocity=UNLIMITED, lower=-VIRTUAL_LIMIT, upper=VIRTUAL_LIMIT)
     return Joint(name=name, type=joint_type, parent=parent, child=child, axis=np.array(axis), limit=limit)
 
@@ -599,6 +608,8 @@ def to_xml(urdf: yourdfpy.URDF) -> str:
     yourdfpy writes it, except what it would change: it resolves mesh names on this disk (here they stay as in the
     source), leaves out mimic, calibration and safety tags, and rounds the angles of origins (see `_rpy`).
     """
+    import yourdfpy
+
     writer = yourdfpy.URDF(
         robot=urdf.robot,
         build_scene_graph=False,
@@ -721,6 +732,8 @@ def _refresh(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
 
 
 def _build(robot: Any, like: yourdfpy.URDF) -> yourdfpy.URDF:
+    import yourdfpy
+
     # The handler knows the folder of the source file, by which meshes are found later; there is no public way to it.
     handler = getattr(like, "_filename_handler", None)
     return yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False, filename_handler=handler)

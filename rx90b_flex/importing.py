@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
 from rx90b_flex.robot import load_robot
-from rx90b_flex.signals.folders import check_folder, fill_folder
+from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.signals.importers import Axes, Imported, Options, import_logs
 from rx90b_flex.signals.recording import load_campaign, write_campaign
 
@@ -70,7 +71,7 @@ def _listed(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def import_into(request: Request, folder: Path) -> Imported:
+def import_into(request: Request, folder: Path, overwrite: bool = False) -> Imported:
     """Import and write the campaign; nothing is written unless all of it is, and can be read again.
 
     Raises
@@ -80,17 +81,18 @@ def import_into(request: Request, folder: Path) -> Imported:
     """
     if request.file_format not in FORMATS:
         raise ValueError(f"--format {request.file_format}: expected {', '.join(FORMATS)}")
-    check_folder(folder)
+    check_folder(folder, CAMPAIGN, overwrite)
     robot = load_robot(request.robot)
     tree = robot.tree
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
     imported = import_logs(request.files, Axes(robot.joints, *limits), request.options)
     path = Path(request.robot)
-    written: str | Path = path.resolve() if path.is_file() else request.robot
+    # as seen from where the campaign will lie, not from where it is made
+    written = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.is_file() else request.robot
 
     def fill(at: Path) -> None:
         file_format = cast(Literal["parquet", "csv", "csv.gz"], request.file_format)
         load_campaign(write_campaign(at, written, imported.recordings, file_format=file_format))
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CAMPAIGN, overwrite)
     return imported

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from rx90b_flex.effects import Effect, Motion, close_match
 from rx90b_flex.effects.motion import Array, Coordinates
@@ -183,6 +182,8 @@ class Linearization:
         return self._undamped_hz(np.flatnonzero(~self.input_matrix.any(axis=1)), True)
 
     def _undamped_hz(self, free: NDArray[np.intp], elastic_only: bool) -> Array:
+        from scipy import linalg  # here, for most uses of a robot do without
+
         at = np.ix_(free, free)
         if elastic_only:
             squares = linalg.eigh(self.flexibility.K[at], self.M[at], eigvals_only=True)

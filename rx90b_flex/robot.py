@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +16,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class ParameterEntry:
     column: int  # coefficient of that effect, or column of the links' regressor
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A rigid tree and its effects.
 
@@ -60,6 +60,10 @@ class Robot:
     tip_frame: str
     inertial_parameters: str
     effects: tuple[Effect, ...]
+
+    def __repr__(self) -> str:
+        count = len(self.effects)
+        return f"<Robot {self.name!r}: {len(self.joints)} joints, {len(self.coordinates)} coordinates, {count} effects>"
 
     # ---- structure --------------------------------------------------------------------------------------
 
@@ -231,7 +235,7 @@ class Robot:
         def tree(moved: Motion) -> _RobotTreeMotion:
             same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
             bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
-            return _RobotTreeMotion(self, moved, link_parameters, regressor, bodies)
+            return _RobotTreeMotion(self, moved, link_parameters, regressor if same else None, bodies)
 
         known = (e for e in effects if e.in_dynamics and e.known)
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
@@ -410,6 +414,11 @@ class Robot:
         """The robot without the effects that add coordinates."""
         return self.with_effects([e for e in self.effects if not e.virtual])
 
+    def over_time(self) -> Robot:
+        """The robot as measured motors show it over time: a rigid tree, with what stands there for coordinates that it lacks."""
+        standing = (e.on_rigid_tree() for e in self.effects)
+        return self.with_effects([e for e in standing if e is not None])
+
     def restricted(self, joints: Sequence[str]) -> Robot:
         """The robot with all joints but these held at their neutral position; effects on held joints go with them."""
         for joint in joints:
@@ -456,6 +465,11 @@ class _RobotTreeMotion:
     def _load(self) -> Array:
         if self.link_parameters is None:
             return self.robot.link_torque(self.motion)
+        if self.regressor is None and "_regressor" not in self.__dict__:
+            model, motion = self._own_links(), self.motion
+            data, rnea = model.createData(), pin.rnea
+            samples = zip(motion.q, motion.v, motion.a, strict=True)
+            return np.array([rnea(model, data, q, v, a) for q, v, a in samples]).reshape(motion.q.shape)
         return self._regressor @ self.link_parameters
 
     def gravity_torque(self, direction: Array) -> Array:
@@ -560,7 +574,7 @@ def robots_folder() -> Path:
 def robot_names() -> tuple[str, ...]:
     """Names that `load_robot` knows."""
     # a robot file names a URDF; the controller's file beside it does not
-    return tuple(sorted(p.stem for p in robots_folder().glob("*.toml") if "urdf" in _read_toml(p)))
+    return tuple(sorted(p.stem for p in robots_folder().glob("*.toml") if "urdf" in read_toml(p, "robot file")))
 
 
 def load_robot(source: str | os.PathLike[str]) -> Robot:
@@ -613,7 +627,7 @@ def _default_tip(tree: pin.Model) -> str:
 
 
 def _from_file(path: Path) -> Robot:
-    table = _read_toml(path)
+    table = read_toml(path, "robot file")
     for key in table:
         if key not in ROBOT_KEYS:
             raise ValueError(f"{path}: unknown key {key!r}; {close_match(key, ROBOT_KEYS)}")
@@ -635,18 +649,6 @@ def _from_file(path: Path) -> Robot:
     if robot.tip_frame not in frames:
         raise ValueError(f"{path}: unknown tip_frame {robot.tip_frame!r}; {close_match(robot.tip_frame, frames)}")
     return robot.with_effects(_read_effects(table.get("effects", []), path, robot.joints, frames))
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such robot file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: not a TOML file: {error}") from None
 
 
 def _read_effects(tables: Any, path: Path, joints: Sequence[str], frames: Sequence[str]) -> list[Effect]:

@@ -22,7 +22,7 @@ from rx90b_flex.path import Deviation, Options, PathCheck, Plan, Seam, check_pat
 from rx90b_flex.path.check import across_axes, deviation, sticking
 from rx90b_flex.path.correct import Learner, tip_response
 from rx90b_flex.path.output import RUNS, write_check
-from rx90b_flex.path.plan import HOLD_S, rates
+from rx90b_flex.path.planning import HOLD_S, rates
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import load_cs8, simulate
 from rx90b_flex.simulate.command import controller_of, read_trajectory
@@ -410,7 +410,7 @@ POINTS = "points = [[0.5, 0, 0.35], [0.6, 0, 0.35]]\n"
         ("points_file = 'none.csv'\nspeed_mm_s = 50", "none.csv: no such file"),
         ("points_file = 'a.csv'\nspeed_mm_s = 50", "a.csv: expected columns x, y, z (m) or x_mm, y_mm, z_mm"),
         ("points_file = 'b.csv'\nspeed_mm_s = 50", "b.csv: row 2: not a number"),
-        ("points = [", "cannot be read"),
+        ("points = [", "not a TOML file"),
     ],
 )
 def test_a_bad_path_file_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:

@@ -251,6 +251,9 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
         "after": roles,
         "noise_floor": {"torque_rms": [float, 6]},
         "verdict": str,
+        "explainable": {"validation": {"relative_error": float}, "share": float},
+        "moving": {"before": {"relative_error": float}, "after": {"relative_error": float}, "at_rest": float},
+        "fitted": {"before": roles, "after": roles},
         "unexplained": {
             "relative_error": float,
             "where": [{"joint": str, "signal": str, "score": float}, len(left)],
@@ -429,7 +432,8 @@ def test_the_order_of_the_joints_in_a_campaign_need_not_be_that_of_the_tree(plai
     assert found["joints"] == ["elbow", "shoulder"]
     for when in ("before", "after"):
         for role in ("validation", "identification"):
-            found[when][role]["torque_rms"].reverse()
+            for errors in (found, found["fitted"]):
+                errors[when][role]["torque_rms"].reverse()
     found["joints"].reverse()
     assert_same(found, plain, rel=1e-5)
 

@@ -170,6 +170,33 @@ def test_what_was_found_appears_with_its_numbers(found: ClosedLoop, page: Page) 
             assert all(number(x) in page.text for x in role.torque_rms)
 
 
+def test_what_can_be_explained_appears_beside_what_was(found: ClosedLoop, page: Page) -> None:
+    assert found.explainable is not None
+    assert percent(found.explainable.validation.relative_error) in page.text
+    assert f"reach {100 * found.explainable.share:.0f} % of that drop" in page.text
+    (bars,) = plots.explainable_by_joint(found).axes
+    assert next(text.get_text() for text in bars.get_yticklabels()) == "all"
+    heights = [[bar.get_width() for bar in group] for group in bars.containers]
+    errors = (found.before.validation, found.after.validation, found.explainable.validation)
+    assert [h[0] for h in heights] == pytest.approx([100 * e.relative_error for e in errors])
+
+
+def test_where_nothing_can_be_explained_the_report_says_so(nothing: ClosedLoop, empty_page: Page) -> None:
+    assert nothing.explainable is not None and set(nothing.explainable.forms) == {"none"}
+    assert "no better than the declared model" in empty_page.text
+
+
+def test_where_no_measure_is_known_the_reason_stands_in_the_report(nothing: ClosedLoop) -> None:
+    blind = dataclasses.replace(nothing, explainable=None, not_explainable="Too little data.", verdict="unexplained")
+    text = Page(report_html(blind)).text
+    assert "Too little data." in text
+    assert "nobody can say that nothing is left" in text
+
+
+def test_errors_in_motion_appear(found: ClosedLoop, page: Page) -> None:
+    assert f"{percent(found.moving.before)} before, {percent(found.moving.after)} after" in page.text
+
+
 def test_the_headline_is_one_sentence_with_the_finding_and_both_errors(found: ClosedLoop, page: Page) -> None:
     sentence = headline(found)
     assert sentence in page.text

@@ -19,7 +19,7 @@ STRENGTHS = (1.0, 3.0, 10.0)
 DEVIATIONS = 3.0
 INTERVAL = 1.96  # standard deviations, of 95 %
 NEAR_FLOOR = 1.2  # held-out error over the noise floor that is asked for
-HYSTERESIS = ("presliding_friction", "maxwell_slip_friction")  # one law with one element or several
+HYSTERESIS = ("presliding_friction", "maxwell_slip_friction")  # one smooth element, or several with corners
 OWN_LAW = {"maxwell": (*HYSTERESIS, "held_friction")}  # what a form of dry friction is, beyond a sign that turns over
 
 Row = Mapping[str, Any]

@@ -63,7 +63,7 @@ def _dahl(p: dict[str, Any]) -> dict[str, Any]:
     return {"torque": p["torque"], "stiffness": p["torque"] / p["deflection"]}
 
 
-def _several_dahl(p: dict[str, Any]) -> dict[str, Any]:
+def _maxwell(p: dict[str, Any]) -> dict[str, Any]:
     return {"torques": p["torques"], "stiffnesses": (np.array(p["torques"]) / p["deflections"]).tolist()}
 
 
@@ -116,7 +116,7 @@ KINDS: Mapping[str, Kind] = {
     "maxwell_slip_friction": Kind(
         lambda rng: {"torques": [0.6, 0.4]},
         lambda rng: {"deflections": [float(rng.uniform(3e-3, 6e-3)), float(rng.uniform(0.02, 0.06))]},
-        finish=_several_dahl,
+        finish=_maxwell,
     ),
     "position_friction": Kind(one("amplitude"), sine(order=(1.0, 12.0))),
     "cable_torque": Kind(

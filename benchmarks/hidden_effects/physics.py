@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from independent import Arm, Array, Motion, angle_dependent_friction, carrying, tilted
 
-from hidden_effects.friction import dahl, dry, hysteresis, last_direction
+from hidden_effects.friction import dahl, dry, hysteresis, last_direction, maxwell
 from hidden_effects.motions import Experiment, spectral
 
 CONTACT = 0.03  # of the load's root mean square, over which a drive with lost motion changes sides
@@ -178,9 +178,9 @@ def _dahl(s: State, j: int, p: Values) -> Array:
     return np.asarray(p["torque"] * hysteresis(s.motor.q[:, [j]], dahl(p["torque"] / p["stiffness"]))[:, 0])
 
 
-def _several_dahl(s: State, j: int, p: Values) -> Array:
+def _maxwell(s: State, j: int, p: Values) -> Array:
     pairs = zip(p["torques"], p["stiffnesses"], strict=True)
-    return np.asarray(sum(_dahl(s, j, {"torque": t, "stiffness": k}) for t, k in pairs))
+    return np.asarray(sum(t * hysteresis(s.motor.q[:, [j]], maxwell(t / k))[:, 0] for t, k in pairs))
 
 
 ON_JOINT: Mapping[str, Callable[[State, int, Values], Array]] = {
@@ -203,7 +203,7 @@ ON_JOINT: Mapping[str, Callable[[State, int, Values], Array]] = {
         p["amplitude"] * np.sin(p["order"] * s.motor.q[:, j] + p["phase"]) * s.dry[:, j]
     ),
     "presliding_friction": _dahl,
-    "maxwell_slip_friction": _several_dahl,
+    "maxwell_slip_friction": _maxwell,
     "joint_spring": lambda s, j, p: p["stiffness"] * (s.motor.q[:, j] - p["rest_angle"]),
     "gravity_spring": _gravity_spring,
     "gear_ripple": lambda s, j, p: p["amplitude"] * np.sin(p["order"] * s.motor.q[:, j] + p["phase"]),

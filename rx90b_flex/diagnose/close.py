@@ -14,9 +14,13 @@ from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
-from rx90b_flex.diagnose.residual import Errors, Replay, noise_floor
+from rx90b_flex.diagnose.identified import with_possible_values
+from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
+from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.search import SIGNIFICANCE, Search, Trial, added, choose
+from rx90b_flex.diagnose.verdict import Remains
+from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
@@ -36,8 +40,6 @@ FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain betwee
 RIVALS = 5  # refused trials of a round that a result keeps
 TRUST_ROUNDS = 2  # fits after which the trust in rows near reversals is kept until the next effect
 SAME_TRUST = 0.05  # a change of factors below this is not worth a fit
-NEAR_FLOOR = 1.2  # residual over noise floor above which something is called unexplained, if it depends on a signal
-FAR_FROM_FLOOR = 1.5  # and above which it is, even if no signal is found that it depends on
 
 Progress = Callable[[str, float], None]
 
@@ -119,11 +121,11 @@ class Unexplained:
 
 
 @dataclass(frozen=True)
-class RoleErrors:
-    """Errors of one model on both roles."""
+class FittedErrors:
+    """Errors with the fitted values, where those are not the ones that are written: a body must be possible."""
 
-    validation: Errors
-    identification: Errors
+    before: RoleErrors
+    after: RoleErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +148,7 @@ class ClosedLoop:
     robot : str
     joints : tuple of str
     before, after : RoleErrors
+        Of the declared robot with its identified values, and of the robot that is written.
     noise_floor : tuple of float or None
         Root mean square noise a joint, N m.
     effects : tuple of FoundEffect
@@ -166,6 +169,14 @@ class ClosedLoop:
     seed : int
     cautions : tuple of str
         What limits how far the result can be trusted, in sentences.
+    moving : MovingErrors
+        The validation errors over rows in which the joint moves.
+    explainable : Explainable or None
+        What a free-form model of the declared model's residual reaches on validation; None where nothing is known of that.
+    not_explainable : str
+        Why nothing is known; empty otherwise.
+    fitted : FittedErrors or None
+        Errors with the fitted values, where a robot that can exist has others; `before` and `after` are of the latter.
     """
 
     robot: str
@@ -183,6 +194,10 @@ class ClosedLoop:
     campaign: Campaign
     last_round: LastRound
     seed: int
+    moving: MovingErrors
+    explainable: Explainable | None
+    not_explainable: str = ""
+    fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
 
 
@@ -205,7 +220,26 @@ class _Data:
         return _Data(regression, replays(campaign.identification), replays(campaign.validation))
 
     def errors(self, model: Identification) -> RoleErrors:
+        """Of the robot that is written: with values that a robot can have."""
+        return self.fitted_errors(with_possible_values(model))
+
+    def fitted_errors(self, model: Identification) -> RoleErrors:
+        """With the values as they are."""
         return RoleErrors(self._errors(self.validation, model), self._errors(self.identification, model))
+
+    def if_not_possible(
+        self, declared: Identification, model: Identification, before: RoleErrors, after: RoleErrors
+    ) -> FittedErrors | None:
+        """Errors with the fitted values; None where they are those of robots that can exist."""
+        fitted = FittedErrors(self.fitted_errors(declared), self.fitted_errors(model))
+        return None if (fitted.before, fitted.after) == (before, after) else fitted
+
+    def predictions(self, before: Identification, after: Identification) -> tuple[Prediction, ...]:
+        """Of the validation recordings, with the values as they are."""
+        return tuple(
+            Prediction(r.recording, r.torque, predict(r, before), predict(r, after), r.velocity)
+            for r in self.validation
+        )
 
     def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
         """Of the torque, from what a model leaves: what does not repeat with the motion, but with a clock, is no noise."""
@@ -303,12 +337,13 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
     where = dependences(left, seed)
     cautions = _cautions(declared_robot, campaign)
-    verdict = _verdict(len(outcome.steps), campaign.joints, before, after, floor, where)
-    if cautions and verdict == "explained":
-        verdict = "partly_explained"  # the band holds what the rigid tree cannot have, whatever depends on it
-    predictions = tuple(
-        Prediction(r.recording, r.torque, predict(r, declared), predict(r, model), r.velocity) for r in data.validation
-    )
+    shown = with_possible_values(declared)
+    predictions = data.predictions(shown, with_possible_values(model))
+    tell("asking how much can be explained at all", 0.97)
+    compared_with = [HeldOut(p.torque, p.before) for p in predictions]
+    explainable = yardstick(shown, held_out.trusting(None), compared_with, after.validation)
+    known = explainable if isinstance(explainable, Explainable) else None
+    remains = Remains(campaign.joints, bool(outcome.steps), before, after, floor, known, where, bool(cautions))
     search = Search(model, sites)
     last_round = LastRound(outcome.refused, len(search.candidates()), search.tests)
     tell("done", 1.0)
@@ -319,7 +354,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         after,
         None if floor is None else tuple(float(x) for x in floor),
         _found(outcome.steps, search, before),
-        verdict,
+        remains.verdict,
         Unexplained(after.validation.relative_error, where, left, bands(left)),
         model,
         declared,
@@ -328,8 +363,16 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         campaign,
         last_round,
         seed,
+        _moving(predictions),
+        known,
+        "" if known else str(explainable),
+        data.if_not_possible(declared, model, before, after),
         cautions,
     )
+
+
+def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
+    return moving_errors(*zip(*((p.torque, p.before, p.after, p.velocity) for p in predictions), strict=True))
 
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
@@ -427,7 +470,9 @@ class _Rounds:
             visited.add(_signature(outcome.model.effects))
         return outcome
 
-    def _one_more(self, outcome: _Outcome, trials: Sequence[Trial], done: float, visited: set[_Signature]) -> _Outcome | None:
+    def _one_more(
+        self, outcome: _Outcome, trials: Sequence[Trial], done: float, visited: set[_Signature]
+    ) -> _Outcome | None:
         """With the best addition that still helps once everything is fitted again; None where none does."""
         model, left = outcome.model, list(trials)
         for _ in range(TRIES):
@@ -440,7 +485,9 @@ class _Rounds:
                 effects = added(effects, effect)
             if _signature(effects) in visited:
                 continue
-            self.tell(f"adding {best.effect.label}" + (f" and {len(best.members) - 1} alike" if best.members else ""), done)
+            self.tell(
+                f"adding {best.effect.label}" + (f" and {len(best.members) - 1} alike" if best.members else ""), done
+            )
             candidate = self._identified(effects, model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 continue
@@ -562,7 +609,9 @@ def _signature(effects: Sequence[Effect]) -> _Signature:
     """What tells two models apart: types and places; of those that may stand twice in one place, the shapes too, to a tenth."""
 
     def shape(effect: Effect) -> tuple[int, ...]:
-        return tuple(np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)).astype(int).tolist()) if effect.repeats else ()
+        return (
+            tuple(np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)).astype(int).tolist()) if effect.repeats else ()
+        )
 
     return frozenset((e.type_name(), e.place, shape(e)) for e in effects)
 
@@ -610,25 +659,3 @@ def _found(steps: Sequence[_Step], search: Search, before: RoleErrors) -> tuple[
         )
         last = step.errors
     return tuple(out)
-
-
-def _verdict(
-    additions: int,
-    joints: Sequence[str],
-    before: RoleErrors,
-    after: RoleErrors,
-    floor: Array | None,
-    where: Sequence[Dependence],
-) -> str:
-    if floor is None:
-        left = bool(where)
-    else:
-        # friction that changes sign within one sample leaves spikes of up to a third of the noise that depend on nothing
-        ratio = np.array(after.identification.torque_rms) / np.maximum(floor, 1e-300)
-        named = np.array([any(d.joint == joint for d in where) for joint in joints])
-        left = bool(((ratio > FAR_FROM_FLOOR) | ((ratio > NEAR_FLOOR) & named)).any())
-    if additions:
-        # what helps on the fitted recordings alone explains nothing for certain
-        carried = after.validation.relative_error < before.validation.relative_error
-        return "explained" if carried and not left else "partly_explained"
-    return "unexplained" if left else "nothing_missing"

@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import json
 import os
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,9 +41,10 @@ from rx90b_flex.diagnose.response import MODEL_ERROR as RESPONSE_ERROR
 from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, thinned
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.signals.folders import fill_folder
+from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
 SCHEMA = 1
 UNUSUAL = 10.0  # factor from declared stiffnesses of its kind beyond which a new hinge's is called unusual
@@ -556,6 +556,7 @@ def write_loop(
     loop: ModalLoop | ResponseLoop,
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[ModalLoop | ResponseLoop, Path], None]] = (),
+    overwrite: bool = False,
 ) -> Path:
     """Write ``closed_loop.json``, the robot with what was found, and what else is given; all of it or nothing."""
     folder = Path(folder)
@@ -567,7 +568,7 @@ def write_loop(
         for write in extra:
             write(loop, at)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CLOSED_LOOP, overwrite)
     return folder
 
 
@@ -577,8 +578,8 @@ def speaks_of_frequency(source: str | os.PathLike[str]) -> bool:
     if path.is_dir():
         return (path / "frf.json").is_file()
     try:
-        return path.suffix == ".toml" and "pose" in tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return path.suffix == ".toml" and "pose" in read_toml(path, "modal table")
+    except ValueError:
         return False  # the campaign's reader says what is wrong with it
 
 

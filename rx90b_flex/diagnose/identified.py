@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from rx90b_flex.export import with_link_parameters
@@ -12,11 +13,24 @@ from rx90b_flex.robot import Robot
 
 def identified_robot(source: Robot, model: Identification, joints: Sequence[str]) -> Robot:
     """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
-    flexible = [e for e in source.effects if e.virtual]
+    flexible = [e for e in source.effects if e.on_rigid_tree() is None]
+    values = with_possible_values(model)
+    effects = [e.in_tree() for e in values.effects]
     if not model.links_fitted:
-        held = [e for e in source.effects if not e.virtual and not set(e.joints) <= set(joints)]
-        return source.with_effects([*flexible, *held, *model.effects])
+        held = [e for e in source.effects if e not in flexible and not set(e.joints) <= set(joints)]
+        return source.with_effects([*flexible, *held, *effects])
+    return with_link_parameters(model.regression.robot, values.link_parameters).with_effects([*flexible, *effects])
+
+
+def with_possible_values(model: Identification) -> Identification:
+    """The same model with the values that are written: of bodies that can exist, and of effects within their bounds.
+
+    What the fit left over, its covariance and its columns stay those of the fitted values. Known links are kept as they
+    were given, and the effects beside them as they were fitted.
+    """
+    if not model.links_fitted:
+        return model
     links = len(model.link_parameters)
     theta, _ = possible_coefficients(model)
     effects = model.with_rest(theta[links:] - model.theta[links:])
-    return with_link_parameters(model.regression.robot, theta[:links]).with_effects([*flexible, *effects])
+    return dataclasses.replace(model, effects=effects, link_parameters=theta[:links], theta=theta)

@@ -18,7 +18,6 @@ zero of its own transfer function: a frequency with its drive locked (section 5.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +30,7 @@ from scipy import linalg, stats
 from rx90b_flex.diagnose.flexible import Change, Fit, Residual, State, Structure
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.robot import Robot
 
 MODEL_ERROR = 0.005  # of a frequency: what separates a robot that moves from its model at rest
@@ -137,13 +137,7 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
         One line that names file and key.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            table = tomllib.load(file)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such modal table") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"{path}: not a TOML file that can be read: {error}") from None
+    table = read_toml(path, "modal table")
     _check_keys(table, TABLE_KEYS, str(path))
     joints = table.get("joints")
     if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):

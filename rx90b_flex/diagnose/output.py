@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative
-from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction, RoleErrors
+from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction
 from rx90b_flex.diagnose.identified import identified_robot
+from rx90b_flex.diagnose.residual import RoleErrors
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals.folders import fill_folder
+from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.motion import MotionErrors
@@ -34,6 +35,13 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
         "noise_floor": None if result.noise_floor is None else {"torque_rms": list(result.noise_floor)},
         "effects": [_effect(e) for e in result.effects],
         "verdict": result.verdict,
+        "explainable": _explainable(result),
+        "moving": {
+            "before": {"relative_error": result.moving.before},
+            "after": {"relative_error": result.moving.after},
+            "at_rest": result.moving.at_rest,
+        },
+        "fitted": _fitted(result),
         "unexplained": {
             "relative_error": result.unexplained.relative_error,
             "where": [{"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where],
@@ -44,6 +52,19 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
             "cautions": list(result.cautions),
         },
     }
+
+
+def _explainable(result: ClosedLoop) -> dict[str, Any] | None:
+    known = result.explainable
+    if known is None:
+        return None
+    return {"validation": {"relative_error": known.validation.relative_error}, "share": known.share}
+
+
+def _fitted(result: ClosedLoop) -> dict[str, Any] | None:
+    """Errors with the fitted values; null where those are of a robot that can exist, as the written one is."""
+    fitted = result.fitted
+    return None if fitted is None else {"before": _roles(fitted.before), "after": _roles(fitted.after)}
 
 
 def motion_json(motion: MotionErrors | str) -> dict[str, Any]:
@@ -122,6 +143,7 @@ def write_result(
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[ClosedLoop, Path], None]] = (),
     motion: MotionErrors | str | None = None,
+    overwrite: bool = False,
 ) -> Path:
     """Write everything that belongs to a result; all of it or nothing.
 
@@ -129,11 +151,13 @@ def write_result(
     ----------
     result : ClosedLoop
     folder : path
-        Made if it does not exist; files of the same names in it are replaced.
+        Made if it does not exist; the result of an earlier run in it is replaced as a whole.
     extra : iterable of callable
         Each gets the result and the folder to write more into, such as a report.
     motion : MotionErrors or str, optional
         What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
+    overwrite : bool
+        Whether other files of the same names are replaced, too.
     """
     folder = Path(folder)
 
@@ -151,5 +175,5 @@ def write_result(
         for write in extra:
             write(result, at)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CLOSED_LOOP, overwrite)
     return folder

@@ -44,6 +44,14 @@ class Errors:
         )
 
 
+@dataclass(frozen=True)
+class RoleErrors:
+    """Errors of one model on both roles."""
+
+    validation: Errors
+    identification: Errors
+
+
 @dataclass(frozen=True, eq=False)
 class Replay:
     """One recording at its own sample rate, ready to be predicted by any model of the same tree.

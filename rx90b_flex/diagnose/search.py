@@ -147,7 +147,13 @@ class Trial:
 
     def belongs(self, tests: int) -> bool:
         """Whether it may be one of a family: by itself as likely as a hypothesis that nobody had to search for."""
-        return self.lawful and self.gain > 0 and self.share > SMALLEST_GAIN and self.p_value < MEMBER * tests and self.worst <= 1.0
+        return (
+            self.lawful
+            and self.gain > 0
+            and self.share > SMALLEST_GAIN
+            and self.p_value < MEMBER * tests
+            and self.worst <= 1.0
+        )
 
     def no_better_than(self, other: Trial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
@@ -230,7 +236,8 @@ class Base:
         """With blocks put together."""
         normal = self.shared.normal
         gram, cross, power, counts = (
-            np.array([x[at].sum(axis=0) for at in groups]) for x in (normal.gram, normal.cross, normal.power, normal.counts)
+            np.array([x[at].sum(axis=0) for at in groups])
+            for x in (normal.gram, normal.cross, normal.power, normal.counts)
         )
         other = dataclasses.replace(self, shared=dataclasses.replace(self.shared))
         other.shared.__dict__["normal"] = NormalEquations(gram, cross, power, counts)
@@ -382,13 +389,13 @@ class Search:
         """Effects to try, each with the declared effect that it would replace."""
         out: list[tuple[Effect, Effect | None]] = []
         for cls in catalogue().values():
-            if cls.virtual or cls.last_resort is not self.last_resort:
+            if cls.last_resort is not self.last_resort:
                 continue
-            for effect in cls.everywhere(self.sites):
+            for effect in cls.over_time(self.sites):
                 here = [e for e in self.model.effects if e.place == effect.place]
                 if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
                     continue
-                if any(type(e) is cls and not cls.repeats for e in here):
+                if any(e.type_name() == cls.type_name() and not cls.repeats for e in here):
                     continue
                 if any(cls.type_name() in e.replaces for e in here):
                     continue
@@ -447,7 +454,9 @@ class Search:
         trials += self._families(rough, trials, bases[None])
         return sorted(trials, key=lambda t: -t.gain)
 
-    def _families(self, rough: Sequence[tuple[float, Effect, Base]], known: Sequence[Trial], present: Base) -> list[Trial]:
+    def _families(
+        self, rough: Sequence[tuple[float, Effect, Base]], known: Sequence[Trial], present: Base
+    ) -> list[Trial]:
         """One law on several joints, for the types that a first look at all joints together likes best."""
         kinds: dict[type[Effect], list[tuple[float, Effect, Base]]] = {}
         for item in rough:
@@ -458,7 +467,11 @@ class Search:
         tried = {t.effect.label: t for t in known}
         out = []
         for items in liked:
-            found = [tried.get(e.label) or self.trial(e, base, present, self.tests) for gain, e, base in items if gain > FAMILY_GAIN]
+            found = [
+                tried.get(e.label) or self.trial(e, base, present, self.tests)
+                for gain, e, base in items
+                if gain > FAMILY_GAIN
+            ]
             members = tuple(t for t in found if t.belongs(self.tests))
             if len(members) >= max(2, len(self.sites.joints) / 2):
                 out.append(family(members, len(kinds)))
@@ -691,7 +704,7 @@ class Search:
             i = wrong[0]
             unit = effect.coefficient_units[i]
             objection = f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {abs(beta[i] / std[i]):.0f} std of the wrong sign"
-        elif len(shapes):
+        elif len(shapes) and not effect.coefficients_follow:
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             if not certain > SIGN_T**2 * k:

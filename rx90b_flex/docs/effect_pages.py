@@ -117,7 +117,7 @@ def _place(cls: type[Effect]) -> str:
         said.append("beside " + " and ".join(f"`{name}`" for name in cls.needs))
     if cls.repeats:
         said.append("may stand there more than once")
-    searched = not cls.virtual and cls.everywhere(ANYWHERE)
+    searched = cls.over_time(ANYWHERE)
     said.append("closing the loop tries it" if searched else "closing the loop on torques does not try it")
     return "; ".join(said)
 

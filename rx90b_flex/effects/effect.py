@@ -154,6 +154,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()  # effect types that must stand at the same place
     part: ClassVar[str] = "friction"  # of a linearisation: "links", "drives", "flexibility", "spring" or "friction"
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ()  # coefficients that a search over frequency multiplies together
+    coefficients_follow: ClassVar[bool] = False  # from its shape, in a fit; a search may leave them free
     rescaled: ClassVar[str] = ""  # what such a search may find another value of where it is declared; empty: nothing
 
     # ---- description ------------------------------------------------------------------------------------
@@ -451,6 +452,19 @@ class Effect(ABC):
     @abstractmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         """This effect, without values, in every place where a search may try it."""
+
+    @classmethod
+    def over_time(cls, sites: Sites) -> list[Effect]:
+        """What a search over time tries, without values: of an effect that adds coordinates, what acts on the rigid tree."""
+        return [] if cls.virtual else [*cls.everywhere(sites)]
+
+    def on_rigid_tree(self) -> Effect | None:
+        """What stands for it where the tree is rigid and motors alone are measured; None: nothing, it is left out."""
+        return None if self.virtual else self
+
+    def in_tree(self) -> Effect:
+        """The inverse of `on_rigid_tree`: the effect as a robot file has it."""
+        return self
 
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:

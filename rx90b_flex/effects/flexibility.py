@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import DAMPING, STIFFNESS, Effect, JointEffect, RestSites, RestSizes, Sites, linear
+from rx90b_flex.effects.deflection import Spring, deflected, softest
+from rx90b_flex.effects.effect import (
+    DAMPING,
+    STIFFNESS,
+    Effect,
+    JointEffect,
+    RestSites,
+    RestSizes,
+    Sites,
+    derived,
+    linear,
+)
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
+LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
+NO_LAG = 1.0e-6  # and what shows in no log
+LOSSY = (
+    0.1  # damping ratio of drives that a search over time begins with: what swings for long fits at one stiffness alone
+)
+STARTS = 10  # stiffnesses that it begins with
+ABOVE = 6.0  # times the cutoff: where links swing on the stiffest of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +139,176 @@ class DriveFlexibility(_FlexibilityOfJoint):
         heavy = [j for j in sites.joints if j not in sites.moving or ("drive_inertia", (j,)) in sites.declared]
         return [cls(joint=j, stiffness=1.0, damping=DAMPING_TIME) for j in heavy]
 
+    @classmethod
+    def over_time(cls, sites: Sites) -> list[Effect]:
+        return [_DriveDeflection(joint=j) for j in sites.joints]
+
+    def on_rigid_tree(self) -> Effect:
+        """The deflection that the drive's own torque gives it; as stated where it has a stiffness, else to be identified."""
+        if self.stiffness is None:
+            return _DriveDeflection(joint=self.joint)
+        damping = DAMPING_TIME * self.stiffness if self.damping is None else self.damping
+        return _StatedDeflection(joint=self.joint, stiffness=self.stiffness, damping=damping)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _DriveDeflection(Effect):
+    """A flexible drive on a rigid tree: what motors feel of its torsion, which follows from the model's own torque.
+
+    The coefficient is the compliance, ``1 / stiffness``; its column is the torque (see `deflection`) over it. A search leaves the
+    compliance free of the stiffness that the column is worked out for, which comes to the same where the drive is stiff.
+    """
+
+    needs_load: ClassVar[bool] = True
+    needs_model: ClassVar[bool] = True
+    coefficients_follow: ClassVar[bool] = True
+    part: ClassVar[str] = "flexibility"
+
+    joint: str
+    stiffness: float | None = derived("N m/rad", lower=0.0)
+    damping: float | None = derived("N m s/rad", lower=0.0)
+
+    @classmethod
+    def type_name(cls) -> str:
+        return DriveFlexibility.type_name()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return (self.joint,)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return ("compliance",)
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return ("rad/(N m)",)
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (STIFFNESS,)
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.zeros(1)
+
+    @property
+    def coefficients(self) -> Array:
+        return np.array([np.nan if self.stiffness is None else 1.0 / self.stiffness])
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        (compliance,) = (float(x) for x in values)
+        if np.isnan(compliance):
+            return self
+        stiffness = 1.0 / compliance if compliance != 0.0 else np.inf
+        return dataclasses.replace(self, stiffness=stiffness, damping=self._lag * stiffness)
+
+    @property
+    def _lag(self) -> float:
+        """Damping over stiffness, s."""
+        if self.stiffness is None or self.damping is None or not np.isfinite(self.stiffness):
+            return DAMPING_TIME
+        return self.damping / self.stiffness
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return ("stiffness", "lag")
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.array([[1e-6, LAGS[0]], [1e15, LAGS[1]]])
+
+    @property
+    def shape(self) -> Array:
+        return np.array([np.nan, np.nan] if self.stiffness is None else [self.stiffness, self._lag])
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        stiffness, lag = (float(x) for x in values)
+        return dataclasses.replace(self, stiffness=stiffness, damping=max(lag, NO_LAG) * stiffness)
+
+    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
+        """Stiffnesses on which the link swings at frequencies of the band and above, from the softest that carries it."""
+        place = motion.coordinates.index(self.joint)
+        by_q, _, by_a = (by[:, place, place] for by in motion.on_tree.derivatives())
+        inertia = float(np.median(by_a))
+        step = float(motion.time[1] - motion.time[0]) if len(motion) > 1 else 0.0
+        if inertia <= 0 or step <= 0:
+            return np.zeros((0, 2))
+        slowest = max(softest(by_q, inertia), 10.0 / float(np.ptp(motion.time)))
+        fastest = max(2 * np.pi * ABOVE * (cutoff_hz or 0.1 / step), 2.0 * slowest)
+        frequencies = np.geomspace(slowest, fastest, STARTS)
+        return np.stack([inertia * frequencies**2, 2.0 * LOSSY / frequencies], axis=1)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        return self.starts_beside(motion, (), None)
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.array([0.4, 0.8]) * self.shape
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return STARTS
+
+    def possible(self) -> bool:
+        return self.stiffness is not None and self.stiffness > 0
+
+    def columns(self, motion: Motion) -> Array:
+        self.known_coefficients()
+        present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
+        others = [e for e in present if e.joint != self.joint]
+        load = _through_drives(motion)
+        known = [e.spring for e in present]
+        found = deflected(motion, [self.spring, *(e.spring for e in others)], known, load)
+        # together the drives of a model give all of the torque: what the others' share is at present is theirs
+        out = found.torque.sum(axis=0)
+        if others:
+            now = deflected(motion, known, known, load)
+            out = out - sum(t for t, e in zip(now.torque, present, strict=True) if e.joint != self.joint)
+        if present and present[0].joint == self.joint:
+            out = out + found.beyond
+        return np.asarray(out * self.stiffness)[:, :, None]
+
+    @property
+    def spring(self) -> Spring:
+        """As the solver of torsions knows it."""
+        assert self.stiffness is not None
+        return Spring(self.joint, self.stiffness, self._lag)
+
+    def in_tree(self) -> Effect:
+        return DriveFlexibility(joint=self.joint, stiffness=self.stiffness, damping=self.damping)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StatedDeflection(_DriveDeflection):
+    """A flexible drive whose stiffness is stated: it is taken as it is."""
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return ()
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.zeros((2, 0))
+
+    @property
+    def shape(self) -> Array:
+        return np.zeros(0)
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        return self
+
+
+def _through_drives(motion: Motion) -> Array:
+    """Torque that links and what springs stand between them ask of the drives, (N, n)."""
+    ours = [e for e in motion.effects if isinstance(e, Effect) and e.part in ("links", "spring")]
+    (load,) = motion.once(
+        ("load of drives",), lambda: (sum((e.force(motion) for e in ours), np.array(motion.on_tree.load())),)
+    )
+    return load
+
 
 @dataclass(frozen=True, kw_only=True)
 class JointFlexibility(_FlexibilityOfJoint):
@@ -214,6 +404,13 @@ class StiffnessHardening(JointEffect):
     law_stores: ClassVar[bool] = True
 
     cubic: float | None = linear("N m/rad^3", lower=0.0, rank=STIFFNESS)
+
+    @classmethod
+    def over_time(cls, sites: Sites) -> list[Effect]:
+        return []
+
+    def on_rigid_tree(self) -> None:
+        return None
 
     def basis(self, at: JointMotion) -> Array:
         return (at.q**3)[:, None]

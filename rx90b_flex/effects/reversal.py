@@ -114,7 +114,9 @@ class DryFriction(JointEffect):
         return tuple((self.joint, name) if name == "turnover" else None for name in self.shape_names())
 
     def known_shape(self) -> Array:
-        sharp = [SHARP if n == "turnover" and np.isnan(x) else x for n, x in zip(self.shape_names(), self.shape, strict=True)]
+        sharp = [
+            SHARP if n == "turnover" and np.isnan(x) else x for n, x in zip(self.shape_names(), self.shape, strict=True)
+        ]
         return self.checked_shape(np.array(sharp))
 
     @property

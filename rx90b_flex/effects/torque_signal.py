@@ -86,7 +86,9 @@ class TorqueDelay(Effect):
     @property
     def history_s(self) -> float:
         if self._delay < 0:
-            raise ValueError(f"{self.label}: delay is {self._delay:g} s; a simulation cannot log a torque before it is there")
+            raise ValueError(
+                f"{self.label}: delay is {self._delay:g} s; a simulation cannot log a torque before it is there"
+            )
         return self._delay
 
     def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy import fft, stats
 
 from rx90b_flex.effects.motion import Array
 
-LARGEST_ABSORBED = 0.8  # part of the noise at a frequency that a fit is taken to have absorbed at the most
 LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's colour
+INTERVAL = 0.95  # whose limits 1.96 standard deviations are
+ROUNDS = (
+    3  # of a spectrum with what the fit absorbed put back: what is missing after each is missed by the next as well
+)
 
 
 @dataclass(frozen=True)
@@ -39,16 +42,19 @@ class Spectrum:
         samples = len(columns)
         # room for the correlation on either side, so that the ends do not meet
         size = fft.next_fast_len(2 * samples + len(self.autocovariance), real=True)
-        density = np.maximum(fft.rfft(_symmetric(self.autocovariance, size)).real, 0.0)
-        density /= np.abs(fft.rfft(self.filter, size)) ** 2
         spectra = fft.rfft(columns, size, axis=0)
         # one-sided: every line but the first (and the middle one) stands for two
-        weight = np.full(len(density), 2.0)
+        weight = np.full(len(spectra), 2.0)
         weight[0] = 1.0
         if size % 2 == 0:
             weight[-1] = 1.0
-        weight *= density / size
+        weight *= self.density(size) / size
         return ((spectra.conj() * weight[:, None]).T @ spectra).real
+
+    def density(self, size: int) -> Array:
+        """At the lines of a transform of so many samples, over that of white noise of variance one; (size // 2 + 1,)."""
+        white = np.maximum(fft.rfft(_symmetric(self.autocovariance, size)).real, 0.0)
+        return np.asarray(white / np.abs(fft.rfft(self.filter, size)) ** 2)
 
 
 def _symmetric(lags: Array, size: int) -> Array:
@@ -62,20 +68,41 @@ def _symmetric(lags: Array, size: int) -> Array:
 def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, longest: int) -> Spectrum:
     """Spectrum of the noise behind one joint's residual.
 
+    What the fit took out of the noise at a frequency is put back there in proportion to the noise's own spectrum, which is not known
+    before: it is estimated, put back and estimated again (expectation and maximisation). Put back by a smoothed share, steep spectra
+    would come out too low where the columns have their power, and estimates too certain.
+
     Parameters
     ----------
     residual : array, shape (N,)
     spans : sequence of slice
         Stretches that do not follow each other in time.
-    absorbed : array, shape (M,)
+    absorbed : array, shape (lines,)
         What the fit took out of the noise (`absorbed_by_fit`); zeros where nothing was fitted.
     longest : int
         Longest correlation to allow for, samples.
     """
-    parts = [residual[s] for s in spans]
-    total = sum(len(p) for p in parts)
-    lags = max(2, min(longest, total // 6))
-    raw = _autocovariance(parts, lags + LARGEST_ORDER, absorbed)
+    lags = _lags(spans, longest)
+    sizes = _sizes(spans, lags)
+    total = sum(s.stop - s.start for s in spans)
+    powers = [np.abs(fft.rfft(residual[s], size)) ** 2 for s, size in zip(spans, sizes, strict=True)]
+    missing = np.split(absorbed, np.cumsum([len(p) for p in powers])[:-1])
+    spectrum = _smoothed(powers, sizes, lags, total)
+    if not absorbed.any():
+        return spectrum
+    for _ in range(ROUNDS):
+        whole = [p + m * spectrum.density(n) for p, m, n in zip(powers, missing, sizes, strict=True)]
+        spectrum = _smoothed(whole, sizes, lags, total)
+    return spectrum
+
+
+def _smoothed(powers: Sequence[Array], sizes: Sequence[int], lags: int, total: int) -> Spectrum:
+    """From the squared transforms of several stretches, of `total` samples together."""
+    count = lags + LARGEST_ORDER
+    raw = np.zeros(count)
+    for power, size in zip(powers, sizes, strict=True):
+        raw += fft.irfft(power, size)[:count]
+    raw /= max(total, 1)
     whitening = _autoregression(raw[: min(LARGEST_ORDER, lags - 1) + 1], total)
     # the autocovariance of the prewhitened residual follows from its own: twice through the filter
     kernel = np.correlate(whitening, whitening, mode="full")
@@ -84,8 +111,18 @@ def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, 
     return Spectrum(white * parzen(lags), whitening, 3.7 * total / lags)
 
 
+def _lags(spans: Sequence[slice], longest: int) -> int:
+    """Length of the lag window: no more than a sixth of the samples."""
+    return max(2, min(longest, sum(s.stop - s.start for s in spans) // 6))
+
+
+def _sizes(spans: Sequence[slice], lags: int) -> list[int]:
+    """Of the transforms of each stretch: room for the correlation, so that the ends do not meet."""
+    return [fft.next_fast_len(max(s.stop - s.start + lags + LARGEST_ORDER, 2 * lags), real=True) for s in spans]
+
+
 def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array:
-    """Autocovariance of the part of a joint's noise that a fit takes up, for noise of variance one.
+    """Squared transform of the part of a joint's noise that a fit takes up, for white noise of variance one.
 
     A fit is keenest where its columns have their power; what it takes out there is missing in the residual's spectrum.
 
@@ -96,26 +133,17 @@ def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array
     spans : sequence of slice
     longest : int
         Longest correlation to allow for, samples.
+
+    Returns
+    -------
+    array, shape (lines,)
+        Lines of all stretches, one stretch after the other, as `residual_spectrum` has them.
     """
-    total = sum(s.stop - s.start for s in spans)
-    lags = max(2, min(longest, total // 6))
-    out = np.zeros(lags)
-    for span in spans:
-        size = fft.next_fast_len(span.stop - span.start + lags, real=True)
-        power = (np.abs(fft.rfft(basis[span], size, axis=0)) ** 2).sum(axis=1)
-        out += fft.irfft(power, size)[:lags]
-    return out / max(total, 1) * parzen(lags)
-
-
-def _autocovariance(parts: Sequence[Array], lags: int, absorbed: Array) -> Array:
-    """Biased autocovariance over several stretches, from lag zero, with what a fit absorbed put back."""
-    out = np.zeros(lags)
-    for part in parts:
-        size = fft.next_fast_len(max(len(part) + lags, 2 * len(absorbed), 2), real=True)
-        missing = fft.rfft(_symmetric(absorbed, size)).real
-        power = np.abs(fft.rfft(part, size)) ** 2 / (1.0 - np.clip(missing, 0.0, LARGEST_ABSORBED))
-        out += fft.irfft(power, size)[:lags]
-    return out / max(sum(len(p) for p in parts), 1)
+    sizes = _sizes(spans, _lags(spans, longest))
+    parts = [
+        (np.abs(fft.rfft(basis[span], size, axis=0)) ** 2).sum(axis=1) for span, size in zip(spans, sizes, strict=True)
+    ]
+    return np.concatenate(parts)
 
 
 def _autoregression(autocovariance: Array, samples: int) -> Array:
@@ -161,3 +189,15 @@ def scatter(columns: Array, weights: Array, spectra: Sequence[Spectrum], spans: 
         for span in spans:
             out += weights[j] ** 2 * spectrum.product(x[span])
     return out
+
+
+def widening(spectra: Sequence[Spectrum]) -> float:
+    """Factor of covariances that are worked out with estimated spectra.
+
+    An estimate over its estimated standard deviation follows Student's distribution: with as few degrees of freedom as the least
+    known spectrum has, 95 % of it lie within more than 1.96. A covariance times this keeps 1.96 standard deviations the limits
+    of 95 %.
+    """
+    freedom = min(s.degrees_of_freedom for s in spectra)
+    upper = 0.5 * (1.0 + INTERVAL)
+    return float((stats.t.ppf(upper, freedom) / stats.norm.ppf(upper)) ** 2)

@@ -299,15 +299,15 @@ def _predictions(
     robot: Robot, rigid: Robot, recordings: Sequence[Recording], cutoff_hz: float | None
 ) -> tuple[Prediction, ...]:
     """What the exported robot says of recordings, at their own rate."""
-    own = robot.rigid().restricted(rigid.joints)
+    own = robot.over_time().restricted(rigid.joints)
     rows = np.array([own.layout.index(j) for j in recordings[0].joints]) if recordings else np.zeros(0, dtype=int)
     out = []
     for recording in recordings:
         stretch = prepare(rigid, recording, cutoff_hz, thin=False)
         seen = stretch.motion
-        motion = own.motion(seen.q, seen.v, seen.a, seen.time)
+        motion = dataclasses.replace(own.motion(seen.q, seen.v, seen.a, seen.time), effects=own.forces)
         if stretch.carried is not None:
-            motion = own.on_links(motion, stretch.loaded(own.link_parameters))
+            motion = own.on_links(motion, stretch.loaded(own.link_parameters), effects=own.forces)
         force = np.array(motion.on_tree.load())
         for effect in own.effects:
             force = force + effect.force(motion)

@@ -29,8 +29,8 @@ from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_repl
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.signals import Recording, load_campaign
-from rx90b_flex.signals.folders import fill_folder
+from rx90b_flex.signals import Campaign, Recording, load_campaign
+from rx90b_flex.signals.folders import MOTOR_SIGNALS, fill_folder
 from rx90b_flex.signals.tables import read_table
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ class _Stages:
 
 
 def identify_from_motors(
-    source: str | os.PathLike[str], options: Options | None = None, progress: Progress | None = None
+    source: str | os.PathLike[str] | Campaign, options: Options | None = None, progress: Progress | None = None
 ) -> MotorIdentification:
     """Identify a robot from a campaign of periodic excitation about one or several poses: motor angles and torques only.
 
@@ -204,9 +204,9 @@ def identify_from_motors(
     options = options or Options()
     tell = progress or (lambda text, part: None)
     tell("reading", 0.0)
-    campaign = load_campaign(Path(source))
+    campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
     robot = load_robot(campaign.robot_source)
-    controller = _controller(Path(source), options.controller)
+    controller = _controller(campaign.path, options.controller)
     stages = _Stages(tell)
     recordings = campaign.identification
     if options.references is not None:
@@ -235,7 +235,7 @@ def identify_from_motors(
             "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
         )
     return MotorIdentification(
-        Path(source), robot, options, tuple(poses), grey, fitted if grey is not None else (), replayed,
+        campaign.path, robot, options, tuple(poses), grey, fitted if grey is not None else (), replayed,
         tuple(stages.left_out), tuple(remarks), stages.seconds,
     )  # fmt: skip
 
@@ -555,6 +555,7 @@ def write_motor_identification(
     result: MotorIdentification,
     folder: str | os.PathLike[str],
     extra: Iterable[Callable[[MotorIdentification, Path], None]] = (),
+    overwrite: bool = False,
 ) -> Path:
     """Write ``frf.json``, the robot as identified (by replay where that was done), and what else is given; all or nothing."""
     from rx90b_flex.export import save_robot
@@ -568,5 +569,5 @@ def write_motor_identification(
         for write in extra:
             write(result, at)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, MOTOR_SIGNALS, overwrite)
     return folder

@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Mask
-from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter
+from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter, widening
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
@@ -19,6 +19,9 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
+MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
+SAME_MISFIT = 1.0e-4  # change of the sum of the residuals' logarithms below which a fit has settled
+BENT = 0.05  # of the torque: with so much left over, links that were fitted to it are far off
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 MULTIPLIED_ROUNDS = 12  # with gains among them, which the links must follow
 SMALLEST_FACTOR = 0.02  # of a torque gain during a fit
@@ -344,6 +347,9 @@ def identify(
     circular = any(e.needs_load or e.needs_model for e in effects)
     known = effects if start is None else start.effects
     fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links)
+    if any(e.coefficients_follow and len(e.shape) for e in effects):
+        fit = _settled(fit, links, regression, start)
+        return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
     multiplied = any(e.multiplies for e in effects)
     for _ in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
         fit = fit.refined()
@@ -379,23 +385,53 @@ class _Fixed:
     Attributes
     ----------
     columns : array, shape (joints, N, f)
-    target : array, shape (joints, N)
     gram : array, shape (joints, f, f)
-    cross : array, shape (joints, f)
-    power : array, shape (joints,)
     """
 
     columns: Array
-    target: Array
     gram: Array
-    cross: Array
-    power: Array
 
     @staticmethod
-    def of(columns: Array, target: Array) -> _Fixed:
+    def of(columns: Array) -> _Fixed:
         x = np.ascontiguousarray(columns.transpose(1, 0, 2))
-        y = np.ascontiguousarray(target.T)
-        return _Fixed(x, y, x.transpose(0, 2, 1) @ x, (x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0], (y**2).sum(axis=1))
+        return _Fixed(x, x.transpose(0, 2, 1) @ x)
+
+
+def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None) -> _Fit:
+    """A fit whose effects see the model that it ends with, links (10 * bodies,) as they see them at first.
+
+    Where much is left over, links that were fitted to it are far off: then one that begins with the declared links is tried as well.
+    """
+    settled = _circled(fit, links, regression)
+    own = regression.robot.link_parameters
+    if not fit.fit_links or np.array_equal(links, own) or settled.relative_error < BENT:
+        return settled
+    new = [e for e in settled.valued if start is None or not any(e.label == known.label for known in start.effects)]
+    new = [e for e in new if e.coefficients_follow and len(e.shape)]
+    other = dataclasses.replace(fit, regression=regression.with_model(own, ()))
+    for effect in new:
+        starts = effect.shape_starts(other.regression.longest)
+        shaped = [other.with_effect(effect.with_shape(x)) for x in starts]
+        other = min(shaped, key=lambda f: f.misfit, default=other)
+    return min(settled, _circled(other, own, regression), key=lambda f: f.misfit)
+
+
+def _circled(fit: _Fit, links: Array, regression: Regression) -> _Fit:
+    """Fits that see one another's links in turn, as far on the way from one to the next as does not spoil them."""
+    for _ in range(MOST_CIRCLES):
+        fit = fit.refined()
+        for part in (1.0, 0.5, 0.25, 0.1):
+            on_the_way = links + part * (fit.link_parameters - links)
+            further = fit.seen_by(regression.with_model(on_the_way, fit.valued))
+            if further.misfit < fit.misfit + SAME_MISFIT:
+                break
+        else:
+            break
+        done = part == 1.0 and fit.misfit - further.misfit < SAME_MISFIT
+        fit, links = further, on_the_way
+        if done:
+            return fit
+    return fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
 
 
 @dataclass(frozen=True, eq=False)
@@ -445,39 +481,60 @@ class _Fit:
 
     @cached_property
     def fixed(self) -> _Fixed:
-        """Columns that do not change with the shapes."""
+        """Columns that do not change with the shapes; zeros for coefficients that are not estimated."""
         parts = [self.regression.link_columns * self.factors[:, None]] if self.fit_links else []
-        parts += [self._scaled(e) for e in self.effects if not len(e.shape)]
-        empty = np.zeros((*self.regression.torque.shape, 0))
-        return _Fixed.of(np.concatenate([empty, *parts], axis=2), self.target)
+        parts += [self._estimated(e) for e in self.effects if not len(e.shape)]
+        return _Fixed.of(np.concatenate([self._none, *parts], axis=2))
 
     @cached_property
     def varied(self) -> Array:
-        """Columns that change with the shapes, shape (joints, N, v)."""
-        parts = [self._scaled(e) for e in self.effects if len(e.shape)]
-        empty = np.zeros((*self.regression.torque.shape, 0))
-        return np.ascontiguousarray(np.concatenate([empty, *parts], axis=2).transpose(1, 0, 2))
+        """Columns that change with the shapes, shape (joints, N, v); zeros for coefficients that are not estimated."""
+        parts = [self._estimated(e) for e in self.effects if len(e.shape)]
+        return np.ascontiguousarray(np.concatenate([self._none, *parts], axis=2).transpose(1, 0, 2))
+
+    @property
+    def follows(self) -> Mask:
+        """Which coefficients follow from their effect's shape, shape (p,)."""
+        own = [np.full(len(e.coefficients), e.coefficients_follow) for e in self.effects]
+        return np.concatenate([np.zeros(self._offset, bool), *own])
+
+    @property
+    def _none(self) -> Array:
+        return np.zeros((*self.regression.torque.shape, 0))
+
+    def _estimated(self, effect: Effect) -> Array:
+        if not effect.coefficients_follow:
+            return self._scaled(effect)
+        return np.zeros((*self.regression.torque.shape, len(effect.coefficients)))
+
+    @cached_property
+    def goal(self) -> Array:
+        """Torque less that of the coefficients which follow from their effect's shape, shape (joints, N)."""
+        torque = self.target
+        for e in self.effects:
+            if e.coefficients_follow:
+                torque = torque - self._scaled(e) @ e.coefficients
+        return np.ascontiguousarray(torque.T)
 
     @cached_property
     def columns(self) -> Array:
         """All columns, shape (N, joints, p)."""
-        out = np.empty((*self.regression.torque.shape, len(self._shaped)))
-        out[:, :, ~self._shaped] = self.fixed.columns.transpose(1, 0, 2)
-        out[:, :, self._shaped] = self.varied.transpose(1, 0, 2)
-        return out
+        links = [self.regression.link_columns * self.factors[:, None]] if self.fit_links else []
+        return np.concatenate([self._none, *links, *(self._scaled(e) for e in self.effects)], axis=2)
 
     @cached_property
     def normal(self) -> NormalEquations:
-        """Products of all columns on all samples."""
-        x, y, shaped = self.varied, self.fixed.target, self._shaped
+        """Products of the columns of what is estimated, on all samples."""
+        x, y, shaped = self.varied, self.goal, self._shaped
         gram = np.empty((len(y), len(shaped), len(shaped)))
         cross = np.empty((len(y), len(shaped)))
         f, v = np.flatnonzero(~shaped), np.flatnonzero(shaped)
         across = self.fixed.columns.transpose(0, 2, 1) @ x
         gram[:, f[:, None], f], gram[:, f[:, None], v] = self.fixed.gram, across
         gram[:, v[:, None], f], gram[:, v[:, None], v] = across.transpose(0, 2, 1), x.transpose(0, 2, 1) @ x
-        cross[:, f], cross[:, v] = self.fixed.cross, (x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0]
-        return NormalEquations(gram[None], cross[None], self.fixed.power[None], np.array([y.shape[1]]))
+        for places, columns in ((f, self.fixed.columns), (v, x)):
+            cross[:, places] = (columns.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0]
+        return NormalEquations(gram[None], cross[None], (y**2).sum(axis=1)[None], np.array([y.shape[1]]))
 
     @cached_property
     def prior(self) -> Array:
@@ -505,6 +562,23 @@ class _Fit:
             at += k
         return tuple(out)
 
+    @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of the joints' residual standard deviations."""
+        return float(np.log(self.solution.sigma).sum())
+
+    @property
+    def relative_error(self) -> float:
+        """Norm of what is left over the norm of the torque."""
+        left = self.target - self.columns @ self.solution.theta
+        return float(np.linalg.norm(left) / np.linalg.norm(self.regression.torque))
+
+    def with_effect(self, effect: Effect) -> _Fit:
+        """With an effect in the place of the one of its label."""
+        return _Fit.of(
+            self.regression, [effect if e.label == effect.label else e for e in self.effects], self.fit_links
+        )
+
     def seen_by(self, regression: Regression) -> _Fit:
         return _Fit(regression, self.valued, self.fit_links, self.shapes)
 
@@ -519,7 +593,9 @@ class _Fit:
     def with_shape(self, shape: Array) -> _Fit:
         """With other shapes, and the columns that these do not touch."""
         other = dataclasses.replace(self, effects=self.shapes.put(self.effects, shape))
-        other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed, prior=self.prior)
+        other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed)
+        if not any(e.coefficients_follow for e in self.effects):
+            other.__dict__.update(goal=self.goal, prior=self.prior)
         return other
 
     @cached_property
@@ -532,12 +608,14 @@ class _Fit:
             theta = self.solution.theta[at : at + k]
             at += k
             for i, place in enumerate(places):
-                step = DIFFERENCE * max(abs(e.shape[i]), 0.0 if self.shapes.low[place] > 0 else 1e-3)
+                step = DIFFERENCE * max(abs(e.shape[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
                 up, down = e.shape.copy(), e.shape.copy()
                 up[i] += step
                 down[i] -= step
-                rows, columns = self.regression.compact([e.with_shape(up), e.with_shape(down)])
-                out[:, rows, place] += (columns[:, :, :k] - columns[:, :, k:]) @ theta / (2.0 * step)
+                pair = e.with_shape(up), e.with_shape(down)
+                rows, columns = self.regression.compact(pair)
+                above, below = ((x.coefficients if e.coefficients_follow else theta) for x in pair)
+                out[:, rows, place] += (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step)
         return out * self.factors[:, None]
 
     def cost(self, sigma: Array) -> float:
@@ -576,7 +654,7 @@ class _Fit:
         x = np.concatenate([self.fixed.columns, self.varied], axis=2)
         order = np.concatenate([np.flatnonzero(~self._shaped), np.flatnonzero(self._shaped)])
         d = self.shape_columns.transpose(1, 0, 2) * self.shapes.per_step(self.shape)
-        residual = self.fixed.target - x @ self.solution.theta[order]
+        residual = self.goal - x @ self.solution.theta[order]
         weight = sigma**-2.0
         gram = np.einsum("j,jpq->pq", weight, self.normal.total[0])[np.ix_(order, order)]
         inverse = solve_weighted(gram, np.zeros(len(gram)), np.zeros(len(gram)))[1]
@@ -591,7 +669,8 @@ class _Fit:
         spans = regression.spans
         rate = regression.stretches[0].rate_hz
         longest = int(CORRELATION_S * rate)
-        columns = np.concatenate([self.columns, self.shape_columns], axis=2)
+        estimated = np.where(self.follows, 0.0, self.columns)
+        columns = np.concatenate([estimated, self.shape_columns], axis=2)
         spectra = tuple(
             residual_spectrum(r, spans, absorbed, longest)
             for r, absorbed in zip(
@@ -613,7 +692,7 @@ class _Fit:
             residual,
             spectra,
             regression,
-            columns,
+            np.concatenate([self.columns, self.shape_columns], axis=2),
             self.fit_links,
             self.shapes,
         )
@@ -644,4 +723,4 @@ def coloured_covariance(columns: Array, sigma: Array, spectra: Sequence[Spectrum
     weight = sigma**-2.0
     gram = sum(w * columns[:, j].T @ columns[:, j] for j, w in enumerate(weight))
     _, inverse, _, _ = solve_weighted(np.asarray(gram), np.zeros(columns.shape[2]), np.zeros(columns.shape[2]))
-    return inverse @ scatter(columns, weight, spectra, spans) @ inverse
+    return widening(spectra) * inverse @ scatter(columns, weight, spectra, spans) @ inverse

@@ -197,9 +197,9 @@ class Regression:
 
     @staticmethod
     def of(robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None) -> Regression:
-        """Prepare recordings of one robot for a fit; effects that add coordinates are left to the flexible band."""
+        """Prepare recordings of one robot for a fit, of motors on a rigid tree."""
         joints = recordings[0].joints
-        rigid = robot.rigid().restricted(joints)
+        rigid = robot.over_time().restricted(joints)
         return Regression(rigid, joints, tuple(prepare(rigid, r, cutoff_hz) for r in recordings))
 
     def __len__(self) -> int:

@@ -1,8 +1,14 @@
 """A Cartesian path with a speed: can the robot follow it, how far does its tip stray, why, and how to correct it."""
 
-from rx90b_flex.path.check import Contribution, Deviation, Options, PathCheck, check_path
-from rx90b_flex.path.plan import Plan, plan
-from rx90b_flex.path.seam import EXAMPLES, Seam, load_seam
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rx90b_flex.path.check import Contribution, Deviation, Options, PathCheck, check_path
+    from rx90b_flex.path.planning import Plan, plan
+    from rx90b_flex.path.seam import EXAMPLES, Seam, load_seam
 
 __all__ = [
     "EXAMPLES",
@@ -16,3 +22,23 @@ __all__ = [
     "load_seam",
     "plan",
 ]
+
+# loaded when they are asked for, so that one name does not cost the libraries of all
+_HOME = {
+    "Contribution": "rx90b_flex.path.check",
+    "Deviation": "rx90b_flex.path.check",
+    "EXAMPLES": "rx90b_flex.path.seam",
+    "Options": "rx90b_flex.path.check",
+    "PathCheck": "rx90b_flex.path.check",
+    "Plan": "rx90b_flex.path.planning",
+    "Seam": "rx90b_flex.path.seam",
+    "check_path": "rx90b_flex.path.check",
+    "load_seam": "rx90b_flex.path.seam",
+    "plan": "rx90b_flex.path.planning",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)

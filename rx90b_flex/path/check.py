@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.correct import Learner
-from rx90b_flex.path.plan import HOLD_S, Plan, plan, rates
+from rx90b_flex.path.planning import HOLD_S, Plan, plan, rates
 from rx90b_flex.path.seam import Seam
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.closed_loop import Simulation, simulate

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.path.plan import HOLD_S, Plan, rates
+from rx90b_flex.path.planning import HOLD_S, Plan, rates
 from rx90b_flex.simulate.closed_loop import static_start
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 

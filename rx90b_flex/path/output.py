@@ -75,11 +75,16 @@ def write_example(name: str, file: Path) -> None:
     file.write_text(EXAMPLES[name], encoding="utf-8")
 
 
-def write_check(result: PathCheck, folder: Path, more: tuple[Callable[[PathCheck, Path], None], ...] = ()) -> None:
+def write_check(
+    result: PathCheck,
+    folder: Path,
+    more: tuple[Callable[[PathCheck, Path], None], ...] = (),
+    overwrite: bool = False,
+) -> None:
     """Fill a folder, whole or not at all: `path_check.json`, `seam.csv`, and of a corrected path `corrected_path.csv` and
     `corrected_joints.csv`; the runs in the folders `RUNS`, as `rx90b-flex view` takes them; then what `more` writes there.
     """
-    from rx90b_flex.signals.folders import fill_folder
+    from rx90b_flex.signals.folders import PATH_CHECK, fill_folder
 
     def fill(at: Path) -> None:
         (at / "path_check.json").write_text(json.dumps(as_json(result), indent=1) + "\n", encoding="utf-8")
@@ -90,7 +95,7 @@ def write_check(result: PathCheck, folder: Path, more: tuple[Callable[[PathCheck
         for write in more:
             write(result, at)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, PATH_CHECK, overwrite)
 
 
 def as_json(result: PathCheck) -> dict[str, Any]:

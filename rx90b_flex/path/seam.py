@@ -29,10 +29,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.trajectories import LINE_DISTANCE, LINE_HEIGHT, LINE_LENGTH
 
@@ -244,6 +244,8 @@ class Seam:
         """Tip frame at distances along the path, shape (N, 3, 3), where the path gives it."""
         if self.rotations is None:
             return None
+        from scipy.spatial.transform import Rotation, Slerp
+
         at = Slerp(self.corner_distances(), Rotation.from_matrix(self.rotations))
         return np.asarray(at(np.clip(distance, 0.0, self.pieces.total)).as_matrix())
 
@@ -334,22 +336,12 @@ def load_seam(source: str | Path, speed_mm_s: float | None = None) -> Seam:
     if str(source) in EXAMPLES and not path.exists():
         return _seam(tomllib.loads(EXAMPLES[str(source)]), path, speed_mm_s)
     if path.suffix == ".toml":
-        return _seam(_read_toml(path), path, speed_mm_s)
+        return _seam(read_toml(path, "path file"), path, speed_mm_s)
     if path.suffix == ".csv":
         if speed_mm_s is None:
             raise ValueError(f"{path}: a table of points has no speed; give it with the command")
         return _seam({"points_file": path.name}, path, speed_mm_s)
     raise ValueError(f"{path}: expected a path file (.toml), a table of points (.csv), or one of {', '.join(EXAMPLES)}")
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such path file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
 
 
 def _seam(table: dict[str, Any], path: Path, speed_mm_s: float | None) -> Seam:
@@ -428,6 +420,8 @@ def _read_points(file: Path) -> tuple[Array, Array | None]:
 
 
 def _rotations(rows: Array, where: str) -> Array:
+    from scipy.spatial.transform import Rotation
+
     if rows.shape[1] == 3:
         return np.asarray(Rotation.from_euler("xyz", rows, degrees=True).as_matrix())
     if (np.abs(np.linalg.norm(rows, axis=1) - 1.0) > 1e-3).any():

@@ -1,18 +1,24 @@
 """From files to sampled signals: campaign files and recordings, and filters on uniform samples."""
 
-from rx90b_flex.signals.filters import (
-    Motion,
-    decimation_factor,
-    difference_weights,
-    differentiate,
-    lowpass,
-    minimum_samples,
-    motion,
-    noise_cutoff_hz,
-    periods,
-    resample,
-)
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign, save_recording, write_campaign
+
+if TYPE_CHECKING:
+    from rx90b_flex.signals.filters import (
+        Motion,
+        decimation_factor,
+        difference_weights,
+        differentiate,
+        lowpass,
+        minimum_samples,
+        motion,
+        noise_cutoff_hz,
+        periods,
+        resample,
+    )
 
 __all__ = [
     "Campaign",
@@ -31,3 +37,11 @@ __all__ = [
     "save_recording",
     "write_campaign",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from rx90b_flex.signals import filters  # not at the top: who reads a file waits for no filters
+
+    return getattr(filters, name)

@@ -15,9 +15,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
-from rx90b_flex.signals.filters import resample
 from rx90b_flex.signals.logs import TIME, Log, read_log, stem_of
 from rx90b_flex.signals.recording import Recording, Role, printed_resolution
 from rx90b_flex.signals.tables import suggestion
@@ -587,6 +585,8 @@ def _uniform(
     if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
         found.append(Finding(f"{rate:g} Hz, {len(time)} samples", "sure"))
         return rate, values, grid
+    from scipy.interpolate import PchipInterpolator  # here, for most logs do without
+
     rate = _round_rate(1.0 / float(np.median(np.diff(time))))
     grid = np.arange(int(np.floor(time[-1] * rate + 1e-9)) + 1) / rate
     out = {
@@ -638,6 +638,8 @@ def _alike(parts: list[Recording], options: Options) -> tuple[list[Recording], l
 
 
 def _at_rate(part: Recording, rate: float) -> Recording:
+    from rx90b_flex.signals.filters import resample  # here, for most logs do without
+
     changed: dict[str, Array] = {}
     for field in SIGNALS.values():
         array = getattr(part, field)

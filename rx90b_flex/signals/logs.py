@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import gzip
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.signals.tables import one_line
+from rx90b_flex.signals.matlab import read_arrays
+from rx90b_flex.signals.tables import number_of, one_line
 
 Array = NDArray[np.float64]
 
@@ -97,24 +98,26 @@ def read_log(path: Path, topic: str | None = None) -> Log:
         number, no such topic; a format whose reader is not installed, with what to install.
     """
     kind = kind_of(path)
-    if kind in BAGS:
-        return _read_bag(path, topic)
-    if topic is not None:
+    if topic is not None and kind not in BAGS:
         raise ValueError(f"{path}: --topic {topic}: only bags have topics")
-    if kind in TEXT:
-        return _read_text(path, kind)
-    return _read_parquet(path) if kind == ".parquet" else _read_mat(path)
+    try:
+        if kind in BAGS:
+            return _read_bag(path, topic)
+        if kind in TEXT:
+            return _read_text(path, kind)
+        return _read_parquet(path) if kind == ".parquet" else _read_mat(path)
+    except Exception as error:  # a damaged file takes readers to places that their authors never thought of
+        if isinstance(error, ValueError) and str(error).startswith(str(path)):
+            raise
+        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from error
 
 
 # ---- tables ---------------------------------------------------------------------------------------------------
 
 
 def _read_text(path: Path, kind: str) -> Log:
-    try:
-        raw = path.read_bytes()
-        text = (gzip.decompress(raw) if kind == ".csv.gz" else raw).decode("utf-8-sig")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from None
+    raw = path.read_bytes()
+    text = (gzip.decompress(raw) if kind == ".csv.gz" else raw).decode("utf-8-sig")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("%", "//"))]
     # a header may itself be a comment, as NumPy's savetxt writes it
     lines = [line.lstrip("# ") if k == 0 else line for k, line in enumerate(lines)]
@@ -186,20 +189,14 @@ def _number(cell: str, decimal_comma: bool) -> float | None:
     cell = cell.strip().strip('"')
     if cell == "" or cell.lower() in ("nan", "na", "null", "none"):
         return float("nan")
-    try:
-        return float(cell.replace(",", ".") if decimal_comma else cell)
-    except ValueError:
-        return None
+    return number_of(cell.replace(",", ".") if decimal_comma else cell)
 
 
 def _read_parquet(path: Path) -> Log:
     import pyarrow as pa
     import pyarrow.parquet as pa_parquet
 
-    try:
-        table = pa_parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from None
+    table = pa_parquet.read_table(path)
     names, columns = [], []
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pa.types.is_timestamp(column.type):
@@ -228,15 +225,7 @@ def _log(path: Path, names: list[str], values: Array, notes: list[str]) -> Log:
 
 def _read_mat(path: Path) -> Log:
     """Every numeric array that has as many samples as most others; the columns of `q` become `q_1`, `q_2`, ..."""
-    from scipy.io import loadmat
-
-    try:
-        arrays = dict(_arrays("", loadmat(path, simplify_cells=True)))
-        version = "MATLAB file"
-    except NotImplementedError:  # scipy's word for version 7.3
-        arrays, version = _read_hdf(path), "MATLAB file, version 7.3"
-    except (OSError, ValueError, TypeError) as error:
-        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from None
+    arrays, version = read_arrays(path)
     lengths = Counter(max(a.shape) for a in arrays.values() if max(a.shape) > 1)
     if not lengths:
         raise ValueError(f"{path}: no numeric arrays of samples")
@@ -260,60 +249,23 @@ def _read_mat(path: Path) -> Log:
     return _log(path, names, np.concatenate(columns, axis=1), notes)
 
 
-def _arrays(prefix: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Array]]:
-    for key, value in given.items():
-        if key.startswith("__"):
-            continue
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            yield from _arrays(f"{name}.", value)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim in (1, 2) and value.size > 1:
-            yield name, value.astype(float)
-
-
-def _read_hdf(path: Path) -> dict[str, Array]:
-    try:
-        import h5py
-    except ImportError:
-        raise ValueError(
-            f"{path}: a MATLAB file of version 7.3, which needs h5py: pip install h5py, or save('-v7') in MATLAB"
-        ) from None
-    found: dict[str, Array] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim in (1, 2) and item.size > 1:
-            if name.startswith("#") or "char" in str(item.attrs.get("MATLAB_class", "")):
-                return
-            found[name.replace("/", ".")] = np.asarray(item, dtype=float).T  # MATLAB stores columns first
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from None
-    return found
-
-
 # ---- bags -----------------------------------------------------------------------------------------------------
 
 
 def _read_bag(path: Path, topic: str | None) -> Log:
     """JointState messages; the time is their header's, or the recorder's where that is zero."""
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise ValueError(f"{path}: bags need the package rosbags: pip install 'rx90b-flex[ros]'") from None
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            states = [c for c in reader.connections if c.msgtype in JOINT_STATE]
-            chosen, notes = _topic(path, {c.topic: c.msgcount for c in states}, topic)
-            messages = [
-                (stamp, reader.deserialize(raw, connection.msgtype))
-                for connection, stamp, raw in reader.messages([c for c in states if c.topic == chosen])
-            ]
-    except (AnyReaderError, OSError, KeyError, AssertionError) as error:
-        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from None
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        states = [c for c in reader.connections if c.msgtype in JOINT_STATE]
+        chosen, notes = _topic(path, {c.topic: c.msgcount for c in states}, topic)
+        messages = [
+            (stamp, reader.deserialize(raw, connection.msgtype))
+            for connection, stamp, raw in reader.messages([c for c in states if c.topic == chosen])
+        ]
     return _joint_states(path, messages, [f"topic {chosen}, {len(messages)} messages", *notes])
 
 

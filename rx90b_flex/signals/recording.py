@@ -7,7 +7,6 @@ import json
 import math
 import os
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.section import Section
 from rx90b_flex.signals.stated import (
@@ -55,10 +55,32 @@ _SIGNALS = (
 _REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
+_LARGEST_DEGREES = 360.0  # beyond it, motor turns are as likely
 _OTHER_UNIT = re.compile(
     r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
     re.IGNORECASE,
 )
+
+
+class DataFaultError(ValueError):
+    """A log that is refused for a reason that has a name, as in ``check.json``.
+
+    Attributes
+    ----------
+    kind, signal, joints, factor, rows : as `rx90b_flex.diagnose.faults.fault.DataFault` has them.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        kind: str,
+        signal: str | None = None,
+        joints: tuple[str, ...] = (),
+        factor: float | None = None,
+        rows: tuple[int, ...] = (),
+    ) -> None:
+        super().__init__(message)
+        self.kind, self.signal, self.joints, self.factor, self.rows = kind, signal, joints, factor, rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,11 +225,8 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         what was found and what is expected.
     """
     path = Path(path)
-    text = _read_text(path)
-    try:
-        root = Section(str(path), "", tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{path}: not a TOML file: {tables.one_line(error)}") from error
+    missing = "no such file; a campaign file (TOML) is expected"
+    root = Section(str(path), "", read_toml(path, "campaign file", missing))
     layout = _read_layout(root)
     entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
     if not any(entry.role == "identification" for entry in entries):
@@ -471,16 +490,6 @@ def _refuse_repeats(section: Section, key: str, names: Sequence[str]) -> None:
             raise section.problem(key, f"{name!r} is listed {names.count(name)} times")
 
 
-def _read_text(path: Path) -> str:
-    if not path.is_file():
-        found = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {found}; a campaign file (TOML) is expected")
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {tables.one_line(error)}") from error
-
-
 # --- one recording ---------------------------------------------------------------------------------------------------
 
 
@@ -560,9 +569,11 @@ def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -
     row = int(np.argmax(bad[:, column]))
     found = "missing or NaN" if np.isnan(values[row, column]) else f"{values[row, column]:g}"
     count = int(np.count_nonzero(bad[:, column]))
-    raise ValueError(
+    raise DataFaultError(
         f"{file}: column {names[column]!r}, row {first + row + 1}: {found}"
-        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected"
+        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected",
+        "glitch",
+        rows=tuple(int(r) + first + 1 for r in np.flatnonzero(bad.any(axis=1))[:20]),
     )
 
 
@@ -575,9 +586,15 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
             if layout.gear_matrix is None or item.always_joint_side
             else "probably degrees, or joint side although [motor] gives a gear_matrix, or a wrong gear_matrix"
         )
-        raise ValueError(
+        beyond = tuple(name for name, x in zip(layout.joints, largest, strict=True) if x > _LARGEST_ANGLE)
+        degrees = layout.gear_matrix is None and largest[joint] <= _LARGEST_DEGREES
+        raise DataFaultError(
             f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} rad"
-            f" on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
+            f" on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}",
+            "unit",
+            item.key,
+            layout.joints if degrees else beyond,
+            180.0 / math.pi if degrees else None,
         )
 
 
@@ -647,9 +664,11 @@ def _check_uniform(file: Path, time: Array, rate: float, resolution: Array, firs
     else:
         contradicts = abs(typical - period) > 0.05 * period + float(np.max(rounding)) / len(steps)
     if contradicts:
-        raise ValueError(
+        raise DataFaultError(
             f"{file}: column 'time': steps of {typical:.6g} s ({1.0 / typical:.6g} Hz) contradict"
-            f" sample_rate_hz = {rate:g} ({period:.6g} s)"
+            f" sample_rate_hz = {rate:g} ({period:.6g} s)",
+            "sample_rate",
+            factor=rate * typical,
         )
     if fine:
         bad = np.abs(steps - period) > 0.01 * period + rounding

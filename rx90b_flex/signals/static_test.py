@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from rx90b_flex.signals.tables import one_line, read_table, stem_of, suggestion, write_whole
+from rx90b_flex.files.toml import read_toml
+from rx90b_flex.signals.tables import read_table, stem_of, suggestion, write_whole
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -102,12 +102,7 @@ def write_static_test(test: StaticTest, path: str | os.PathLike[str]) -> None:
 
 
 def _read_keys(path: Path) -> dict[str, Any]:
-    try:
-        keys = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {one_line(error)}") from error
+    keys = read_toml(path, "file")
     for key in keys:
         if key not in KEYS:
             raise ValueError(f"{path}: unknown key {key!r}{suggestion(key, KEYS)}; expected {', '.join(KEYS)}")

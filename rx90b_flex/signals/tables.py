@@ -6,6 +6,7 @@ import csv
 import difflib
 import gzip
 import os
+import re
 import secrets
 import zlib
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
 
 EXTENSIONS = (".csv", ".csv.gz", ".parquet")
+_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,7 @@ def _why_missing(name: str, header: Sequence[str]) -> str:
         for separator, word in ((";", "semicolons"), ("\t", "tabs")):
             if separator in header[0]:
                 return f"; columns seem separated by {word}, commas are expected"
-    if header and all(_number(cell) is not None for cell in header):
+    if header and all(number_of(cell) is not None for cell in header):
         return "; the first line holds numbers, a line of column names is expected"
     hint = suggestion(name, header)
     if hint:
@@ -220,7 +222,7 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float
         return np.full(len(column), np.nan)
     numbers = np.empty(len(column))
     for row, cell in enumerate(column.to_pylist()):
-        number = np.nan if cell is None or cell == "" else _number(cell)
+        number = np.nan if cell is None or cell == "" else number_of(cell)
         if number is None:
             found = " ".join(str(cell).split())
             raise ValueError(f"{path}: column {name!r}, row {row + 1}: {found[:40]!r} is not a number")
@@ -228,10 +230,16 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float
     return numbers
 
 
-def _number(cell: object) -> float | None:
+def number_of(cell: object) -> float | None:
+    """The number that a cell of a table holds, or None: decimal notation in ASCII, nan and inf, as every other program reads it.
+
+    Python's own reading takes more: ``1_000``, and digits of every script.
+    """
     if isinstance(cell, bool):
+        return None
+    if isinstance(cell, str) and not _NUMBER.fullmatch(cell.strip()):
         return None
     try:
         return float(cell)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None

@@ -257,12 +257,15 @@ def summary(result: Simulation) -> list[str]:
     return lines
 
 
-def simulate_into(request: Request, folder: Path, tell: Callable[[str, float], None]) -> Simulation:
+def simulate_into(
+    request: Request, folder: Path, tell: Callable[[str, float], None], overwrite: bool = False
+) -> Simulation:
     """Check a request, run it and write its files; nothing is written unless all of it is."""
-    from rx90b_flex.signals.folders import check_folder, fill_folder
+    from rx90b_flex.signals.folders import RUN, check_folder, fill_folder
     from rx90b_flex.view.plots import tip_deviation
 
-    check_folder(folder)
+    reads = [request.robot, request.motion, *([str(request.controller)] if request.controller else [])]
+    check_folder(folder, RUN, overwrite, reads)
     prepared = prepare(request)
     what = f"simulating {prepared.trajectory.name}"
     tell(what, 0.0)
@@ -275,5 +278,5 @@ def simulate_into(request: Request, folder: Path, tell: Callable[[str, float], N
         for ending in ("png", "svg"):
             figure.savefig(at / f"tip.{ending}", dpi=150)
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, RUN, overwrite)
     return result

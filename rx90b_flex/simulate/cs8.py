@@ -7,21 +7,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import control
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, robots_folder
+
+if TYPE_CHECKING:
+    import control
 
 ComplexArray = NDArray[np.complex128]
 
@@ -165,6 +166,9 @@ class CS8:
 
         States: coordinates, rates, integrators, currents. Its poles tell whether the gains are stable there.
         """
+        import control
+        from scipy import linalg
+
         own = self.for_joints(linearization.joints)
         n, m = len(linearization.coordinates), len(own.joints)
         b = linearization.input_matrix
@@ -289,13 +293,7 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
         One line that names the file and the key.
     """
     path = robots_folder() / "cs8.toml" if source is None else Path(source)
-    try:
-        with path.open("rb") as file:
-            table = tomllib.load(file)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such controller file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    table = read_toml(path, "controller file")
     entries = table.pop("joint", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise ValueError(f"{path}: key 'joint' is missing; expected one [[joint]] table a joint")

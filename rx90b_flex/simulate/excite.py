@@ -27,8 +27,8 @@ from rx90b_flex.excitation import (
 )
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.signals.folders import check_folder, fill_folder
-from rx90b_flex.simulate.campaign import Plan, RunFile, campaign_text, run_campaign
+from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
+from rx90b_flex.simulate.campaign import PLAN_FILE, Plan, RunFile, campaign_text, run_campaign
 from rx90b_flex.simulate.closed_loop import Noise
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, save_cs8
 from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
@@ -217,7 +217,7 @@ def _reference(
 # ---- files ----------------------------------------------------------------------------------------------------
 
 
-def excite_into(request: Request, folder: Path, simulated: bool, tell: Progress) -> list[str]:
+def excite_into(request: Request, folder: Path, simulated: bool, tell: Progress, overwrite: bool = False) -> list[str]:
     """Write references, robot and campaign file; nothing unless all of it. Returns what is worth knowing, one line each.
 
     Parameters
@@ -225,10 +225,8 @@ def excite_into(request: Request, folder: Path, simulated: bool, tell: Progress)
     simulated : bool
         Whether the logs are simulated, too (perturbation method, noise `NOISE`).
     """
-    check_folder(folder)
-    taken = [name for name in ("references", "logs", "campaign.toml") if (folder / name).exists()]
-    if taken:
-        raise ValueError(f"{folder}: has {taken[0]} already; give another folder, so that no logs are lost")
+    check_folder(folder, CAMPAIGN, overwrite, [request.robot, *([request.controller] if request.controller else [])])
+    _keep_logs(folder)
     tell("designing", 0.0)
     plans = excitation_plans(request)
     if simulated:
@@ -261,8 +259,18 @@ def excite_into(request: Request, folder: Path, simulated: bool, tell: Progress)
         (at / "campaign.toml").write_text(_campaign(plans, files, simulated), encoding="utf-8")
         said.extend(_words(plans, files, float(max(crests))))
 
-    fill_folder(folder, fill)
+    fill_folder(folder, fill, CAMPAIGN, overwrite)
     return said
+
+
+def _keep_logs(folder: Path) -> None:
+    """Refuse a folder with logs that a robot may have brought: simulated ones have their plan beside them."""
+    logs = folder / "logs"
+    brought = [p for p in logs.rglob("*") if p.is_file()] if logs.is_dir() else []
+    if brought and not any(logs.glob(f"*/{PLAN_FILE}")):
+        raise ValueError(
+            f"{folder}: has {brought[0].relative_to(folder)}; give another folder, so that no logs are lost"
+        )
 
 
 def write_reference(trajectory: Trajectory, path: Path) -> None:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop
+from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, signals
+from rx90b_flex.diagnose.moving import resting
+from rx90b_flex.diagnose.verdict import NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate
@@ -19,8 +21,6 @@ FEW_REVERSALS = 4
 OUTSIDE_SHARE = 0.05  # of validation samples beyond the range that was fitted
 FASTER = 1.1  # speed in validation over speed in identification
 CARRIES_OVER = 1.5  # error on validation over error on identification
-AT_REST = 0.01  # of a joint's largest speed
-AT_REST_RAD_S = 1e-3
 MOSTLY = 0.5
 UNCERTAIN = 0.3  # standard deviation over value
 
@@ -76,8 +76,7 @@ class Standstill:
 def standstill(result: ClosedLoop) -> Standstill:
     """Split the validation error after into rest and motion: friction at rest follows no law of motion."""
     error = np.concatenate([p.torque - p.after for p in result.predictions]) ** 2
-    speed = np.abs(np.concatenate([p.velocity for p in result.predictions]))
-    rest = speed < np.maximum(AT_REST * speed.max(axis=0), AT_REST_RAD_S)
+    rest = resting(np.concatenate([p.velocity for p in result.predictions]))
     at_rest, whole = (error * rest).sum(axis=0), error.sum(axis=0)
     moving = (whole - at_rest) / np.maximum((~rest).sum(axis=0), 1)
     return Standstill(

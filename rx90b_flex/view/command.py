@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rx90b_flex.interrupts import calm
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign
 from rx90b_flex.signals.tables import read_table
@@ -126,7 +127,7 @@ def serve_until_interrupted(view: View, tell: Callable[[str], None], wait: Calla
         tell(visualizer.url())
         (wait or threading.Event().wait)()
     except KeyboardInterrupt:
-        pass
+        calm()
     finally:
         visualizer.window.server_proc.terminate()
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rx90b_flex.simulate.closed_loop import Simulation
 
 BEFORE, AFTER, MEASURED, FLOOR = "#d55e00", "#0072b2", "#8a8a8a", "#000000"
+FREE = "#009e73"  # what a free-form model reaches
 WIDTH_IN = 5.4  # about the width of a column of the report, so that text keeps its size
 DRAWN_COLUMNS = 600  # columns of a line's envelope: two points each, about one a pixel
 BINS = 32
@@ -57,6 +58,35 @@ def errors_by_joint(result: ClosedLoop, role: str = "validation") -> Figure:
     ax.invert_yaxis()
     ax.set_xlim(0, 1.05 * longest or 1.0)
     ax.set_xlabel("error in % of the joint's torque (both root mean square)", fontsize=9)
+    ax.grid(axis="x", color="#dddddd", linewidth=0.6)
+    _legend(ax)
+    return figure
+
+
+def explainable_by_joint(result: ClosedLoop) -> Figure:
+    """Validation error of the declared model, after, and of a free-form model: of all joints together, and of each.
+
+    Raises
+    ------
+    ValueError
+        Nothing is known of what a free form explains.
+    """
+    known = result.explainable
+    if known is None:
+        raise ValueError(f"no free-form model to draw: {result.not_explainable}")
+    torque = joint_torques(result)["validation"]
+    figure, (ax,) = _figure(1, 1.2 + 0.5 * (1 + len(result.joints)))
+    y = np.arange(1 + len(result.joints))
+    for errors, shift, colour, hatch, label in (
+        (result.before.validation, -0.27, BEFORE, "////", "declared"),
+        (result.after.validation, 0.0, AFTER, "", "after"),
+        (known.validation, 0.27, FREE, "....", "free form"),
+    ):
+        values = np.r_[100 * errors.relative_error, _percent(errors.torque_rms, torque)]
+        ax.barh(y + shift, values, 0.25, color=colour, hatch=hatch, edgecolor="white", label=label)
+    ax.set_yticks(y, ["all", *(_plain(j) for j in result.joints)])
+    ax.invert_yaxis()
+    ax.set_xlabel("error in % of torque (both root mean square), validation", fontsize=9)
     ax.grid(axis="x", color="#dddddd", linewidth=0.6)
     _legend(ax)
     return figure

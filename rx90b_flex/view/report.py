@@ -11,9 +11,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rx90b_flex.diagnose import evidence, search
-from rx90b_flex.diagnose.close import NEAR_FLOOR, ClosedLoop, FoundEffect
+from rx90b_flex.diagnose.close import ClosedLoop, FoundEffect
+from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.motion import MotionErrors
 from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.diagnose.verdict import NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
@@ -80,6 +82,8 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         roles=_roles(result),
         errors_figures=[_errors_figure(result, role) for role in ("validation", "identification")],
         steps_figure=_steps_figure(result),
+        explainable_figure=_explainable_figure(result),
+        explainable_words=explainable_words(result),
         standstill=standstill(result),
         step_note=step_note(result),
         floor=_floor_words(result),
@@ -150,7 +154,29 @@ def _floor_words(result: ClosedLoop) -> str:
     return f"{low} N m" if low == high else f"{low} to {high} N m"
 
 
+def explainable_words(result: ClosedLoop) -> str:
+    """How much of the error a free-form model explains, and how much of that the effects found do."""
+    known = result.explainable
+    if known is None:
+        return result.not_explainable
+    before, free = result.before.validation.relative_error, known.validation.relative_error
+    if all(form == NO_FORM for form in known.forms):
+        return (
+            "A free-form model of the residual, fitted to the identification recordings, predicts the validation recordings no "
+            "better than the declared model: by this measure nothing in them can be explained."
+        )
+    reached = (
+        f"the effects found reach {100 * known.share:.0f} % of that drop" if result.effects else "no effect was found"
+    )
+    return (
+        f"A free-form model of the residual, which names nothing, takes the error on validation from {percent(before)} to "
+        f"{percent(free)}: {reached}. It was fitted to the identification recordings alone."
+    )
+
+
 def _verdict_meaning(result: ClosedLoop) -> str:
+    if result.noise_floor is None and result.explainable is None:
+        return "Neither the noise nor what can be explained at all is known, so nobody can say that nothing is left."
     if result.verdict == "unexplained":
         return "Something is left that is more than noise, and no effect that was tried explains it."
     if result.after.validation.relative_error >= result.before.validation.relative_error and result.effects:
@@ -158,7 +184,7 @@ def _verdict_meaning(result: ClosedLoop) -> str:
     if result.verdict == "partly_explained":
         return "The effects found are significant, but something else is left that has no name yet."
     left = (
-        "what is left depends on none of the signals looked at; how much of it is noise is not known"
+        "what is left is near what a free-form model leaves; how much of it is noise is not known"
         if result.noise_floor is None
         else f"what is left is noise, or within {NEAR_FLOOR:g} times it"
     )
@@ -464,6 +490,13 @@ class JointFigures:
 def _errors_figure(result: ClosedLoop, role: str) -> Image:
     text = f"Error of each joint on {role}, before and after"
     return image(plots.errors_by_joint(result, role), text, text)
+
+
+def _explainable_figure(result: ClosedLoop) -> Image | None:
+    if result.explainable is None:
+        return None
+    text = "Error of the declared model, after, and of a free-form model on validation"
+    return image(plots.explainable_by_joint(result), text, text)
 
 
 def _steps_figure(result: ClosedLoop) -> Image | None:

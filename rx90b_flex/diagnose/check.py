@@ -1,0 +1,285 @@
+"""Look at the data before anything is explained: columns, signs, units, times, and what the motion can tell."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from rx90b_flex.diagnose.faults.clipped import clipped
+from rx90b_flex.diagnose.faults.compare import Found, faults_of
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.diagnose.faults.glitch import glitches
+from rx90b_flex.diagnose.faults.look import Look
+from rx90b_flex.diagnose.faults.repeated import found_period_s, repeated
+from rx90b_flex.diagnose.faults.sample import Reading, Sample, sensible_cutoff_hz
+from rx90b_flex.diagnose.faults.sizes import impossible_sizes
+from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
+from rx90b_flex.diagnose.faults.unrelated import unrelated
+from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals import Campaign, Recording, load_campaign
+from rx90b_flex.signals.recording import DataFaultError
+
+SCHEMA = 1
+PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's
+AT_REST = 0.01  # of a joint's fastest velocity in the recording: slower is at rest
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class RecordingFacts:
+    """One recording as it is.
+
+    Attributes
+    ----------
+    file, role : str
+    duration_s, rate_hz : float
+    at_rest : float
+        Share of samples at which no joint moves.
+    position_step_rad : float or None
+        Coarsest step of the positions; None where they are not on a grid.
+    period_s : float or None
+        Of a motion that repeats, stated or found.
+    """
+
+    file: str
+    role: str
+    duration_s: float
+    rate_hz: float
+    at_rest: float
+    position_step_rad: float | None
+    period_s: float | None
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a look at the data says; the content of ``check.json`` as attributes.
+
+    Attributes
+    ----------
+    usable : bool
+        Whether nothing was found that a model would have to explain away.
+    recordings : tuple of RecordingFacts
+    data_faults : tuple of DataFault
+    parameters : tuple of ParameterStatus
+        Empty where no fit was possible.
+    undeclared_basics : tuple of str
+        Effect types that every drive has and the robot file does not declare.
+    robot : str
+    joints : tuple of str
+    relative_error : tuple of float
+        Of the rigid model with basic friction, on rows held out, over the torque's standard deviation, a joint; everything that
+        was found mended.
+    cutoff_hz : float or None
+        A sensible low-pass for this motion.
+    never_move : tuple of str
+        Joints whose own parameters nothing tells.
+    source : Path
+        The campaign file.
+    """
+
+    usable: bool
+    recordings: tuple[RecordingFacts, ...]
+    data_faults: tuple[DataFault, ...]
+    parameters: tuple[ParameterStatus, ...]
+    undeclared_basics: tuple[str, ...]
+    robot: str
+    joints: tuple[str, ...]
+    relative_error: tuple[float, ...]
+    cutoff_hz: float | None
+    never_move: tuple[str, ...]
+    source: Path
+
+    @property
+    def verdict(self) -> str:
+        """In a sentence."""
+        bad = [f for f in self.data_faults if not f.usable]
+        if bad:
+            return f"The data cannot be used as they are: {len(bad)} fault(s) found."
+        if self.data_faults:
+            return f"The data can be used; {len(self.data_faults)} thing(s) to know about them."
+        return "No fault was found in the data."
+
+
+def check(
+    source: str | os.PathLike[str] | Campaign, *, robot: Robot | None = None, progress: Progress | None = None
+) -> Checked:
+    """Look for what is wrong with a campaign's data, and say what its motion can tell.
+
+    Columns exchanged, signs, units, torque gains, shifts in time, the sample rate and the URDF's zeros, axes and lengths are
+    hypotheses: each is a refit of the rigid model with basic friction, judged on rows that the fit did not see, against no fault
+    and against each other. Clipped, frozen, damaged and repeated signals show in the log itself.
+
+    Parameters
+    ----------
+    source : path or Campaign
+    robot : Robot, optional
+        In place of the one that the campaign names.
+    progress : callable, optional
+        Called with a message and a fraction.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and what is wrong in it.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _checked(source, robot, progress or (lambda _text, _part: None))
+
+
+def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tell: Progress) -> Checked:
+    tell("reading", 0.0)
+    if isinstance(source, Campaign):
+        campaign = source
+    else:
+        try:
+            campaign = load_campaign(Path(source))
+        except ValueError as error:
+            return _refused(Path(source), error)
+    declared = load_robot(campaign.robot_source) if robot is None else robot
+    try:
+        rigid = declared.rigid().restricted(campaign.joints)
+    except ValueError as error:
+        raise ValueError(f"{campaign.path}: joints: {error}") from None
+    tell("looking at the signals", 0.1)
+    faults, mended = glitches(campaign.recordings)
+    still = no_excitation(mended)
+    faults += clipped(mended) + frozen(mended) + repeated(mended) + still
+    moving = moves(mended) > NEVER
+    constant = np.array([len(np.unique(np.concatenate([r.torque[:, k] for r in mended]))) < 2
+                         for k in range(len(campaign.joints))])  # fmt: skip
+    parameters: tuple[ParameterStatus, ...] = ()
+    basics: tuple[str, ...] = ()
+    errors: tuple[float, ...] = ()
+    if all(f.usable for f in still) and not constant.all():
+        tell("comparing what may be wrong with it", 0.3)
+        look = _look(campaign, mended, rigid)
+        found, look = faults_of(look)
+        fit = look.fit()
+        faults += [_fault(f) for f in found]
+        faults += impossible_sizes(look, faults)
+        faults += stuck(mended, np.sqrt(fit.error))
+        faults += unrelated(campaign.joints, fit.error, moving, constant)
+        errors = tuple(float(x) for x in np.sqrt(fit.error))
+        tell("looking at what the motion can tell", 0.9)
+        parameters = statuses(look, rigid, moving)
+        basics = undeclared_basics(look, rigid, moving)
+    elif constant.all():
+        faults += unrelated(campaign.joints, np.ones(len(campaign.joints)), np.ones_like(moving), constant)
+    tell("done", 1.0)
+    return Checked(
+        all(f.usable for f in faults),
+        tuple(_facts(r) for r in mended),
+        tuple(faults),
+        parameters,
+        basics,
+        declared.name,
+        campaign.joints,
+        errors,
+        sensible_cutoff_hz(mended),
+        tuple(j for j, m in zip(campaign.joints, moving, strict=True) if not m),
+        campaign.path,
+    )
+
+
+def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> Look:
+    at = np.array([robot.layout.index(j) for j in campaign.joints])
+    tree = robot.tree
+    limits = np.array([tree.lowerPositionLimit, tree.upperPositionLimit])[:, at]
+    names = [tree.joints[tree.getJointId(j)].shortname().removeprefix("JointModel") for j in campaign.joints]
+    return Look(
+        Sample.of(campaign, recordings),
+        Reading.of(robot, len(campaign.joints), len(recordings)),
+        limits,
+        tuple(name.startswith("P") for name in names),
+    )
+
+
+def _fault(found: Found) -> DataFault:
+    h = found.hypothesis
+    before, after = (float(np.sqrt(np.minimum(f.error, 1.0).mean())) for f in (found.before, found.after))
+    return DataFault(h.kind, h.signal, h.joints, h.factor, found.std, h.message, h.usable, before, after)
+
+
+def _refused(path: Path, error: ValueError) -> Checked:
+    """A campaign that cannot be read because of a fault that has a name; other bad input stays bad input."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, DataFaultError):
+        cause = cause.__cause__
+    if cause is None:
+        raise error
+    fault = DataFault(cause.kind, cause.signal, cause.joints, cause.factor, None, str(error), rows=cause.rows)
+    return Checked(False, (), (fault,), (), (), "", (), (), None, (), path)
+
+
+# ---- recordings -------------------------------------------------------------------------------------------------
+
+
+def _facts(recording: Recording) -> RecordingFacts:
+    # a fiftieth of a second at a time: a slow joint's counter steps only now and then
+    window = max(1, round(0.02 * recording.sample_rate_hz))
+    speed = np.abs(recording.position[window:] - recording.position[:-window])
+    resting = (speed <= AT_REST * np.maximum(speed.max(axis=0, initial=0.0), 1e-12)).all(axis=1)
+    return RecordingFacts(
+        recording.source.name if recording.source else recording.name,
+        recording.role,
+        recording.duration_s,
+        recording.sample_rate_hz,
+        float(resting.mean()) if len(resting) else 1.0,
+        _step(recording.position),
+        recording.period_s or found_period_s(recording),
+    )
+
+
+def _step(position: Array) -> float | None:
+    """Coarsest grid that a joint's positions lie on, rad; None where there is none."""
+    coarsest = None
+    for column in position.T:
+        steps = np.abs(np.diff(column))
+        steps = steps[steps > 1e-12]
+        if len(steps) == 0:
+            continue
+        step = float(steps.min())
+        multiples = steps / step
+        if np.median(multiples) > PRINTED:
+            continue  # the last digit of the print, no counter
+        if np.mean(np.abs(multiples - np.round(multiples)) < 0.02 * np.maximum(multiples, 1.0) ** 0.5) > 0.98:
+            coarsest = max(coarsest or 0.0, step)
+    return coarsest
+
+
+# ---- as JSON ----------------------------------------------------------------------------------------------------
+
+
+def check_json(checked: Checked) -> dict[str, Any]:
+    """The content of ``check.json``, schema 1."""
+    return {
+        "schema": SCHEMA,
+        "usable": checked.usable,
+        "recordings": [dataclasses.asdict(r) for r in checked.recordings],
+        "data_faults": faults_json(checked.data_faults),
+        "parameters": [dataclasses.asdict(p) for p in checked.parameters],
+        "undeclared_basics": list(checked.undeclared_basics),
+        "relative_error": list(checked.relative_error),
+        "sensible_cutoff_hz": checked.cutoff_hz,
+        "never_move": list(checked.never_move),
+    }
+
+
+def faults_json(faults: Sequence[DataFault]) -> list[dict[str, Any]]:
+    """Faults as ``check.json`` and ``closed_loop.json`` have them."""
+    out = []
+    for fault in faults:
+        entry = dataclasses.asdict(fault)
+        entry["joints"], entry["rows"] = list(fault.joints), list(fault.rows)
+        out.append(entry)
+    return out

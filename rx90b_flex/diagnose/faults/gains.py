@@ -1,0 +1,47 @@
+"""Torques of one joint in another unit or with a wrong motor constant, told by the links that several joints carry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.sample import Reading
+
+GRID = tuple(np.geomspace(1 / 40, 40, 15))
+UNIT = (
+    18.0  # a factor beyond this, or below its inverse, is no motor constant: another unit, or another side of the gear
+)
+FEWEST_SHARED = 2  # joints: one alone has nothing that fixes its scale
+
+
+def torque_gains(look: Look) -> Iterator[Hypothesis]:
+    """The logged torque of one joint is so many times the true one."""
+    n = len(look.sample.joints)
+    if n < FEWEST_SHARED:
+        return
+    for k in range(n):
+        for gain in (*GRID, 1e3, 1e-3, 130.0, 1 / 130):
+            if abs(np.log(gain)) > 0.05:
+                yield _of(look, k, float(gain))
+
+
+def _of(look: Look, k: int, gain: float) -> Hypothesis:
+    joint = look.sample.joints[k]
+    now = look.reading.torque_scale[k]
+
+    def reading(factor: float) -> Reading:
+        return look.reading.changed("torque_scale", k, now / factor)
+
+    unit = not 1 / UNIT < gain < UNIT
+    if unit:
+        cure = "another unit, amperes, or the motor's side of the gear. Bring it to N m on the joint side."
+    else:
+        cure = "check its motor constant and gear ratio, or let torque_gain be identified."
+    text = f"The torque of {joint} is <factor> times what the other joints' torques ask for: {cure}"
+
+    return Hypothesis(
+        "unit" if unit else "torque_gain", "torque", (joint,), reading(gain), text, gain, reading, (gain / 1.8, gain * 1.8),
+        usable=not unit,
+    )  # fmt: skip

@@ -1,0 +1,69 @@
+"""Single samples that have nothing to do with their neighbours."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.signals import Recording
+
+WINDOW = 5  # samples whose median a sample is held against
+TIMES = 12.0  # the deviation that one sample in a hundred has
+OF_TORQUE = 1.0  # of the range of the middle 99 %: friction that turns over, and noise, deviate by less
+OF_POSITION = 0.02
+SHOWN = 20  # rows in a result
+LABELS = {"torque": "torque", "position": "motor_position"}
+
+
+def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Recording]]:
+    """Faults, and the recordings with straight lines over the samples in question."""
+    out, mended = [], []
+    for recording in recordings:
+        changed: dict[str, Array] = {}
+        for name, part in (("torque", OF_TORQUE), ("position", OF_POSITION)):
+            values = getattr(recording, name)
+            bad = _apart(values, part)
+            if not bad.any():
+                continue
+            changed[name] = _bridged(values, bad)
+            rows = np.flatnonzero(bad.any(axis=1)) + 1
+            joints = tuple(j for k, j in enumerate(recording.joints) if bad[:, k].any())
+            file = recording.source.name if recording.source else recording.name
+            shown = ", ".join(str(r) for r in rows[:5]) + (" and others" if len(rows) > 5 else "")
+            worst = float(np.abs(values[bad]).max())
+            message = (
+                f"{file}: {name} of {', '.join(joints)}: {len(rows)} row(s) jump away from their neighbours (up to {worst:.4g}), "
+                f"row {shown}: correct these cells, or leave the part out (start_s, end_s)."
+            )
+            out.append(
+                DataFault("glitch", LABELS[name], joints, None, None, message, rows=tuple(int(r) for r in rows[:SHOWN]))
+            )
+        mended.append(dataclasses.replace(recording, **changed) if changed else recording)  # type: ignore[arg-type]
+    return out, mended
+
+
+def _apart(values: Array, part: float) -> Mask:
+    """Samples far from the median of their neighbourhood, shape (N, joints)."""
+    half = WINDOW // 2
+    if len(values) < 4 * WINDOW:
+        return np.zeros(values.shape, dtype=bool)
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    around = np.stack([padded[k : k + len(values)] for k in range(WINDOW)])
+    off = np.abs(values - np.median(around, axis=0))
+    low, high = np.quantile(values, [0.005, 0.995], axis=0)
+    # a column that never moves has no range: the deviations that it does have are its measure
+    limit = np.maximum(TIMES * np.quantile(off, 0.99, axis=0), part * (high - low))
+    return np.asarray((off > limit) & (off > 1e-9 * (1.0 + np.abs(values).max(axis=0))) & (high > low))
+
+
+def _bridged(values: Array, bad: Mask) -> Array:
+    out = values.copy()
+    at = np.arange(len(values))
+    for k in np.flatnonzero(bad.any(axis=0)):
+        good = ~bad[:, k]
+        out[:, k] = np.interp(at, at[good], values[good, k])
+    return out

@@ -1,0 +1,125 @@
+"""A URDF whose zero, axis, length or mounting is not the robot's."""
+
+from __future__ import annotations
+
+import dataclasses
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.sample import Reading
+from rx90b_flex.robot import Robot
+
+ZEROS = tuple(np.radians([-90.0, -40.0, 40.0, 90.0, 180.0]))
+LENGTHS = (0.1, 0.5, 0.75, 1.33, 2.0, 10.0)  # the URDF's over the true one
+DIRECTIONS = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def zeros(look: Look) -> Iterator[Hypothesis]:
+    """The joint angle at which the log counts zero is another one in the URDF."""
+    for k, joint in enumerate(look.sample.joints):
+        if look.prismatic[k]:
+            continue
+        now = look.reading.offset[k]
+        text = (
+            f"The zero of {joint} is <factor>° off: the URDF's angle is the log's plus that; correct the joint's origin, or state "
+            "`offset`."
+        )
+
+        def reading(angle: float, k: int = k, now: float = now) -> Reading:
+            return look.reading.changed("offset", k, now + angle)
+
+        for angle in ZEROS:
+            yield Hypothesis(
+                "kinematics", None, (joint,), reading(angle),
+                text,
+                float(angle), reading, (angle - 0.8, angle + 0.8), shown=float(np.degrees(1.0)),
+            )  # fmt: skip
+
+
+def axes(look: Look) -> Iterator[Hypothesis]:
+    """The joint turns about another axis of its frame than the URDF says."""
+    for joint in look.sample.joints:
+        element = _joint(_tree(look), joint).find("axis")
+        present = _numbers(element, "xyz", (1.0, 0.0, 0.0))
+        for axis in np.eye(3):
+            if abs(axis @ present) > 0.7:
+                continue
+
+            def turned(root: ElementTree.Element, axis: np.ndarray = axis, joint: str = joint) -> None:
+                at = _joint(root, joint)
+                found = at.find("axis")
+                (ElementTree.SubElement(at, "axis") if found is None else found).set("xyz", _text(axis))
+
+            name = "xyz"[int(np.argmax(axis))]
+            yield Hypothesis(
+                "kinematics", None, (joint,), _with(look, ("axis", joint, name), turned),
+                f"The axis of {joint} does not fit: about its frame's {name} the torques go together. Correct the URDF.",
+            )  # fmt: skip
+
+
+def lengths(look: Look) -> Iterator[Hypothesis]:
+    """A link is longer or shorter than the URDF says."""
+    for joint in look.sample.joints:
+        place = _numbers(_joint(_tree(look), joint).find("origin"), "xyz", (0.0, 0.0, 0.0))
+        if not place.any():
+            continue
+
+        def reading(factor: float, joint: str = joint, place: np.ndarray = place) -> Reading:
+            def moved(root: ElementTree.Element) -> None:
+                origin = _joint(root, joint).find("origin")
+                assert origin is not None
+                origin.set("xyz", _text(place / factor))
+
+            return _with(look, ("length", joint, factor), moved)
+
+        for factor in LENGTHS:
+            yield Hypothesis(
+                "kinematics", None, (joint,), reading(factor),
+                f"The link before {joint} is <factor> times too long in the URDF: correct the joint's origin.",
+                factor, reading, (factor / 1.5, factor * 1.5),
+            )  # fmt: skip
+
+
+def mountings(look: Look) -> Iterator[Hypothesis]:
+    """The robot hangs from a ceiling or a wall."""
+    for direction in DIRECTIONS:
+        if direction == look.reading.gravity:
+            continue
+        yield Hypothesis(
+            "kinematics", None, (), dataclasses.replace(look.reading, gravity=direction),
+            f"Gravity points along {direction} of the URDF's base: mount the URDF as the robot is.",
+        )  # fmt: skip
+
+
+def _with(look: Look, key: tuple[object, ...], edit: Callable[[ElementTree.Element], None]) -> Reading:
+    """The reading with an edited URDF; the same edit gives the same robot."""
+    robot = look.reading.robot
+    known = look._robots
+    if (id(robot), *key) not in known:
+        root = _tree(look)
+        edit(root)
+        urdf = ElementTree.tostring(root, encoding="unicode")
+        known[(id(robot), *key)] = dataclasses.replace(robot, urdf=urdf)
+    made = known[(id(robot), *key)]
+    assert isinstance(made, Robot)
+    return dataclasses.replace(look.reading, robot=made)
+
+
+def _tree(look: Look) -> ElementTree.Element:
+    return ElementTree.fromstring(look.reading.robot.urdf)
+
+
+def _joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
+    return next(j for j in root.iter("joint") if j.get("name") == name)
+
+
+def _numbers(element: ElementTree.Element | None, key: str, default: tuple[float, ...]) -> np.ndarray:
+    text = None if element is None else element.get(key)
+    return np.array(default if text is None else [float(x) for x in text.split()])
+
+
+def _text(values: np.ndarray) -> str:
+    return " ".join(repr(float(x)) for x in values)

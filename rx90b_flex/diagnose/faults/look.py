@@ -1,0 +1,137 @@
+"""Readings of a campaign compared with each other, each worked out once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import optimize
+
+from rx90b_flex.diagnose.faults.rigid_fit import Products, RigidFit, columns_of
+from rx90b_flex.diagnose.faults.sample import Reading, Sample
+from rx90b_flex.effects.motion import Array
+
+KEPT = 3  # motions whose columns are kept: the present one, and those that a refinement goes back to
+STEPS = 14  # of a refinement
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Something that may be wrong with the data, and how the log would then have to be read.
+
+    Attributes
+    ----------
+    kind : str
+        As in ``check.json``.
+    signal : str or None
+        Key of a campaign file, or ``all``.
+    joints : tuple of str
+    reading : Reading
+        What would be right.
+    text : str
+        A sentence with the cure; ``<factor>`` stands for the factor times `shown`.
+    factor : float or None
+        What is stated over what is true; seconds for a shift.
+    family : callable or None
+        Readings by factor, where it is a number on a scale that can be refined.
+    bounds : (low, high)
+        Of the factor, for its refinement.
+    usable : bool
+        Whether the data can be used all the same.
+    shown : float
+        Of the factor's unit in the text, such as degrees a radian.
+    """
+
+    kind: str
+    signal: str | None
+    joints: tuple[str, ...]
+    reading: Reading
+    text: str
+    factor: float | None = None
+    family: Callable[[float], Reading] | None = None
+    bounds: tuple[float, float] = (0.0, 0.0)
+    usable: bool = False
+    shown: float = 1.0
+
+    @property
+    def message(self) -> str:
+        """The sentence with the factor in it."""
+        return self.text if self.factor is None else self.text.replace("<factor>", f"{self.factor * self.shown:.3g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A sample of a campaign and the reading that is taken as right so far."""
+
+    sample: Sample
+    reading: Reading
+    limits: Array  # (2, joints), rad, as the URDF has them
+    prismatic: tuple[bool, ...]
+    _columns: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
+    _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
+    _robots: dict[tuple[object, ...], object] = field(default_factory=dict, repr=False)
+
+    def columns(self, reading: Reading) -> Array:
+        """Columns of a reading's motion, (R, joints, p)."""
+        key = reading.motion_key
+        if key not in self._columns:
+            while len(self._columns) >= KEPT:
+                del self._columns[next(iter(self._columns))]
+            self._columns[key] = columns_of(self.sample, reading)
+        return self._columns[key]
+
+    def products(self, reading: Reading) -> Products:
+        """Normal equations of a reading."""
+        # shifts follow the joints, so that with one the order of the torques counts too
+        order = reading.torque_order if any(reading.shift_s) else None
+        key = (reading.motion_key, reading.shift_key, order)
+        if key not in self._products:
+            while len(self._products) >= KEPT:
+                del self._products[next(iter(self._products))]
+            self._products[key] = Products.of(self.sample, reading, self.columns(reading))
+        return self._products[key]
+
+    def fit(self, reading: Reading | None = None) -> RigidFit:
+        """How well a reading does on rows it did not see; the present one where none is given."""
+        reading = reading or self.reading
+        return RigidFit.of(self.products(reading), reading)
+
+    def refined(self, hypothesis: Hypothesis) -> tuple[Hypothesis, float | None]:
+        """The factor at which a hypothesis does best, and its standard deviation from the score's curvature."""
+        family, factor = hypothesis.family, hypothesis.factor
+        if family is None or factor is None:
+            return hypothesis, None
+        scale = _Scale(hypothesis.bounds[0] * hypothesis.bounds[1] > 0, float(np.sign(hypothesis.bounds[0])) or 1.0)
+
+        def score(y: float) -> float:
+            return self.fit(family(scale.back(y))).score
+
+        low, high = sorted(scale.to(b) for b in hypothesis.bounds)
+        found = optimize.minimize_scalar(
+            score, bounds=(low, high), method="bounded", options={"maxiter": STEPS, "xatol": 1e-3 * (high - low)}
+        )
+        at = float(found.x) if found.fun < score(scale.to(factor)) else scale.to(factor)
+        best = scale.back(at)
+        step = 0.02 * (high - low)
+        bend = (score(at + step) - 2 * score(at) + score(at - step)) / step**2
+        # rows of a low-passed signal are worth about two a period of the cutoff
+        rows = sum(len(t.torque) / t.rate_hz for t in self.sample.tracks) * 2.0 * self.sample.cutoff_hz
+        std = float(1.0 / np.sqrt(max(0.5 * min(rows, len(self.sample.fold)) * bend, 1e-12)))
+        std = min(std, 1.0) * abs(best) if scale.logarithmic else std
+        return dataclasses.replace(hypothesis, factor=best, reading=family(best)), std
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """Factors of one sign on a log scale, others as they are."""
+
+    logarithmic: bool
+    sign: float
+
+    def to(self, x: float) -> float:
+        return float(np.log(self.sign * x)) if self.logarithmic else x
+
+    def back(self, y: float) -> float:
+        return float(self.sign * np.exp(y)) if self.logarithmic else y

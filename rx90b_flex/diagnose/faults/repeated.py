@@ -1,0 +1,92 @@
+"""The same motion in both roles, which makes the held-out error say nothing; and excitations that repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import signal
+
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.signals import Recording
+
+ALIKE = 0.02**2  # squared difference of two motions over their own size
+ALIKE_TORQUE = 0.15**2  # and of their torques: another load, or pulses on top, make it another experiment
+SAMPLES_A_SECOND = 40.0
+SHORTEST_PERIOD_S = 0.5
+REPEATS = 2e-5  # squared difference of a motion to itself a period later, over twice its variance
+
+
+def repeated(recordings: Sequence[Recording]) -> list[DataFault]:
+    """Validation recordings whose motion one of the identification recordings has as well."""
+    out = []
+    fitted = [r for r in recordings if r.role == "identification"]
+    for other in (r for r in recordings if r.role == "validation"):
+        same = next((r for r in fitted if _contains(r, other)), None)
+        if same is not None:
+            message = (
+                f"Recording {other.name} (validation) holds the same motion as {same.name} (identification): its error says "
+                "nothing about other motions; record another one, or split one recording with start_s and end_s."
+            )
+            out.append(DataFault("repeated_recording", None, (), None, None, message))
+    return out
+
+
+def _contains(whole: Recording, part: Recording) -> bool:
+    """Whether the shorter of two motions, with its torques, is a stretch of the longer one."""
+    if whole.sample_rate_hz != part.sample_rate_hz:
+        return False
+    if whole.samples < part.samples:
+        whole, part = part, whole
+    every = max(1, round(whole.sample_rate_hz / SAMPLES_A_SECOND))
+    for start in range(min(every, 4)):  # the two may have been started between thinned samples
+        long, short = whole.position[start::every], part.position[::every]
+        count = min(len(long), len(short))
+        short = short[:count]
+        size = ((short - short.mean(axis=0)) ** 2).sum()
+        off = _differences(long, short)
+        at = int(np.argmin(off))
+        if size > 0.0 and off[at] < ALIKE * size:
+            one, other = whole.torque[start::every][at : at + count], part.torque[::every][:count]
+            spread = other.std(axis=0) + 1e-300
+            return bool((((one - other) / spread) ** 2).mean() < ALIKE_TORQUE)
+    return False
+
+
+def _differences(long: Array, short: Array) -> Array:
+    """Squared difference of the shorter motion to every stretch of the longer one."""
+    centre = short.mean(axis=0)
+    a, b = long - centre, short - centre
+    square = np.concatenate([[0.0], np.cumsum((a**2).sum(axis=1))])
+    window = square[len(b) :] - square[: len(a) - len(b) + 1]
+    product = sum(signal.fftconvolve(a[:, k], b[::-1, k], mode="valid") for k in range(a.shape[1]))
+    return np.asarray(window - 2 * product + (b**2).sum())
+
+
+def found_period_s(recording: Recording) -> float | None:
+    """Period of a motion that repeats at least twice, a whole number of samples, s; None where it does not."""
+    q = recording.position - recording.position.mean(axis=0)
+    n, rate = len(q), recording.sample_rate_hz
+    power = (q**2).sum(axis=1)
+    if not power.any():
+        return None
+    size = 2 ** int(np.ceil(np.log2(2 * n)))
+    spectrum = (np.abs(np.fft.rfft(q, size, axis=0)) ** 2).sum(axis=1)
+    product = np.fft.irfft(spectrum, size)[: n // 2 + 1]
+    square = np.concatenate([[0.0], np.cumsum(power)])
+    lags = np.arange(n // 2 + 1)
+    squares = (square[n] - square[lags]) + square[n - lags]
+    unlike = np.maximum(squares - 2 * product, 0.0) / np.maximum(squares, 1e-300)
+    first = max(2, round(SHORTEST_PERIOD_S * rate))
+    # the start of every curve is alike: a period comes after a time at which the motion was somewhere else
+    elsewhere = np.flatnonzero(unlike[:] > 0.1)
+    first = max(first, int(elsewhere[0]) if len(elsewhere) else len(unlike))
+    below = np.flatnonzero(unlike[first:] < REPEATS)
+    if len(below) == 0:
+        return None
+    begin = first + int(below[0])
+    end = begin
+    while end + 1 < len(unlike) and unlike[end + 1] < REPEATS:
+        end += 1
+    return float((begin + int(np.argmin(unlike[begin : end + 1]))) / rate)

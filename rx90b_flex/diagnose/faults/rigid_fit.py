@@ -1,0 +1,212 @@
+"""Cheap fits of the rigid model with basic friction: what hypotheses about the data are compared by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from rx90b_flex.diagnose.faults.sample import FOLDS, Reading, Sample, other_effects
+from rx90b_flex.effects import Effect, Motion
+from rx90b_flex.effects.motion import Array, Mask
+
+RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
+KNOWN = 1e2  # the same where the links are known
+ROUNDS = 3  # fits with weights from the last one's errors
+FLOOR = 1e-4  # squared relative error below which a difference is no matter of the data's columns
+POSES = 24  # at which the mass matrix's diagonal is looked at
+IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
+DRIVES = 0.03  # of the torque's size: how large a negative inertia or driving friction must be to count
+PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Normal equations of one reading's motion with every torque column, a fold and a joint each.
+
+    Attributes
+    ----------
+    gram : array, shape (folds, joints, p, p)
+    cross : array, shape (folds, joints, columns, p)
+        Of joint j's rows with torque column k.
+    power, mean_sum : array, shape (folds, columns)
+        Sums of squares and of values of each torque column.
+    rows : array, shape (folds,)
+    friction : array, shape (folds, joints, p)
+        Mean of velocity times the friction columns.
+    inertia : array, shape (joints, p)
+        What gives the mass matrix's mean diagonal.
+    speed, push : array, shape (joints,)
+        Root mean squares of velocity and acceleration.
+    prior, ridge : array, shape (p,)
+    """
+
+    gram: Array
+    cross: Array
+    power: Array
+    mean_sum: Array
+    rows: Array
+    friction: Array
+    inertia: Array
+    speed: Array
+    push: Array
+    prior: Array
+    ridge: Array
+
+    @staticmethod
+    def of(sample: Sample, reading: Reading, columns: Array) -> Products:
+        """From columns (R, joints, p) and the torques that the reading has."""
+        torque, inside = sample.torque_of(reading)
+        fold = np.where(inside, sample.fold, -1)
+        _, v, a, _ = sample.seen(reading)
+        links = columns.shape[2] - PER_JOINT * len(sample.joints)
+        links -= sum(len(e.coefficients) for e in other_effects(reading.robot))
+        resisting = columns.copy()
+        resisting[:, :, :links] = 0.0
+        for j in range(len(sample.joints)):  # inertia and offset are no friction
+            at = links + PER_JOINT * j
+            resisting[:, j, [at, at + 3]] = 0.0
+        resisting[:, :, links + PER_JOINT * len(sample.joints) :] = 0.0
+        parts = []
+        for f in range(FOLDS):
+            here = fold == f
+            x = np.ascontiguousarray(columns[here].transpose(1, 0, 2))
+            y = torque[here]
+            xt = x.transpose(0, 2, 1)
+            drive = (resisting[here] * v[here][:, :, None]).mean(axis=0) if here.any() else resisting[0] * 0.0
+            parts.append((xt @ x, (xt @ y).transpose(0, 2, 1), (y**2).sum(axis=0), y.sum(axis=0), here.sum(), drive))
+        gram, cross, power, mean_sum, rows, friction = (np.array(p) for p in zip(*parts, strict=True))
+        prior = np.zeros(columns.shape[2])
+        prior[:links] = reading.robot.link_parameters
+        ridge = np.full(len(prior), RIDGE)
+        if reading.robot.inertial_parameters == "known":
+            ridge[:links] = KNOWN
+        return Products(
+            gram, cross, power, mean_sum, rows, friction, _inertia(sample, reading, columns.shape[2], links),
+            np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
+        )  # fmt: skip
+
+
+def columns_of(sample: Sample, reading: Reading) -> Array:
+    """Columns (R, joints, p): links, then five a joint, then what else is declared."""
+    robot, joints = reading.robot, sample.joints
+    seen = sample.motion(reading)
+    rows = np.array([robot.layout.index(j) for j in joints])
+    links = _under(reading, seen)[:, rows]
+    _, v, a, dry = sample.seen(reading)
+    own = np.zeros((len(v), len(joints), PER_JOINT * len(joints)))
+    for j in range(len(joints)):
+        at = PER_JOINT * j
+        own[:, j, at : at + PER_JOINT] = np.stack(
+            [a[:, j], v[:, j], dry[:, j], np.ones(len(v)), np.abs(v[:, j])], axis=1
+        )
+    more = [_started(e, seen).columns(seen)[:, rows] for e in other_effects(robot)]
+    return np.concatenate([links, own, *more], axis=2)
+
+
+def _under(reading: Reading, seen: Motion) -> Array:
+    """The links' regressor under the reading's gravity."""
+    model = reading.robot.model
+    before = np.array(model.gravity.linear)
+    try:
+        model.gravity.linear = np.linalg.norm(before) * np.array(reading.gravity)
+        return reading.robot.link_regressor(seen)
+    finally:
+        model.gravity.linear = before
+
+
+def _started(effect: Effect, seen: Motion) -> Effect:
+    if not np.isnan(effect.shape).any():
+        return effect
+    starts = effect.shape_starts(seen)
+    return effect.with_shape(np.where(np.isnan(effect.shape), starts[len(starts) // 2], effect.shape))
+
+
+def _inertia(sample: Sample, reading: Reading, count: int, links: int) -> Array:
+    """Rows whose product with the parameters is the mean diagonal of the mass matrix, (joints, p)."""
+    robot = reading.robot
+    n = len(sample.joints)
+    q = sample.motion(reading).q[:: max(1, len(sample.q) // POSES)]
+    rest = np.zeros_like(q)
+    gravity = robot.link_regressor(robot.motion(q, rest, rest))
+    out = np.zeros((n, count))
+    for k, joint in enumerate(sample.joints):
+        i = robot.layout.index(joint)
+        push = rest.copy()
+        push[:, i] = 1.0
+        out[k, :links] = (robot.link_regressor(robot.motion(q, rest, push)) - gravity)[:, i].mean(axis=0)
+        out[k, links + PER_JOINT * k] = 1.0
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class RigidFit:
+    """A fit of one reading, judged on rows that it did not see.
+
+    Attributes
+    ----------
+    error : array, shape (joints,)
+        Squared held-out error over the torque's variance, a joint; 1 is what a constant leaves.
+    theta : array, shape (folds, p)
+        Of each fold's training rows.
+    impossible : array, shape (joints,), bool
+        Joints that friction would drive, or whose inertia would be negative.
+    products : Products
+    """
+
+    error: Array
+    theta: Array
+    impossible: Mask
+    products: Products
+
+    @cached_property
+    def score(self) -> float:
+        """Sum over joints of the log error (a constant does no worse than 1), and of what is impossible; lower is better."""
+        return float(np.log(np.minimum(self.error, 1.0) + FLOOR).sum() + IMPOSSIBLE * self.impossible.sum())
+
+    @staticmethod
+    def of(products: Products, reading: Reading) -> RigidFit:
+        """Weighted least squares, one weight a joint, each fold predicted from the others."""
+        n = products.gram.shape[1]
+        order, scale = list(reading.torque_order), np.array(reading.torque_scale)
+        cross = products.cross[:, np.arange(n), order] * scale[:, None]
+        power = products.power[:, order] * scale**2
+        total = power.sum(axis=0) - (products.mean_sum[:, order].sum(axis=0) * scale) ** 2 / products.rows.sum()
+        total = np.maximum(total, 1e-300)
+        error = np.ones(n)
+        for _ in range(ROUNDS):
+            theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)))
+            aside = theta[:, None, :]
+            seen = (products.gram @ aside[..., None])[..., 0]
+            left = power + ((seen - 2 * cross) * aside).sum(axis=2)
+            error = np.maximum(left.sum(axis=0), 0.0) / total
+        rms = np.sqrt(total / products.rows.sum())
+        return RigidFit(error, theta, _impossible(products, theta, rms), products)
+
+
+def _solved(products: Products, cross: Array, weight: Array) -> Array:
+    """Parameters from all folds but one, for each, shape (folds, p)."""
+    gram = np.tensordot(weight, products.gram, axes=(0, 1))
+    right = np.tensordot(weight, cross, axes=(0, 1))
+    whole = gram.sum(axis=0), right.sum(axis=0)
+    out = []
+    for f in range(len(gram)):
+        a, b = whole[0] - gram[f], whole[1] - right[f]
+        size = np.diag(a)
+        size = np.sqrt(np.where(size > 1e-12 * size.max(), size, size.max() + 1e-300))
+        a = a / np.outer(size, size) + np.diag(products.ridge)
+        held = b / size + products.ridge * size * products.prior
+        _, solved, _ = linalg.lapack.dposv(a, held)
+        out.append(solved / size)
+    return np.array(out)
+
+
+def _impossible(products: Products, theta: Array, rms: Array) -> Mask:
+    driving = (products.friction * theta[:, None, :]).sum(axis=2) / (rms * products.speed + 1e-300)
+    inertia = theta @ products.inertia.T * products.push / (rms + 1e-300)
+    wrong = ((driving < 0).all(axis=0) & (driving.mean(axis=0) < -DRIVES)) | (
+        (inertia < 0).all(axis=0) & (inertia.mean(axis=0) < -DRIVES)
+    )
+    return np.asarray(wrong)

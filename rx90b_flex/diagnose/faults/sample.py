@@ -1,0 +1,249 @@
+"""A thinned-out look at a campaign, and the ways in which its columns may be read."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from rx90b_flex.effects import Effect, Motion
+from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import Campaign, Recording, lowpass, motion
+from rx90b_flex.signals.filters import minimum_samples
+
+ROWS = 900  # of all recordings together: enough to tell hypotheses apart that change torques by tens of per cent
+FOLDS = 4  # each is held out once
+BLOCKS = 12  # contiguous stretches of which a fold gets every fourth
+MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
+OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
+LOWEST_HZ = 1.0
+POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
+BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """How a log's columns are read: which is whose, with which sign and scale, against which tree.
+
+    The angle of joint j is ``scale[j] * column[order[j]] + offset[j]``, its torque ``torque_scale[j] *
+    column[torque_order[j]]``, taken ``shift_s[j] + recording_shift_s[r]`` later in log r than the angle. Velocities grow with
+    `rate`, accelerations with its square.
+
+    Attributes
+    ----------
+    robot : Robot
+        Rigid, of the campaign's joints.
+    order, torque_order : tuple of int
+    scale, offset, torque_scale, shift_s : tuple of float
+    recording_shift_s : tuple of float
+        One a recording.
+    rate : float
+        True over stated sample rate.
+    gravity : tuple of 3 float
+        Direction in the base frame.
+    """
+
+    robot: Robot
+    order: tuple[int, ...]
+    scale: tuple[float, ...]
+    offset: tuple[float, ...]
+    torque_order: tuple[int, ...]
+    torque_scale: tuple[float, ...]
+    shift_s: tuple[float, ...]
+    recording_shift_s: tuple[float, ...]
+    rate: float = 1.0
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+
+    @staticmethod
+    def of(robot: Robot, joints: int, recordings: int) -> Reading:
+        """As the campaign file states it."""
+        same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
+        return Reading(robot, same, one, zero, same, one, zero, (0.0,) * recordings)
+
+    def changed(self, name: str, joint: int, value: float) -> Reading:
+        """With one entry of `scale`, `offset`, `torque_scale`, `shift_s` or `recording_shift_s` replaced."""
+        values = list(getattr(self, name))
+        values[joint] = value
+        return self.with_entries({name: tuple(values)})
+
+    def with_entries(self, entries: Mapping[str, Any]) -> Reading:
+        """With other values of some of the attributes."""
+        return dataclasses.replace(self, **entries)
+
+    @property
+    def motion_key(self) -> tuple[object, ...]:
+        """The same for readings of the same motion of the same tree."""
+        return (id(self.robot), self.order, self.scale, self.offset, self.rate, self.gravity)
+
+    @property
+    def shift_key(self) -> tuple[object, ...]:
+        """The same for readings of torques at the same times."""
+        return (self.shift_s, self.recording_shift_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One recording's torques at its own rate, so that they can be read at other times.
+
+    Attributes
+    ----------
+    torque : array, shape (N, joints)
+        After the low-pass.
+    rows : array of int, shape (r,)
+        Samples that the look keeps.
+    rate_hz : float
+    """
+
+    torque: Array
+    rows: Indices
+    rate_hz: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Rows of all recordings of a campaign, in the order of its columns.
+
+    Attributes
+    ----------
+    joints : tuple of str
+    q, v, a, dry : array, shape (R, joints)
+        Angles, velocities, accelerations, and the low-passed sign of velocity; rad, s.
+    tracks : tuple of Track
+    fold : array of int, shape (R,)
+        Which block a row is held out with.
+    cutoff_hz : float
+    """
+
+    joints: tuple[str, ...]
+    q: Array
+    v: Array
+    a: Array
+    dry: Array
+    tracks: tuple[Track, ...]
+    fold: Indices
+    cutoff_hz: float
+
+    @staticmethod
+    def of(campaign: Campaign, recordings: Sequence[Recording]) -> Sample:
+        """Low-pass, differentiate and thin out recordings.
+
+        Raises
+        ------
+        ValueError
+            A recording that is shorter than the low-pass.
+        """
+        cutoff = campaign.cutoff_hz or sensible_cutoff_hz(recordings)
+        total = sum(r.samples for r in recordings)
+        parts = [_part(r, cutoff, max(1, total // ROWS)) for r in recordings]
+        q, v, a, dry = (np.concatenate([p[k] for p, _ in parts]) for k in range(4))
+        tracks = tuple(track for _, track in parts)
+        blocks = [max(2, round(BLOCKS * r.samples / total)) for r in recordings]
+        fold = np.concatenate(
+            [np.arange(len(t.rows)) * n // max(1, len(t.rows)) for t, n in zip(tracks, blocks, strict=True)]
+        )
+        starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
+        return Sample(campaign.joints, q, v, a, dry, tracks, (fold + starts) % FOLDS, cutoff)
+
+    @cached_property
+    def torque(self) -> Array:
+        """Measured torque, shape (R, joints), N m."""
+        return np.concatenate([t.torque[t.rows] for t in self.tracks])
+
+    def torque_of(self, reading: Reading) -> tuple[Array, Array]:
+        """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool.
+
+        A column is taken at the shift of the joint that reads it.
+        """
+        shift = np.zeros(len(self.joints))
+        shift[list(reading.torque_order)] = reading.shift_s
+        out, inside = [], []
+        for track, more in zip(self.tracks, reading.recording_shift_s, strict=True):
+            at = track.rows[:, None] + np.round((shift + more) * track.rate_hz).astype(int)
+            inside.append(((at >= 0) & (at < len(track.torque))).all(axis=1))
+            out.append(np.take_along_axis(track.torque, np.clip(at, 0, len(track.torque) - 1), axis=0))
+        return np.concatenate(out), np.concatenate(inside)
+
+    def thinned(self, factor: int) -> Sample:
+        """Every so many-th row."""
+        tracks = tuple(dataclasses.replace(t, rows=t.rows[::factor]) for t in self.tracks)
+        rows = np.concatenate([np.arange(span.start, span.stop)[::factor] for span in self.spans])
+        q, v, a, dry, fold = (x[rows] for x in (self.q, self.v, self.a, self.dry, self.fold))
+        return dataclasses.replace(self, q=q, v=v, a=a, dry=dry, fold=fold, tracks=tracks)
+
+    @property
+    def spans(self) -> tuple[slice, ...]:
+        """Rows of each recording."""
+        ends = np.cumsum([0, *(len(t.rows) for t in self.tracks)])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    def seen(self, reading: Reading) -> tuple[Array, Array, Array, Array]:
+        """Angle, velocity, acceleration and dry friction's sign of each joint as a reading has them, each (R, joints)."""
+        order, scale = list(reading.order), np.array(reading.scale)
+        return (
+            self.q[:, order] * scale + np.array(reading.offset),
+            self.v[:, order] * scale * reading.rate,
+            self.a[:, order] * scale * reading.rate**2,
+            self.dry[:, order] * np.sign(scale),
+        )
+
+    def motion(self, reading: Reading, gravity_only: bool = False) -> Motion:
+        """The tree's motion in tree order."""
+        q, v, a, _ = self.seen(reading)
+        columns = [self.joints.index(j) for j in reading.robot.joints]
+        still = 0.0 if gravity_only else 1.0
+        return reading.robot.motion(q[:, columns], still * v[:, columns], still * a[:, columns])
+
+
+def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array, ...], Track]:
+    rate = recording.sample_rate_hz
+    cutoff = min(cutoff, 0.4 * rate)
+    wide = POSITION_CUTOFF_RATIO * cutoff
+    try:
+        q, v, a = motion(recording.position, rate, wide if wide < 0.4 * rate else None)
+        torque = lowpass(recording.torque, cutoff, rate)
+        # friction that turns over within a hundredth of the fastest motion: finer is the loop's business
+        turn = 1e-2 * np.abs(v).max(axis=0) + 1e-9
+        dry = lowpass((2.0 / np.pi) * np.arctan(v / turn), cutoff, rate)
+    except ValueError as error:
+        raise ValueError(f"{recording.source or recording.name}: {error}") from None
+    edge = min(minimum_samples(cutoff, rate) // 3, recording.samples // 20)
+    rows = np.arange(edge, recording.samples - edge, every)
+    return tuple(x[rows] for x in (q, v, a, dry)), Track(torque, rows, rate)
+
+
+def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
+    """A low-pass that keeps the motion and leaves out what lies far above it, Hz.
+
+    Four times the frequency below which 99.9 % of the velocity's power lies, over all moving joints; between 1 Hz and a fifth
+    of the sample rate.
+    """
+    highest = LOWEST_HZ
+    for recording in recordings:
+        rate = recording.sample_rate_hz
+        speed = np.diff(recording.position, axis=0)
+        speed = (speed - speed.mean(axis=0)) * np.hanning(len(speed))[:, None]
+        power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
+        hz = np.fft.rfftfreq(len(speed), 1.0 / rate)
+        # white noise of the position counter rises with frequency in its differences: its share is taken out
+        slope = np.median(power[len(hz) // 2 :] / hz[len(hz) // 2 :, None] ** 2, axis=0)
+        power = np.maximum(power - 3.0 * slope * hz[:, None] ** 2, 0.0)
+        power = power / np.maximum(power.sum(axis=0), 1e-300)
+        reached = (np.cumsum(power, axis=0) < MOTION_POWER).sum(axis=0)
+        highest = max(highest, float(hz[np.minimum(reached, len(hz) - 1)].max()))
+    rate = min(r.sample_rate_hz for r in recordings)
+    return float(np.clip(OVER_MOTION * highest, LOWEST_HZ, 0.2 * rate))
+
+
+def other_effects(robot: Robot) -> tuple[Effect, ...]:
+    """Declared effects that stand beside the basics in every fit: those whose columns a motion alone gives."""
+    return tuple(
+        e
+        for e in robot.effects
+        if e.type_name() not in BASICS and not e.virtual and not e.needs_model and not e.by_clock and e.in_dynamics
+    )

@@ -1,0 +1,95 @@
+"""Torques that were logged at other times than positions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, RIDGE
+from rx90b_flex.diagnose.faults.sample import Reading
+from rx90b_flex.effects.motion import Array
+
+SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds as an effect
+LARGEST_S = 3.0
+PART = 0.25  # of the shortest recording: the largest shift that leaves enough in common
+STEPS_A_PERIOD = 6.0  # of the cutoff
+
+
+def shifted(look: Look) -> Iterator[Hypothesis]:
+    """All torques, one joint's, or one recording's, by the time at which they fit best."""
+    longest = min(LARGEST_S, PART * min(len(t.torque) / t.rate_hz for t in look.sample.tracks))
+    step = max(1.0 / (STEPS_A_PERIOD * look.sample.cutoff_hz), longest / 400)
+    lags = np.arange(-np.floor(longest / step), np.floor(longest / step) + 1) * step
+    joints, tracks = len(look.sample.joints), len(look.sample.tracks)
+    groups: list[tuple[str, tuple[int, ...]]] = [("shift_s", tuple(range(joints)))]
+    groups += [("shift_s", (k,)) for k in range(joints)] if joints > 1 else []
+    groups += [("recording_shift_s", (r,)) for r in range(tracks)] if tracks > 1 else []
+    scores = _scores(look, lags, groups)
+    for (name, chosen), row in zip(groups, scores, strict=True):
+        lag = float(lags[int(np.argmin(row))])
+        if abs(lag) >= SMALLEST_S:
+            yield _of(look, name, chosen, lag, step)
+
+
+def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) -> Array:
+    """Log errors of fits with the weights and columns of the present reading, shape (groups, lags)."""
+    sample, reading = look.sample, look.reading
+    n, tracks = len(sample.joints), len(sample.tracks)
+    x = np.ascontiguousarray(look.columns(reading).transpose(1, 0, 2))
+    order, sign = list(reading.torque_order), np.array(reading.torque_scale)
+
+    def at(lag: float) -> tuple[Array, Array]:
+        """Products with the columns (tracks, joints, p), and squares (tracks, joints), of torques so much later."""
+        moved = dataclasses.replace(reading, shift_s=tuple(s + lag for s in reading.shift_s))
+        y = (sample.torque_of(moved)[0][:, order] * sign).T
+        cross = [(y[:, None, span] @ x[:, span])[:, 0] for span in sample.spans]
+        return np.array(cross), np.array([(y[:, span] ** 2).sum(axis=1) for span in sample.spans])
+
+    still = at(0.0)
+    torque = sample.torque_of(reading)[0][:, order] * sign
+    variance = torque.var(axis=0) * len(torque) + 1e-300
+    weight = 1.0 / (variance * (look.fit().error + FLOOR))
+    gram = x.transpose(0, 2, 1) @ x
+    whole = np.tensordot(weight, gram, axes=(0, 0))
+    size = np.sqrt(np.diag(whole))
+    size[size < 1e-6 * size.max()] = size.max()
+    inverse = np.linalg.inv(whole / np.outer(size, size) + RIDGE * np.eye(len(size))) / np.outer(size, size)
+    moves = np.array(
+        [
+            np.isin(np.arange(n), chosen)[None, :] & np.ones((tracks, 1), bool)
+            if name == "shift_s"
+            else np.isin(np.arange(tracks), chosen)[:, None] & np.ones((1, n), bool)
+            for name, chosen in groups
+        ]
+    )
+    out = np.empty((len(groups), len(lags)))
+    for i, lag in enumerate(lags):
+        late = at(float(lag))
+        cross = np.where(moves[..., None], late[0], still[0]).sum(axis=1)
+        power = np.where(moves, late[1], still[1]).sum(axis=1)
+        theta = np.tensordot(cross, weight, axes=(1, 0)) @ inverse
+        seen = (gram[None] @ theta[:, None, :, None])[..., 0]
+        left = power + ((seen - 2 * cross) * theta[:, None, :]).sum(axis=2)
+        out[:, i] = np.log(np.maximum(left / variance, 0.0) + FLOOR).sum(axis=1)
+    return out
+
+
+def _of(look: Look, name: str, chosen: tuple[int, ...], lag: float, step: float) -> Hypothesis:
+    sample = look.sample
+    now = getattr(look.reading, name)
+
+    def reading(seconds: float) -> Reading:
+        changed = tuple(x + seconds if k in chosen else x for k, x in enumerate(now))
+        return look.reading.with_entries({name: changed})
+
+    joints = tuple(sample.joints[k] for k in chosen) if name == "shift_s" else sample.joints
+    where = f"of {', '.join(joints)}" if name == "shift_s" else f"in recording {chosen[0] + 1}"
+    when = "after" if lag > 0 else "before"
+    text = f"Torques {where} are logged <factor> s {when} the positions they belong to: bring both to one clock."
+    return Hypothesis(
+        "time_shift", "torque", joints, reading(lag), text, lag, reading, (lag - 2 * step, lag + 2 * step),
+        shown=float(np.sign(lag)),
+    )  # fmt: skip

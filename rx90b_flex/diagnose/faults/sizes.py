@@ -1,0 +1,61 @@
+"""Signals of a size that the URDF's limits and links rule out, whatever a fit makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.diagnose.faults.look import Look
+from rx90b_flex.diagnose.faults.units import outside
+from rx90b_flex.effects.motion import Array
+
+TOO_SMALL = 0.04  # of the torque that the URDF's links alone ask for: no links are so much lighter than their CAD model
+TOO_LARGE = 3.0  # times the URDF's effort limit
+DEGREES = 180.0 / np.pi
+
+
+def impossible_sizes(look: Look, named: Sequence[DataFault]) -> list[DataFault]:
+    """Positions beyond their limits and torques beyond reason, of joints whose unit is not yet in doubt."""
+    joints = look.sample.joints
+    known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain") for j in f.joints}
+    out = []
+    beyond = [k for k in np.flatnonzero(outside(look, 1.0)) if ("motor_position", joints[k]) not in known]
+    degrees = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
+    other = [k for k in beyond if k not in degrees]
+    if degrees:
+        said = ", ".join(joints[k] for k in degrees)
+        text = f"The position of {said} leaves the URDF's limits and fits into them in degrees: bring it to rad."
+        out.append(DataFault("unit", "motor_position", tuple(joints[k] for k in degrees), DEGREES, None, text))
+    if other:
+        said = ", ".join(joints[k] for k in other)
+        text = f"The position of {said} moves through more than the URDF's range: the motor's side of the gear? State `gear_matrix`."
+        out.append(DataFault("unit", "motor_position", tuple(joints[k] for k in other), None, None, text))
+    large, small = _torques(look)
+    for chosen, what in (
+        (large, "is far above the URDF's effort limit"),
+        (small, "is far below what the URDF's links ask for"),
+    ):
+        names = tuple(joints[k] for k in chosen if ("torque", joints[k]) not in known)
+        if names:
+            text = f"The torque of {', '.join(names)} {what}: another unit, amperes, or the motor's side of the gear?"
+            out.append(DataFault("unit", "torque", names, None, None, text))
+    return out
+
+
+def _torques(look: Look) -> tuple[list[int], list[int]]:
+    """Joints whose torque is too large, and too small."""
+    reading, robot = look.reading, look.reading.robot
+    at = np.array([robot.layout.index(j) for j in look.sample.joints])
+    expected = robot.link_torque(look.sample.motion(reading))[:, at]
+    torque: Array = look.sample.torque_of(reading)[0][:, list(reading.torque_order)] * np.array(reading.torque_scale)
+    effort = robot.tree.effortLimit[at]
+    largest = np.abs(torque).max(axis=0)
+    # a limit below what the links ask for is a placeholder
+    stated = np.isfinite(effort) & (effort > np.abs(expected).max(axis=0))
+    size = np.sqrt((expected**2).mean(axis=0))
+    heavy = size > 1e-3 * size.max()
+    small = heavy & (np.sqrt((torque**2).mean(axis=0)) < TOO_SMALL * size)
+    large = stated & (largest > TOO_LARGE * effort)
+    return [int(k) for k in np.flatnonzero(large)], [int(k) for k in np.flatnonzero(small)]

@@ -1,0 +1,89 @@
+"""Joints that do not move, or whose position stands still in the log while the joint goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.signals import Recording
+
+NEVER = 1e-3  # rad or m in all: noise and the play of a brake
+HARDLY = 0.02  # rad or m: too little for a parameter to stand out of friction
+FROZEN_S = 0.3  # the same number for so long
+FEWEST = 12  # samples
+JUMP = 8.0  # times the usual step at the end of such a stretch
+UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not at rest
+
+
+def moves(recordings: Sequence[Recording]) -> Array:
+    """Range of each joint over all recordings, shape (joints,), rad."""
+    every = np.concatenate([r.position for r in recordings])
+    return np.asarray(np.ptp(every, axis=0))
+
+
+def stuck(recordings: Sequence[Recording], errors: Array) -> list[DataFault]:
+    """Joints that never move, by their torque's relative error under the rigid model (joints,): held, or their sensor stands."""
+    out = []
+    for joint, reach, error in zip(recordings[0].joints, moves(recordings), errors, strict=True):
+        if reach > NEVER:
+            continue
+        held = bool(error < UNEXPLAINED)
+        cure = (
+            "it is taken as held; its own parameters are not told"
+            if held
+            else "but its torque is not that of a joint at rest: check the sensor and its column"
+        )
+        message = f"{joint} never moves in the log (by {reach:.2g} rad in all): {cure}."
+        out.append(DataFault("stuck", "motor_position", (joint,), None, None, message, usable=held))
+    return out
+
+
+def frozen(recordings: Sequence[Recording]) -> list[DataFault]:
+    """Positions that keep the same number for a while and then jump to where the joint has gone."""
+    out = []
+    for recording in recordings:
+        need = max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
+        for k, joint in enumerate(recording.joints):
+            rows = _stretches(recording.position[:, k], need)
+            if rows:
+                file = recording.source.name if recording.source else recording.name
+                message = (
+                    f"{file}: the position of {joint} stands still from row {rows[0] + 1} on and then jumps: samples were lost; "
+                    "leave the part out (start_s, end_s)."
+                )
+                out.append(
+                    DataFault(
+                        "stuck", "motor_position", (joint,), None, None, message, rows=tuple(r + 1 for r in rows[:20])
+                    )
+                )
+    return out
+
+
+def _stretches(position: Array, need: int) -> list[int]:
+    steps = np.diff(position)
+    still = np.concatenate([[False], steps == 0.0, [False]])
+    edges = np.flatnonzero(np.diff(still.astype(int)))
+    usual = np.quantile(np.abs(steps), 0.99)
+    found = []
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        # a joint at rest leaves slowly; one whose sensor stood is somewhere else at the next sample
+        if end - start >= need and end < len(steps) and abs(steps[end]) > JUMP * usual > 0.0:
+            found.append(int(start))
+    return found
+
+
+def no_excitation(recordings: Sequence[Recording]) -> list[DataFault]:
+    """Joints that move too little to tell anything; all of them, and the data are of no use."""
+    reach = moves(recordings)
+    names = recordings[0].joints
+    if (reach < HARDLY).all():
+        message = f"No joint moves by more than {reach.max():.2g} rad: record a motion that uses the joints' range."
+        return [DataFault("no_excitation", None, names, None, None, message)]
+    hardly = tuple(j for j, r in zip(names, reach, strict=True) if NEVER < r < HARDLY)
+    if not hardly:
+        return []
+    message = f"{', '.join(hardly)} hardly move(s) (less than {HARDLY:g} rad): what only these tell is not told."
+    return [DataFault("no_excitation", None, hardly, None, None, message, usable=True)]

@@ -1,0 +1,33 @@
+"""Torques that have nothing to do with the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.effects.motion import Array, Mask
+
+NOTHING = 0.9  # squared held-out error over the variance: 1 is what a constant leaves
+
+
+def unrelated(joints: Sequence[str], error: Array, moving: Mask, constant: Mask) -> list[DataFault]:
+    """Moving joints whose torque the rigid model with friction predicts no better than a constant would.
+
+    Parameters
+    ----------
+    error : array, shape (joints,)
+        Squared held-out error over the torque's variance, everything else mended.
+    moving, constant : array of bool, shape (joints,)
+        Joints that move; joints whose torque never changes.
+    """
+    chosen = np.flatnonzero((constant | (error > NOTHING)) & moving)
+    if len(chosen) == 0:
+        return []
+    names = tuple(joints[int(k)] for k in chosen)
+    message = (
+        f"The torque of {', '.join(names)} has nothing to do with the motion (nothing of it can be predicted from position): "
+        "check that the columns are torques, and of the same run."
+    )
+    return [DataFault("unrelated", "torque", names, None, None, message)]

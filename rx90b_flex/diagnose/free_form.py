@@ -1,0 +1,241 @@
+"""Free forms of a residual: smooth curves fitted by ridge regression, and boosted trees, each judged on parts held out.
+
+A free form names nothing. It says how much of a residual follows from the motion at all, on parts of the data that it was
+not fitted to: the measure for models that do name something.
+
+Source: A. E. Hoerl, R. W. Kennard, "Ridge regression", Technometrics 12(1), 1970; J. H. Friedman, "Greedy function
+approximation: a gradient boosting machine", Annals of Statistics 29(5), 2001, with the histograms of scikit-learn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy import linalg
+from threadpoolctl import threadpool_limits
+
+from rx90b_flex.effects.motion import Array, Indices
+
+PENALTIES = np.geomspace(1e-5, 1.0, 6)  # of a ridge, over the samples fitted, for columns of variance one
+LEAST_GAIN = 0.01  # of the squared residual; what gains less by another family of columns is left out
+SURE = 0.5  # standard errors that are taken off a gain, so that of many families none enters by luck
+SPREAD = 12  # stretches of equal length whose gains tell the standard error
+CONSTANT = 1e-6  # standard deviation over largest value, below which a column is constant
+TREES = 60  # boosted at the most
+LEAVES = 8
+SMALLEST_LEAF = 20
+LEARNING_RATE = 0.1
+NO_FORM = "none"
+
+
+@dataclass(frozen=True, eq=False)
+class FreeForm:
+    """A free form of one joint's residual.
+
+    Attributes
+    ----------
+    name : str
+        ``none``, ``smooth curves`` or ``boosted trees``.
+    held_out : array, shape (N,)
+        What it says of each sample of the fit when that sample's part was held out, N m.
+    elsewhere : array, shape (M,)
+        What it says of other samples, fitted to all N, N m.
+    """
+
+    name: str
+    held_out: Array
+    elsewhere: Array
+
+    def error(self, residual: Array) -> float:
+        """Squared error on the parts held out."""
+        return float(((residual - self.held_out) ** 2).sum())
+
+
+def best_form(
+    families: Mapping[str, tuple[Array, Array]],
+    signals: tuple[Array, Array],
+    residual: Array,
+    layouts: Sequence[Indices],
+) -> FreeForm:
+    """The free form with the smallest error on parts held out; the one that says zero where none has a gain.
+
+    Parameters
+    ----------
+    families : mapping
+        Columns of the smooth curves by families, each with its values for the fit, (N, k), and elsewhere, (M, k).
+    signals : pair of array, shapes (N, s) and (M, s)
+        What the trees see.
+    residual : array, shape (N,)
+        N m.
+    layouts : sequence of array, shape (N,)
+        The part of each sample, in one or more ways to part the data; parts are held out in turn.
+    """
+    nothing = FreeForm(NO_FORM, np.zeros(len(residual)), np.zeros(len(signals[1])))
+    forms = [nothing, smooth_curves(families, residual, layouts), boosted_trees(signals, residual, layouts[0])]
+    return min((f for f in forms if f is not None), key=lambda form: form.error(residual))
+
+
+def sure_gain(before: Array, after: Array) -> float:
+    """Drop of squared errors (N,) in all, less `SURE` times the standard error that its spread over time gives it."""
+    edges = np.linspace(0, len(before), SPREAD + 1).astype(int)[:-1]
+    gains = np.add.reduceat(before - after, edges)
+    return float(gains.sum() - SURE * gains.std(ddof=1) * np.sqrt(SPREAD))
+
+
+# ---- smooth curves ------------------------------------------------------------------------------------------
+
+
+def smooth_curves(
+    families: Mapping[str, tuple[Array, Array]], residual: Array, layouts: Sequence[Indices]
+) -> FreeForm | None:
+    """Sum of families of columns by ridge regression, families taken in one by one while parts held out gain by it.
+
+    Where there are several layouts, the mean of what each chooses: one recording can be parted in many ways, and the
+    choice should not hang on one. None where no family has a gain.
+    """
+    table = _Table.of(families, residual)
+    found = [_chosen(table, layout) for layout in layouts]
+    if not any(f.names for f in found):
+        return None
+    return FreeForm(
+        "smooth curves",
+        np.mean([f.held_out for f in found], axis=0),
+        np.mean([table.elsewhere[:, table.columns(f.names)] @ f.theta for f in found], axis=0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Columns of all families side by side, of variance one, and a constant at the end."""
+
+    here: Array  # (N, p)
+    elsewhere: Array  # (M, p)
+    residual: Array
+    places: Mapping[str, Indices]
+
+    @staticmethod
+    def of(families: Mapping[str, tuple[Array, Array]], residual: Array) -> _Table:
+        here, elsewhere, places, at = [], [], {}, 0
+        for name, (x, other) in families.items():
+            mean, std = x.mean(axis=0), x.std(axis=0)
+            moves = std > CONSTANT * np.abs(x).max(axis=0)
+            here.append((x - mean)[:, moves] / std[moves])
+            elsewhere.append((other - mean)[:, moves] / std[moves])
+            places[name] = np.arange(at, at + int(moves.sum()))
+            at += int(moves.sum())
+        here.append(np.ones((len(residual), 1)))
+        elsewhere.append(np.ones((len(elsewhere[0]), 1)))
+        return _Table(np.hstack(here), np.hstack(elsewhere), residual, places)
+
+    def columns(self, names: Sequence[str]) -> Indices:
+        """Places of some families' columns and of the constant."""
+        return np.concatenate([*(self.places[n] for n in names), [self.here.shape[1] - 1]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Parted:
+    """A table's normal equations, apart for each part that is held out."""
+
+    table: _Table
+    parts: Indices
+
+    @cached_property
+    def spans(self) -> list[slice]:
+        """Rows of each part: parts follow each other."""
+        edges = np.flatnonzero(np.diff(self.parts, prepend=self.parts[0] - 1))
+        return [slice(int(a), int(b)) for a, b in pairwise([*edges, len(self.parts)])]
+
+    @cached_property
+    def grams(self) -> Array:
+        return np.stack([x.T @ x for x in (self.table.here[s] for s in self.spans)])
+
+    @cached_property
+    def crosses(self) -> Array:
+        return np.stack([self.table.here[s].T @ self.table.residual[s] for s in self.spans])
+
+
+@dataclass(frozen=True, eq=False)
+class _Ridge:
+    """Some families fitted under the penalty that parts held out prefer."""
+
+    names: tuple[str, ...]
+    theta: Array
+    held_out: Array
+    squares: Array  # (N,): of the error where held out
+
+
+def _chosen(table: _Table, parts: Indices) -> _Ridge:
+    """Families taken in one by one, the surest gain first."""
+    parted = _Parted(table, parts)
+    residual = table.residual
+    least = LEAST_GAIN * float((residual**2).sum())
+    best = _Ridge((), np.zeros(1), np.zeros(len(residual)), residual**2)
+    while True:
+        trials = [_ridge(parted, (*best.names, name)) for name in table.places if name not in best.names]
+        if not trials:
+            return best
+        gain, trial = max(((sure_gain(best.squares, t.squares), t) for t in trials), key=lambda pair: pair[0])
+        if gain <= least:
+            return best
+        best = trial
+
+
+def _ridge(parted: _Parted, names: tuple[str, ...]) -> _Ridge:
+    table, used = parted.table, parted.table.columns(names)
+    grams = parted.grams[:, used[:, None], used]
+    crosses = parted.crosses[:, used]
+    gram, cross, rows = grams.sum(axis=0), crosses.sum(axis=0), len(table.residual)
+    held_out = np.empty((len(PENALTIES), rows))
+    for span, g, c in zip(parted.spans, grams, crosses, strict=True):
+        count = rows - (span.stop - span.start)
+        here = table.here[span][:, used]
+        for i, penalty in enumerate(PENALTIES):
+            held_out[i, span] = here @ _penalised(gram - g, cross - c, penalty * count)
+    squares = (table.residual - held_out) ** 2
+    best = int(squares.sum(axis=1).argmin())
+    theta = _penalised(gram, cross, PENALTIES[best] * rows)
+    return _Ridge(names, theta, held_out[best], squares[best])
+
+
+def _penalised(gram: Array, cross: Array, penalty: float) -> Array:
+    factor = linalg.cho_factor(gram + penalty * np.eye(len(gram)), overwrite_a=True, check_finite=False)
+    return np.asarray(linalg.cho_solve(factor, cross, check_finite=False))
+
+
+# ---- boosted trees ------------------------------------------------------------------------------------------
+
+
+def boosted_trees(signals: tuple[Array, Array], residual: Array, parts: Indices) -> FreeForm | None:
+    """As many trees as parts held out ask for; None where they have no gain."""
+    # imported where it is used: it takes longer to load than most commands run
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    def grown(x: Array, y: Array, trees: int) -> HistGradientBoostingRegressor:
+        model = HistGradientBoostingRegressor(
+            learning_rate=LEARNING_RATE,
+            max_iter=trees,
+            max_leaf_nodes=LEAVES,
+            min_samples_leaf=SMALLEST_LEAF,
+            l2_regularization=1.0,
+            early_stopping=False,
+            random_state=0,
+        )
+        return model.fit(x, y)
+
+    here, elsewhere = signals
+    held_out = np.empty((TREES, len(residual)))
+    with threadpool_limits(limits=1):  # threads wait for each other longer than they work on so few samples
+        for part in np.unique(parts):
+            out = parts == part
+            for i, said in enumerate(grown(here[~out], residual[~out], TREES).staged_predict(here[out])):
+                held_out[i, out] = said
+        squares = (residual - held_out) ** 2
+        best = int(squares.sum(axis=1).argmin())
+        if sure_gain(residual**2, squares[best]) <= LEAST_GAIN * (residual**2).sum():
+            return None
+        said = np.asarray(grown(here, residual, best + 1).predict(elsewhere), dtype=float)
+    return FreeForm("boosted trees", held_out[best], said)

@@ -1,0 +1,54 @@
+"""Errors in motion, apart from those at rest: a joint that stands still is held by friction, which follows no law of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array, Mask
+
+AT_REST = 0.01  # of a joint's largest speed, below which it rests
+AT_REST_RAD_S = 1e-3  # and below which any joint does; m/s for prismatic ones
+
+
+@dataclass(frozen=True)
+class MovingErrors:
+    """Errors on validation over the rows in which the joint concerned moves.
+
+    Attributes
+    ----------
+    before, after : float
+        2-norm of the torque error over the 2-norm of the torque, both over those rows; zero where nothing moves.
+    at_rest : float
+        Share of the rows left out, 0 to 1.
+    """
+
+    before: float
+    after: float
+    at_rest: float
+
+    @staticmethod
+    def of(measured: Array, before: Array, after: Array, velocity: Array) -> MovingErrors:
+        """From measured and predicted torque of all validation recordings, and velocity; each (N, joints)."""
+        moving = ~resting(velocity)
+        size = float(np.linalg.norm(measured[moving]))
+
+        def relative(predicted: Array) -> float:
+            return float(np.linalg.norm((measured - predicted)[moving])) / size if size > 0 else 0.0
+
+        return MovingErrors(relative(before), relative(after), 1.0 - float(moving.mean()))
+
+
+def resting(velocity: Array) -> Mask:
+    """Rows in which each joint stands still, for velocities (N, joints) of all recordings together."""
+    speed = np.abs(velocity)
+    return np.asarray(speed < np.maximum(AT_REST * speed.max(axis=0), AT_REST_RAD_S))
+
+
+def moving_errors(
+    measured: Sequence[Array], before: Sequence[Array], after: Sequence[Array], velocity: Sequence[Array]
+) -> MovingErrors:
+    """`MovingErrors.of` over several recordings, each (N, joints)."""
+    return MovingErrors.of(*(np.concatenate(parts) for parts in (measured, before, after, velocity)))

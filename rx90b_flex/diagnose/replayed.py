@@ -1,0 +1,44 @@
+"""A robot as its file gives it, replayed on a campaign's recordings: the check of what a written robot is said to predict."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Literal
+
+from rx90b_flex.diagnose.residual import Errors, Replay
+from rx90b_flex.identify.regression import prepare
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals import Campaign, load_campaign
+
+
+def replay_errors(
+    robot: str | os.PathLike[str] | Robot,
+    campaign: str | os.PathLike[str] | Campaign,
+    role: Literal["identification", "validation"] = "validation",
+) -> Errors:
+    """Torque errors of a robot with the values that it has, nothing identified, on the recordings of one role.
+
+    The same motion, differences and low-pass as in closing the loop: a robot that this has written gives the error ``after``
+    that it stated.
+
+    Parameters
+    ----------
+    robot : path or Robot
+        As `load_robot` takes it.
+    campaign : path or Campaign
+    role : "identification" or "validation"
+
+    Raises
+    ------
+    ValueError
+        No recording of that role, joints that the robot lacks, or an effect without a value.
+    """
+    loaded = robot if isinstance(robot, Robot) else load_robot(os.fspath(robot))
+    known = campaign if isinstance(campaign, Campaign) else load_campaign(Path(campaign))
+    recordings = [r for r in known.recordings if r.role == role]
+    if not recordings:
+        raise ValueError(f"{known.path}: no recording has role {role!r}")
+    rigid = loaded.over_time().restricted(known.joints)
+    replays = [Replay(rigid, prepare(rigid, r, known.cutoff_hz, thin=False)) for r in recordings]
+    return Errors.of([r.torque for r in replays], [r.predict(rigid.effects, rigid.link_parameters) for r in replays])

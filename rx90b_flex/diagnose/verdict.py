@@ -1,0 +1,88 @@
+"""The verdict on a closed loop: what remains, beside noise and beside what can be explained at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.diagnose.evidence import Dependence
+from rx90b_flex.diagnose.free_form import NO_FORM
+from rx90b_flex.diagnose.residual import RoleErrors
+from rx90b_flex.diagnose.yardstick import Explainable
+from rx90b_flex.effects.motion import Array, Mask
+
+NEAR_FLOOR = 1.2  # residual over noise floor above which something is called unexplained, if it depends on a signal
+FAR_FROM_FLOOR = 1.5  # and above which it is, even if no signal is found that it depends on
+ENOUGH = 0.8  # share of what a free form explains from which a residual counts as explained
+NEAR_FREE = 1.1  # a joint's error over that of its free form that is no sign of anything missing
+DEPENDS_FREE = 1.05  # and that is none either where the joint's residual still depends on a signal
+
+
+@dataclass(frozen=True, eq=False)
+class Remains:
+    """What a loop ended with.
+
+    Attributes
+    ----------
+    joints : tuple of str
+    found : bool
+        Whether effects were added.
+    before, after : RoleErrors
+    floor : array, shape (joints,), or None
+        Noise of the torque, N m; None where it is not known.
+    explainable : Explainable or None
+        None where a free-form model says nothing.
+    where : sequence of Dependence
+        Signals that the residual still depends on.
+    doubtful : bool
+        Whether the data holds what a rigid tree cannot have.
+    """
+
+    joints: tuple[str, ...]
+    found: bool
+    before: RoleErrors
+    after: RoleErrors
+    floor: Array | None
+    explainable: Explainable | None
+    where: Sequence[Dependence]
+    doubtful: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """``nothing_missing``, ``explained``, ``partly_explained`` or ``unexplained``."""
+        if not self.found:
+            return "unexplained" if self.left else "nothing_missing"
+        # what helps on the fitted recordings alone explains nothing for certain
+        carried = self.after.validation.relative_error < self.before.validation.relative_error
+        return "explained" if carried and not (self.left or self.doubtful) else "partly_explained"
+
+    @property
+    def left(self) -> bool:
+        """Whether something remains that is neither noise nor beyond what a free form explains."""
+        if self.floor is not None:
+            return bool(self._above_floor(self.floor).any())
+        if self.explainable is not None:
+            return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
+        return True  # neither measure is known, so nobody can say that nothing is left
+
+    def _above_free_form(self, explainable: Explainable) -> Mask:
+        """Joints left with more than their free form leaves, part of its drop allowed for, shape (joints,)."""
+        before, after, free = (
+            np.array(e.torque_rms) for e in (self.before.validation, self.after.validation, explainable.validation)
+        )
+        room = (1.0 - ENOUGH) * np.maximum(before - free, 0.0)
+        # where the free form found nothing, a signal that the residual depends on has found more
+        silent = np.array([form == NO_FORM for form in explainable.forms])
+        over = after > np.where(self._named, DEPENDS_FREE, NEAR_FREE) * free + room
+        return np.asarray(over | (silent & self._named))
+
+    def _above_floor(self, floor: Array) -> Mask:
+        # friction that changes sign within one sample leaves spikes of up to a third of the noise that depend on nothing
+        ratio = np.array(self.after.identification.torque_rms) / np.maximum(floor, 1e-300)
+        return np.asarray((ratio > FAR_FROM_FLOOR) | ((ratio > NEAR_FLOOR) & self._named))
+
+    @property
+    def _named(self) -> Mask:
+        return np.array([any(d.joint == joint for d in self.where) for joint in self.joints])

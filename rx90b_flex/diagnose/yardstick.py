@@ -1,0 +1,288 @@
+"""How much of a declared model's residual follows from the motion at all: a free-form model on held-out recordings.
+
+What a model leaves is noise, or something that it lacks. Where no recording repeats nothing tells noise apart; but what a free
+form, fitted to the identification recordings, predicts on the validation recordings is no noise. It is the measure for what
+effects with a name explain.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import interpolate
+
+from rx90b_flex.diagnose.free_form import NO_FORM, FreeForm, best_form
+from rx90b_flex.diagnose.residual import Errors
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.presliding import hysteresis
+from rx90b_flex.identify.least_squares import Identification
+from rx90b_flex.identify.regression import Regression, Stretch
+from rx90b_flex.signals import lowpass
+
+FEWEST_SAMPLES = 200  # of a fit: with less, parts of it are too short to hold out
+BY_RECORDING = 2  # recordings from which each is held out whole: parts of one are too alike to tell what carries over
+PARTS = (3, 4, 5)  # of a single recording, in as many ways; few, so that they are long
+LEAST_DROP = 0.02  # of the declared model's error; below it there is nothing to share
+# of the largest speed at which dry friction sets in: from what a log hardly resolves to a curve over all speeds
+SPEEDS = np.array([0.001, 0.01, 0.03, 0.1, 0.3, 1.0])
+TRAVELS = np.array([1e-5, 3e-5, 1e-4, 1e-3, 1e-2])  # of the range of angles, within which friction turns over
+LAST_MOVE = 1e-3  # of the range of angles: what is less is no move
+KNOTS = 7  # of a curve over the range of an angle
+
+
+@dataclass(frozen=True)
+class Explainable:
+    """What a free-form model of the declared model's residual reaches on the validation recordings.
+
+    Attributes
+    ----------
+    validation : Errors
+        With the free form added to the declared model.
+    share : float
+        Part of the drop from the declared model's relative error to that one which the final model reaches; above 1 where it
+        predicts better, below 0 where it is worse than the declared one. Where there is no drop to speak of: 1, or 0 if the
+        final model is worse.
+    forms : tuple of str
+        The free form of each joint: ``none``, ``smooth curves`` or ``boosted trees``; ``none`` for all where together they
+        predict worse than the declared model, whose error is then the one given.
+    """
+
+    validation: Errors
+    share: float
+    forms: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """One validation recording: measured torque and what the declared model says, each (N, joints), N m, after the low-pass."""
+
+    torque: Array
+    declared: Array
+
+
+def yardstick(
+    declared: Identification, validation: Regression, held_out: Sequence[HeldOut], after: Errors
+) -> Explainable | str:
+    """Fit free forms to what the declared model leaves, and apply them to recordings that were not fitted.
+
+    One form a joint: smooth curves of its velocity, hysteresis, load and angle, of the other joints' motion and of link
+    parameters of its own; or boosted trees of the same signals. Which one, and how smooth, is told by the identification
+    recordings alone, each held out in turn (one recording: its parts). Where they show no gain the form is zero.
+
+    Parameters
+    ----------
+    declared : Identification
+    validation : Regression
+        The validation recordings, as for a fit.
+    held_out : sequence of HeldOut
+        The same recordings at their own rate.
+    after : Errors
+        Of the final model on the validation recordings.
+
+    Returns
+    -------
+    Explainable, or a sentence that says why nothing is known.
+    """
+    fitted = declared.regression.trusting(None)
+    if len(fitted) < FEWEST_SAMPLES:
+        return (
+            f"Too little data for a free-form model: {len(fitted)} samples behind the low-pass; "
+            f"{FEWEST_SAMPLES} or more are needed."
+        )
+    residual = declared.residual_on(fitted)
+    here, there = (_signals(r, declared) for r in (fitted, validation))
+    ranges = _Ranges.of(here)
+    parts = _layouts(fitted)
+    forms = [_form(here, there, ranges, residual[:, j], j, parts) for j in range(len(fitted.joints))]
+    said = _at_own_rate(np.stack([f.elsewhere for f in forms], axis=1), validation, held_out)
+    errors = Errors.of([r.torque for r in held_out], [r.declared + s for r, s in zip(held_out, said, strict=True)])
+    before = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
+    names = tuple(f.name for f in forms)
+    if errors.relative_error > before.relative_error:
+        # what does not carry over explains nothing: the declared model alone predicts better
+        errors, names = before, (NO_FORM,) * len(forms)
+    return Explainable(errors, _share(before, after, errors), names)
+
+
+def _share(before: Errors, after: Errors, free: Errors) -> float:
+    drop = before.relative_error - free.relative_error
+    if drop < LEAST_DROP * before.relative_error:
+        return float(after.relative_error <= (1.0 + LEAST_DROP) * before.relative_error)
+    return (before.relative_error - after.relative_error) / drop
+
+
+def _layouts(regression: Regression) -> list[Indices]:
+    """The part of each sample that is held out with it."""
+    lengths = [len(s) for s in regression.stretches]
+    if len(lengths) >= BY_RECORDING:
+        return [np.repeat(np.arange(len(lengths)), lengths)]
+    return [np.arange(lengths[0]) * parts // lengths[0] for parts in PARTS]
+
+
+def _at_own_rate(said: Array, validation: Regression, held_out: Sequence[HeldOut]) -> list[Array]:
+    """Values (M, joints) at the rate at which columns are worked out, brought to each recording's samples."""
+    ends = np.cumsum([len(s.motion) for s in validation.stretches])[:-1]
+    out = []
+    for values, stretch, recording in zip(np.split(said, ends), validation.stretches, held_out, strict=True):
+        # behind the low-pass neighbouring samples lie on a smooth curve
+        sample = np.minimum(np.arange(len(recording.torque)) / stretch.working_factor, len(values) - 1)
+        out.append(np.asarray(interpolate.CubicSpline(np.arange(len(values)), values)(sample)))
+    return out
+
+
+# ---- what a free form sees ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Signals:
+    """One recording at the rate at which columns are worked out; arrays (N, joints) in the campaign's order."""
+
+    stretch: Stretch
+    position: Array
+    velocity: Array
+    acceleration: Array
+    load: Array  # torque through the transmissions, of the declared model's links
+    forces: Array  # (N, joints, effects): of the declared effects, one by one
+    links: Array  # (N, joints, 10 * bodies)
+
+    @property
+    def rate_hz(self) -> float:
+        return self.stretch.rate_hz * self.stretch.factor
+
+    def filtered(self, columns: Array) -> Array:
+        """Behind the low-pass, every sample."""
+        cutoff = self.stretch.cutoff_hz
+        return columns if cutoff is None else lowpass(columns, cutoff, self.rate_hz)
+
+
+def _signals(regression: Regression, declared: Identification) -> list[_Signals]:
+    seen = regression.with_model(declared.link_parameters, declared.effects)
+    return [_recording(s, seen.rows, declared.effects) for s in seen.stretches]
+
+
+def _recording(stretch: Stretch, rows: Indices, effects: Sequence[Effect]) -> _Signals:
+    motion = stretch.motion
+    forces = [np.asarray(e.force(motion)[:, rows]) for e in effects if e.in_dynamics]
+    return _Signals(
+        stretch,
+        motion.q[:, rows],
+        motion.v[:, rows],
+        motion.a[:, rows],
+        motion.on_tree.load()[:, rows],
+        np.stack(forces, axis=2) if forces else np.zeros((*motion.q[:, rows].shape, 0)),
+        motion.on_tree.link_regressor()[:, rows],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Ranges:
+    """Smallest and largest value of each joint's signals where fitted, each (2, joints): curves go on flat beyond them."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    load: Array
+
+    @staticmethod
+    def of(recordings: Sequence[_Signals]) -> _Ranges:
+        def extremes(name: str) -> Array:
+            values = np.concatenate([getattr(r, name) for r in recordings])
+            return np.stack([values.min(axis=0), values.max(axis=0)])
+
+        return _Ranges(*(extremes(f.name) for f in dataclasses.fields(_Ranges)))
+
+    def within(self, name: str, signals: _Signals) -> Array:
+        return np.asarray(np.clip(getattr(signals, name), *getattr(self, name)))
+
+    def largest(self, name: str) -> Array:
+        """Largest size of a signal of each joint, shape (joints,)."""
+        size = np.abs(getattr(self, name)).max(axis=0)
+        return np.where(size > 0, size, 1.0)
+
+    @property
+    def travel(self) -> Array:
+        """Range of each joint's angle, shape (joints,)."""
+        return np.maximum(np.ptp(self.position, axis=0), 1e-9)
+
+
+def _form(
+    here: Sequence[_Signals],
+    there: Sequence[_Signals],
+    ranges: _Ranges,
+    residual: Array,
+    joint: int,
+    layouts: Sequence[Indices],
+) -> FreeForm:
+    fitted = [_families(r, ranges, joint) for r in here]
+    other = [_families(r, ranges, joint) for r in there]
+    families = {
+        name: (
+            np.concatenate([r.stretch.brought(f[name]) for r, f in zip(here, fitted, strict=True)]),
+            np.concatenate([r.filtered(f[name]) for r, f in zip(there, other, strict=True)]),
+        )
+        for name in fitted[0]
+    }
+    trees = (
+        np.concatenate([r.stretch.brought(_plain_signals(r, ranges, joint)) for r in here]),
+        np.concatenate([r.filtered(_plain_signals(r, ranges, joint)) for r in there]),
+    )
+    return best_form(families, trees, residual, layouts)
+
+
+def _families(signals: _Signals, ranges: _Ranges, joint: int) -> dict[str, Array]:
+    """Columns that a joint's residual may be made of, by families; each (N, k)."""
+    speed = ranges.within("velocity", signals) / ranges.largest("velocity")
+    v = speed[:, [joint]]
+    acceleration = ranges.within("acceleration", signals) / ranges.largest("acceleration")
+    load = ranges.within("load", signals) / ranges.largest("load")
+    angle = (ranges.within("position", signals)[:, joint] - ranges.position[0, joint]) / ranges.travel[joint]
+    turning = np.tanh(v / SPEEDS)
+    memory = np.stack([_direction(signals, ranges, joint, part) for part in TRAVELS], axis=1)
+    bumps = np.exp(-0.5 * ((KNOTS - 1) * angle[:, None] - np.arange(KNOTS)) ** 2)
+    out = {
+        "friction over velocity": np.hstack(
+            [signals.forces[:, joint], turning, v, np.abs(v), v * np.abs(v), acceleration[:, [joint]]]
+        ),
+        "friction over travel": memory,
+        "friction over load": _over_load(
+            load[:, [joint]], np.hstack([np.tanh(v / 0.03), np.tanh(v / 0.3), memory[:, [3]], v])
+        ),
+        "angle": bumps,
+        "friction over angle": bumps * memory[:, [3]],
+        "rates": _rates(signals, ranges, joint),
+    }
+    others = [k for k in range(speed.shape[1]) if k != joint]
+    if others:
+        moves = np.stack([_direction(signals, ranges, k, LAST_MOVE) for k in others], axis=1)
+        out["motion of other joints"] = np.hstack([np.tanh(speed[:, others] / 0.03), speed[:, others], moves])
+        out["acceleration of other joints"] = acceleration[:, others]
+        out["load of other joints"] = load[:, others]
+        out["links of its own"] = signals.links[:, joint]  # a torque off by a factor, which shared links cannot follow
+    return out
+
+
+def _over_load(load: Array, friction: Array) -> Array:
+    return np.hstack([friction * np.abs(load), friction * load, load, np.abs(load), load**3])
+
+
+def _rates(signals: _Signals, ranges: _Ranges, joint: int) -> Array:
+    """What comes early or late: rates of the load and of dry friction, and the load itself, beyond their ranges too."""
+    load = signals.load[:, joint] / ranges.largest("load")[joint]
+    dry = np.tanh(signals.velocity[:, joint] / ranges.largest("velocity")[joint] / 0.1)
+    return np.stack([np.gradient(load) * signals.rate_hz, np.gradient(dry) * signals.rate_hz, load], axis=1)
+
+
+def _direction(signals: _Signals, ranges: _Ranges, joint: int, part: float) -> Array:
+    """Direction of a joint's last move, kept across rests; it turns over within a part of the joint's range of angles."""
+    return hysteresis(signals.position[:, joint], part * float(ranges.travel[joint]))
+
+
+def _plain_signals(signals: _Signals, ranges: _Ranges, joint: int) -> Array:
+    """What the trees see, (N, s): motion of all joints, the joint's load, directions of last moves."""
+    moves = [_direction(signals, ranges, k, LAST_MOVE) for k in range(signals.position.shape[1])]
+    load = signals.load[:, [joint]]
+    return np.hstack([signals.position, signals.velocity, signals.acceleration, load, np.stack(moves, axis=1)])

@@ -1,0 +1,251 @@
+"""How far the drives of a rigid tree twist under the torque that passes them, and what motors feel of that.
+
+Motor angles are measured, links lag behind by the torsion eps, which obeys
+
+    tau(q + E eps, v + E eps', a + E eps'')_j + k_j (eps_j + T_j eps_j') = 0
+
+for each twisting joint j (Hardeman 2008, equation 3.58, with the motor's motion given): tau is the torque that links and
+springs ask for, E puts a torsion into its joint's coordinate, k is the stiffness, T the damping over it. What the motors feel
+beyond the rigid tree is ``tau(q + E eps, ...) - tau(q, ...)``, to first order in 1/k ``-(K tau/k + D (tau/k)' + M (tau/k)'')``.
+
+The torsions are stepped on in time as an oscillator, so that nothing is lost near and above the frequency at which a link swings
+on its held drive; steps are then corrected with derivatives of eighth order. What the tree does beyond its
+derivatives at the measured motion is asked of the tree itself, once a model.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from rx90b_flex.effects.motion import Array, Indices, Motion
+
+FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
+SECOND = np.array(
+    [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
+)  # as `convolve` reads them
+CORRECTIONS = 3  # of the steps, each with the eighth-order derivatives of the one before
+LARGE_SWEEPS = 4  # in which the tree itself is asked what its derivatives leave out
+SAME = 1e-6  # of the torque: a sweep that changes less is the last
+LEAST_INERTIA = 0.1  # of its median along a motion, that a link is stepped on with
+LARGEST = 1.0  # rad, that a drive twists
+FASTEST = 2.5  # rad a sample: a link that swings faster on its drive follows the torque at once
+SOFTEST = 3.0  # times the stiffness of gravity and of the motion itself, that a drive has at the least
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A twisting drive: its joint, stiffness (N m/rad), damping over stiffness (s) and cubic part (N m/rad^3)."""
+
+    joint: str
+    stiffness: float
+    lag: float
+    cubic: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """Its values as a name."""
+        return repr((self.joint, self.stiffness, self.lag, self.cubic))
+
+
+@dataclass(frozen=True, eq=False)
+class Deflection:
+    """Torsions of a set of drives and the torque that each adds to the rigid tree's.
+
+    Attributes
+    ----------
+    torsion : array, shape (N, m)
+        rad.
+    torque : array, shape (m, N, n)
+        By the tree's derivatives at the measured motion; N m.
+    beyond : array, shape (N, n)
+        What the tree asks for beyond that, all drives together; N m.
+    """
+
+    torsion: Array
+    torque: Array
+    beyond: Array
+
+
+def deflected(motion: Motion, springs: Sequence[Spring], springs_of_model: Sequence[Spring], load: Array) -> Deflection:
+    """Torsions of drives on a motion of the rigid tree.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the motors.
+    springs : sequence of Spring
+    springs_of_model : sequence of Spring
+        Those of the present model: what the tree asks for beyond its derivatives is worked out at their torsions.
+    load : array, shape (N, n)
+        Torque that links and springs ask for at the motors' angles, N m.
+    """
+    known = tuple(s.key for s in springs_of_model)
+    (beyond,) = motion.once(("torque beyond first order", *known), lambda: (_beyond(motion, springs_of_model, load),))
+    if tuple(s.key for s in springs) == known:  # asked for by each of them
+        found = motion.once(("deflection", *known), lambda: _first_order(motion, springs, load + beyond))
+    else:
+        found = _first_order(motion, springs, load + beyond)
+    torsion, *torque = found
+    return Deflection(torsion, np.array(torque).reshape(len(springs), *motion.q.shape), beyond)
+
+
+def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
+    """Torque of the deflected tree less that by its derivatives, (N, n)."""
+    out = np.zeros_like(motion.q)
+    if not springs:
+        return out
+    places = _places(motion, springs)
+    rigid = np.array(motion.on_tree.load())
+    for _ in range(LARGE_SWEEPS):
+        torsion, *torque = _first_order(motion, springs, load + out)
+        first, second = _rates(torsion, motion.time)
+        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+        for x, change in ((q, torsion), (v, first), (a, second)):
+            x[:, places] += change
+        there = dataclasses.replace(motion, q=q, v=v, a=a).on_tree.load()
+        new = there - rigid - np.sum(torque, axis=0)
+        if not np.isfinite(new).all() or np.abs(torsion).max() > LARGEST:
+            return np.zeros_like(motion.q)  # no drive twists like that: values from which a fit turns back
+        done = np.abs(new - out).max() <= SAME * max(float(np.abs(load).max()), 1e-300)
+        out = new
+        if done:
+            break
+    return out
+
+
+def _first_order(motion: Motion, springs: Sequence[Spring], load: Array) -> tuple[Array, ...]:
+    """Torsions (N, m), and for each spring the torque (N, n) that the tree's derivatives make of it."""
+    places = _places(motion, springs)
+    by_q, by_v, by_a = (by[:, :, places] for by in motion.on_tree.derivatives())
+    if not springs:
+        return (np.zeros((len(motion), 0)),)
+    torsion = _torsion(springs, load[:, places], by_q[:, places], by_v[:, places], by_a[:, places], motion.time)
+    first, second = _rates(torsion, motion.time)
+    each = by_q * torsion[:, None] + by_v * first[:, None] + by_a * second[:, None]
+    return torsion, *np.ascontiguousarray(each.transpose(2, 0, 1))
+
+
+def _places(motion: Motion, springs: Sequence[Spring]) -> Indices:
+    return np.array([motion.coordinates.index(s.joint) for s in springs], dtype=np.intp)
+
+
+def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, by_a: Array, time: Array) -> Array:
+    """Torsions (N, m) under a load (N, m), for derivatives (N, m, m) of the load by angle, velocity and acceleration."""
+    stiffness = np.array([s.stiffness for s in springs])
+    cubic = np.array([s.cubic for s in springs])
+    at_angle = by_q + np.diag(stiffness)
+    at_rate = by_v + np.diag(stiffness * np.array([s.lag for s in springs]))
+    step = _step(time)
+    if step == 0.0:  # no motion in time: what each sample's load does if it lasts
+        at_rate, by_a = np.zeros_like(at_rate), np.zeros_like(by_a)
+    steps = _Steps.of(at_angle, at_rate, by_a, step)
+    torsion = steps.solve(-load)
+    for _ in range(CORRECTIONS):
+        if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
+            return np.zeros_like(load)
+        first, second = _rates(torsion, time)
+        asked = load + cubic * torsion**3
+        for by, x in ((at_angle, torsion), (at_rate, first), (by_a, second)):
+            asked = asked + np.einsum("nij,nj->ni", by, x)
+        torsion = torsion + steps.solve(-asked)
+    return torsion
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """The oscillators ``M x'' + D x' + K x = f`` as one banded system, sample after sample, begun as if at rest.
+
+    ``M (x+ - 2x + x-)/h^2 + D (x+ - x-)/(2h) + K (w x+ + (1-2w) x + w x-) = w f+ + (1-2w) f + w f-``, with the weight w that gives
+    an oscillator of M and K its own frequency; where that lies beyond `FASTEST`, ``K x = f``.
+    """
+
+    banded: Array
+    bands: tuple[int, int]
+    weight: Array  # (N, m)
+    swings: Array  # (m,), 1 where a joint swings, 0 where it follows at once
+
+    @staticmethod
+    def of(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> _Steps:
+        samples, m, _ = at_angle.shape
+        own = np.arange(m)
+        inertia = by_a[:, own, own]
+        # fitted links need not be possible ones: their inertia may fall below zero for an instant
+        typical = np.median(inertia, axis=0)
+        inertia = np.where(typical > 0, np.maximum(inertia, LEAST_INERTIA * typical), inertia)
+        by_a = by_a.copy()
+        by_a[:, own, own] = inertia
+        fast = at_angle[:, own, own] * step**2 / np.where(inertia > 0, inertia, np.inf)
+        slow = np.median(fast, axis=0) < FASTEST**2
+        swings = (slow & (typical > 0) & (step > 0)).astype(float)
+        weight = _weight(np.clip(fast, 1e-6, None))
+        one = np.zeros_like(at_angle)
+        # rows of unknown n + 1: the oscillator's equation at n, or the static one at n + 1
+        mass, rate = (by_a / step**2, at_rate / (2.0 * step)) if step > 0 else (one, one)
+        w, s = weight[:, :, None], swings[:, None]
+        later = s * (mass + rate + w * at_angle)
+        middle = s * (-2.0 * mass + (1.0 - 2.0 * w) * at_angle)
+        before = s * (mass - rate + w * at_angle)
+        bands = (3 * m - 1, m - 1)
+        banded = np.zeros((sum(bands) + 1, samples * m))
+        own_block = (1.0 - s) * at_angle
+        own_block[:2] = at_angle[:2]  # begun as if at rest
+        own_block[2:] += later[1:-1]
+        for shift, blocks in ((0, own_block), (1, middle), (2, before)):
+            # block of the equations of sample n with the unknowns of sample n - shift
+            start = shift if shift == 0 else 2
+            source = blocks if shift == 0 else blocks[1:-1]
+            for i in range(m):
+                for j in range(m):
+                    row = bands[1] + shift * m + i - j
+                    first = (start - shift) * m + j
+                    banded[row, first : first + m * len(source) : m] = source[:, i, j]
+        return _Steps(banded, bands, weight, swings)
+
+    def solve(self, force: Array) -> Array:
+        """Deflections (N, m) under forces (N, m)."""
+        right = force.copy()
+        w = self.weight[1:-1]
+        smooth = w * (force[2:] + force[:-2]) + (1.0 - 2.0 * w) * force[1:-1]
+        right[2:] = np.where(self.swings > 0, smooth, force[2:])
+        try:
+            out = linalg.solve_banded(self.bands, self.banded, right.ravel(), check_finite=False)
+        except linalg.LinAlgError:
+            return np.zeros_like(force)
+        return np.asarray(out).reshape(force.shape)
+
+
+def _weight(fast: Array) -> Array:
+    """w of `_Steps` for oscillators whose squared frequency times the squared step is `fast`."""
+    angle = np.sqrt(np.minimum(fast, FASTEST**2))
+    turn = 2.0 - 2.0 * np.cos(angle)
+    return np.asarray((1.0 - turn / angle**2) / turn)
+
+
+def _step(time: Array) -> float:
+    """Time between uniform samples, s; zero where they are not a motion in time."""
+    step = float(time[1] - time[0]) if len(time) > len(FIRST) else 0.0
+    return max(step, 0.0)
+
+
+def _rates(x: Array, time: Array) -> tuple[Array, Array]:
+    """First and second derivatives by time of uniform samples (N, m); zero where they are not a motion in time."""
+    step, beside = _step(time), len(FIRST) // 2
+    if step == 0.0:
+        return np.zeros_like(x), np.zeros_like(x)
+    ahead, behind = 2 * x[:1] - x[beside:0:-1], 2 * x[-1:] - x[-2 : -beside - 2 : -1]
+    padded = np.concatenate([ahead, x, behind])
+    first, second = (
+        sum(weight * padded[len(FIRST) - 1 - i : len(FIRST) - 1 - i + len(x)] for i, weight in enumerate(weights))
+        for weights in (FIRST, SECOND)
+    )
+    return np.asarray(first / step), np.asarray(second / step**2)
+
+
+def softest(by_q: Array, inertia: float) -> float:
+    """Lowest frequency, rad/s, at which a link may swing on its drive: softer drives would give way to the load altogether."""
+    return float(np.sqrt(SOFTEST * np.quantile(np.abs(by_q), 0.95) / inertia))

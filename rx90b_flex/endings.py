@@ -1,0 +1,104 @@
+"""How a command ends: its exit status, and one line on standard error where it could not do its work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Protocol
+
+from rx90b_flex.interrupts import interruptible
+
+REFUSED = 2
+INTERNAL = 70  # EX_SOFTWARE of sysexits.h
+INTERRUPTED = 128 + signal.SIGINT
+NOBODY_READS = 128 + signal.SIGPIPE
+TRACEBACK = "RX90B_FLEX_TRACEBACK"  # environment variable
+LONGEST = 2000  # characters of a message
+
+
+class CommandLine(Protocol):
+    """What a Typer application is called as."""
+
+    def __call__(self, *, standalone_mode: bool) -> Any: ...
+
+
+def run(app: CommandLine, usage_error: type[Exception], name: str) -> int:
+    """Run a command line and return its exit status.
+
+    0: done; what a command itself says otherwise, such as 1 for "not within tolerance"; 2: bad input, a full disk, too little
+    memory, one line says what and where; 130: interrupted; 70: a fault of the program, whose traceback the environment variable
+    ``RX90B_FLEX_TRACEBACK=1`` shows.
+
+    Parameters
+    ----------
+    app : callable
+    usage_error : type
+        What the command-line library raises where the words of the command line are wrong.
+    name : str
+        Of the program, before each line.
+    """
+    try:
+        with interruptible(), _quiet():
+            status = app(standalone_mode=False)
+            sys.stdout.flush()
+        status = status if isinstance(status, int) else 0
+        if status != INTERRUPTED:
+            return status
+        line = "interrupted; nothing was written"
+    except KeyboardInterrupt:
+        status, line = INTERRUPTED, "interrupted; nothing was written"
+    except (BrokenPipeError, SystemExit):  # the library makes the second of the first
+        _close_output()
+        return NOBODY_READS
+    except Exception as error:
+        if os.environ.get(TRACEBACK) and not isinstance(error, ValueError | usage_error):
+            raise
+        if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
+            error.show()  # type: ignore[attr-defined]
+            return REFUSED
+        status, line = _status_and_words(error, usage_error)
+        if type(error).__name__ == "Abort":  # what some releases of the library make of an interrupt
+            status, line = INTERRUPTED, "interrupted; nothing was written"
+    with suppress(OSError):
+        print(f"{name}: {_one_line(line)}", file=sys.stderr, flush=True)
+    if status != REFUSED:
+        _close_output()
+    return status
+
+
+def _status_and_words(error: Exception, usage_error: type[Exception]) -> tuple[int, str]:
+    if isinstance(error, usage_error):
+        return REFUSED, str(getattr(error, "format_message", error.__str__)())
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename is not None else ""
+        return REFUSED, f"{where}{error.strerror or error}"
+    if isinstance(error, MemoryError):
+        return REFUSED, f"not enough memory: {error}" if str(error) else "not enough memory"
+    # of libraries, too, which derive their errors from it; but what NumPy says of an array is no word on somebody's input
+    if isinstance(error, ValueError):
+        return REFUSED, str(error)
+    return INTERNAL, f"a fault of the program: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)"
+
+
+def _one_line(text: str) -> str:
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Warnings of libraries are for who programs, unless asked for by ``python -W`` or PYTHONWARNINGS."""
+    with warnings.catch_warnings():
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore")
+        yield
+
+
+def _close_output() -> None:
+    """Have nothing more written at the interpreter's end, which would fail again."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,84 @@
+"""The one reader of TOML files: whatever is wrong with one is a line that names it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+LARGEST = 64 * 2**20  # bytes: files that people write are some thousand
+DEEPEST = 100  # arrays and tables within each other; where the parser itself ends depends on who calls it
+
+
+def read_toml(path: Path, what: str, missing: str = "") -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What kind of file it is, for messages: ``robot file``.
+    missing : str
+        What is said where there is none; by default ``no such robot file``.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file: not there, not readable, not TOML, too deep, numbers that no computer's arithmetic holds.
+    """
+    if path.is_dir():
+        raise ValueError(f"{path}: a folder; a {what} (TOML) is expected")
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ValueError(f"{path}: {path.stat().st_size} bytes; a {what} (TOML) is expected")
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        _check_numbers(table)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: {missing or f'no such {what}'}") from None
+    except OSError as error:
+        raise ValueError(f"{_short(path)}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise ValueError(f"{path}: not a TOML file that can be read: tables or arrays too deep in each other") from None
+    except _WrongNumberError as error:
+        raise ValueError(f"{path}: {error}") from None
+    except ValueError as error:  # the parser's own, and Python's on integers of thousands of digits
+        text = " ".join(str(error).split())
+        raise ValueError(text if text.startswith(str(path)) else f"{path}: not a TOML file: {text}") from None
+    return table
+
+
+def _short(path: Path) -> str:
+    return str(path) if len(str(path)) <= 200 else f"{str(path)[:60]}..."
+
+
+class _WrongNumberError(Exception):
+    """A number that cannot be used."""
+
+
+def _check_numbers(table: dict[str, Any]) -> None:
+    for place, value in _leaves(table, ""):
+        if isinstance(value, int) and not isinstance(value, bool):
+            try:
+                float(value)
+            except OverflowError:
+                digits = int(math.log10(abs(value))) + 1
+                raise _WrongNumberError(f"{place}: a number of {digits} digits; a smaller one is expected") from None
+
+
+def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Everything that is no table or array, with the keys and numbers that lead to it."""
+    waiting: list[tuple[str, Any, int]] = [(place, value, 0)]
+    while waiting:
+        at, item, depth = waiting.pop()
+        if depth > DEEPEST:
+            raise RecursionError
+        if isinstance(item, dict):
+            waiting += [(f"{at} {key}".strip(), inner, depth + 1) for key, inner in item.items()]
+        elif isinstance(item, list):
+            waiting += [(f"{at}, item {i}", inner, depth + 1) for i, inner in enumerate(item, start=1)]
+        else:
+            yield at, item

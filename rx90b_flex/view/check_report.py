@@ -1,0 +1,118 @@
+"""The report of ``rx90b-flex check``: what is wrong with the data, and what the motion can tell."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+from rx90b_flex.diagnose.check import Checked, check_json
+from rx90b_flex.view.page import Image, Section, Table, write_page, write_text
+
+STATUSES = ("identifiable", "weak", "not", "known")
+
+
+def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> None:
+    """Write ``check.json`` and ``check.html`` into a folder that exists."""
+    text = json.dumps(check_json(checked), indent=2, allow_nan=False)
+    write_text(folder / "check.json", text + "\n")
+    images: tuple[Image, ...] = ()
+    if plots and checked.recordings:
+        from rx90b_flex.view.preview import preview_images
+
+        images = preview_images(checked.source)
+    write_page(
+        folder / "check.html", f"A look at the data of {checked.robot}", lead(checked), sections(checked, images)
+    )
+
+
+def lead(checked: Checked) -> list[str]:
+    """The verdict, each fault in a sentence, and what goes with it."""
+    return [checked.verdict, *(f.message for f in checked.data_faults), *basics_words(checked)]
+
+
+def basics_words(checked: Checked) -> tuple[str, ...]:
+    """The offer to declare what every drive has, where the robot file does not; in one line."""
+    if not checked.undeclared_basics:
+        return ()
+    names = ", ".join(n.replace("_", " ") for n in checked.undeclared_basics)
+    return (f"Not declared on any joint, but the torques show it: {names}. Add --basics to have them identified.",)
+
+
+def told_words(checked: Checked) -> tuple[str, ...]:
+    """How many parameters the motion can tell, and which joints never move."""
+    if not checked.parameters:
+        return ()
+    count = Counter(p.status for p in checked.parameters)
+    out = [
+        f"Of {len(checked.parameters)} parameters this motion tells {count['identifiable']} by themselves, {count['weak']} weakly; "
+        f"{count['not']} only together with others or not at all"
+        + (f", {count['known']} are known." if count["known"] else ".")
+    ]
+    if checked.never_move:
+        out.append(f"Not told, for they never move: {', '.join(checked.never_move)}.")
+    return tuple(out)
+
+
+def sections(checked: Checked, images: tuple[Image, ...] = ()) -> list[Section]:
+    """Faults, recordings, joints and parameters; a preview first where there is one."""
+    out = [_faults(checked)]
+    if images:
+        text = "The declared model with the values that its files give, before anything is fitted; measured torque beside it."
+        out.append(Section("Preview", (text,), (), images))
+    return [*out, _recordings(checked), _joints(checked), _parameters(checked)]
+
+
+def _faults(checked: Checked) -> Section:
+    rows = tuple(
+        (
+            f.kind,
+            f.signal or "",
+            ", ".join(f.joints),
+            "" if f.factor is None else f"{f.factor:.4g}" + ("" if f.std is None else f" ± {f.std:.2g}"),
+            "" if f.error_before is None else f"{100 * f.error_before:.3g} → {100 * (f.error_after or 0.0):.3g}",
+            "usable" if f.usable else "not usable",
+            f.message,
+        )
+        for f in checked.data_faults
+    )
+    head = ("kind", "signal", "joints", "factor", "held-out error, %", "data", "what to do")
+    text = (
+        "Each line is a hypothesis about the data that predicts rows it was not fitted to better than no fault does, or "
+        "something that shows in the log itself. A factor is what is stated over what is true (seconds for a shift, rad for a zero)."
+    )
+    tables = (Table(head, rows, "What was found", numbers=(3, 4)),) if rows else ()
+    return Section("Faults", (text,) if rows else ("None was found.",), tables)
+
+
+def _recordings(checked: Checked) -> Section:
+    rows = tuple(
+        (
+            r.file, r.role, f"{r.duration_s:.4g}", f"{r.rate_hz:g}", f"{100 * r.at_rest:.3g}",
+            "" if r.position_step_rad is None else f"{r.position_step_rad:.2g}", "" if r.period_s is None else f"{r.period_s:g}",
+        )
+        for r in checked.recordings
+    )  # fmt: skip
+    head = ("file", "role", "duration, s", "rate, Hz", "at rest, %", "position step, rad", "period, s")
+    text = () if checked.cutoff_hz is None else (f"A sensible low-pass for this motion: {checked.cutoff_hz:.3g} Hz.",)
+    return Section("Recordings", text, (Table(head, rows, numbers=(2, 3, 4, 5, 6)),))
+
+
+def _joints(checked: Checked) -> Section:
+    rows = tuple((j, f"{100 * e:.3g}") for j, e in zip(checked.joints, checked.relative_error, strict=False))
+    text = (
+        "Error of the rigid model with basic friction on rows that it was not fitted to, over the torque's standard deviation; "
+        "100 % is what a constant leaves."
+    )
+    return Section("Joints", (text,), (Table(("joint", "error, %"), rows),) if rows else ())
+
+
+def _parameters(checked: Checked) -> Section:
+    rows = tuple((p.name, p.status) for p in checked.parameters)
+    text = [*told_words(checked)]
+    text.append(
+        "weak: the standard deviation is a third of the parameter's size or more; not: told only together with others."
+    )
+    return Section(
+        "What the motion can tell", tuple(text), (Table(("parameter", "status"), rows, numbers=()),) if rows else ()
+    )

@@ -1,0 +1,40 @@
+"""Each joint's measured torque against the declared model's, before anything is fitted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.sample import sensible_cutoff_hz
+from rx90b_flex.identify.regression import prepare
+from rx90b_flex.robot import load_robot
+from rx90b_flex.signals import Campaign, load_campaign
+from rx90b_flex.view.identify_plots import torque_fit
+from rx90b_flex.view.page import Image, image
+
+MOST_SAMPLES = 4000  # of a figure
+
+
+def preview_images(source: Path | Campaign) -> tuple[Image, ...]:
+    """One figure a joint of the first recording; effects without a value are left out."""
+    campaign = source if isinstance(source, Campaign) else load_campaign(source)
+    robot = load_robot(campaign.robot_source).rigid().restricted(campaign.joints)
+    recording = campaign.recordings[0]
+    cutoff = campaign.cutoff_hz or min(sensible_cutoff_hz([recording]), 0.2 * recording.sample_rate_hz)
+    stretch = prepare(robot, recording, cutoff, thin=False)
+    force = robot.link_torque(stretch.motion)
+    for effect in robot.effects:
+        if not np.isnan(np.concatenate([effect.coefficients, effect.shape])).any():
+            force = force + effect.force(stretch.motion)
+    rows = np.array([robot.layout.index(j) for j in campaign.joints])
+    modelled = stretch.brought(force[:, rows])
+    every = max(1, len(modelled) // MOST_SAMPLES)
+    return tuple(
+        image(
+            torque_fit(stretch.time[::every], stretch.torque[::every, k], modelled[::every, k], joint),
+            f"Torque of {joint}, measured and of the declared model",
+            f"{joint}: recording {recording.name}, nothing fitted",
+        )
+        for k, joint in enumerate(campaign.joints)
+    )

@@ -1,0 +1,264 @@
+"""Claims about the look at the data, on recordings that the package had no part in making (`independent.py`)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import independent as ind
+import numpy as np
+import pytest
+from data_folder import data_folder
+
+import rx90b_flex as rf
+from rx90b_flex import cli
+from rx90b_flex.diagnose.faults.fault import KINDS
+
+RATE_HZ, CUTOFF_HZ, PERIOD_S = 100.0, 15.0, 10.0
+ARM = ind.ur10(1.1)
+JOINTS = tuple(ARM.joints)
+PAN, LIFT, ELBOW, WRIST_1, WRIST_2, WRIST_3 = range(6)
+COULOMB, VISCOUS = (8.0, 8.0, 5.0, 1.5, 1.2, 0.8), (12.0, 12.0, 8.0, 2.0, 1.5, 1.0)
+NOISE = (0.8, 1.0, 0.6, 0.12, 0.1, 0.06)
+DECLARED = [{"type": kind, "joint": j} for j in JOINTS for kind in ("coulomb_friction", "viscous_friction")]
+ROLES = ("identification", "identification", "validation")
+
+Runs = list[ind.Run]
+
+
+def sound(more: Sequence[ind.Torque] = (), speed: float = 1.2) -> Runs:
+    rng = np.random.default_rng(0)
+    runs = []
+    for role in ROLES:
+        m = ind.harmonics(rng, 6, period_s=PERIOD_S, rate_hz=RATE_HZ, speed=speed)
+        noise = ind.white(rng, len(m.time), NOISE)
+        runs.append(ind.run(ARM, role, m, [ind.friction(COULOMB, VISCOUS), *more], noise))
+    return runs
+
+
+def with_torques(runs: Runs, change: Callable[[np.ndarray], np.ndarray]) -> Runs:
+    return [dataclasses.replace(r, torque=change(r.torque.copy())) for r in runs]
+
+
+def with_angles(runs: Runs, change: Callable[[np.ndarray], np.ndarray]) -> Runs:
+    return [dataclasses.replace(r, motion=dataclasses.replace(r.motion, q=change(r.motion.q.copy()))) for r in runs]
+
+
+def exchanged(i: int, j: int) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda x: x[:, [j if k == i else i if k == j else k for k in range(x.shape[1])]]
+
+
+def scaled(joint: int, factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda x: x * np.where(np.arange(x.shape[1]) == joint, factor, 1.0)
+
+
+def checked(folder: Path, runs: Runs, declared: Sequence[dict[str, str]] = DECLARED) -> rf.Checked:
+    return rf.check(ind.write_files(folder, ARM, declared, runs, cutoff_hz=CUTOFF_HZ))
+
+
+def named(result: rf.Checked) -> set[tuple[str, frozenset[str]]]:
+    return {(f.kind, frozenset(f.joints)) for f in result.data_faults}
+
+
+# ---- sound data -------------------------------------------------------------------------------------------------
+
+
+def test_sound_data_are_usable_and_nothing_is_found(tmp_path: Path) -> None:
+    result = checked(tmp_path, sound())
+    assert result.usable and result.data_faults == ()
+    assert max(result.relative_error) < 0.2
+
+
+EFFECTS = {
+    "coupled motors": [ind.hidden("joint_coupling", (WRIST_1, WRIST_2), {"inertia": 0.1, "viscous": 0.8, "coulomb": 0.6})],
+    "ripple": [ind.hidden("gear_ripple", ELBOW, {"order": 18.0, "amplitude": 6.0, "phase": 0.7})],
+    "Stribeck": [ind.hidden("stribeck_friction", PAN, {"torque": 10.0, "velocity": 0.15, "power": 1.2})],
+    "load friction": [ind.hidden("load_friction", LIFT, {"coefficient": 0.08})],
+    "spring": [ind.hidden("joint_spring", LIFT, {"stiffness": 30.0, "rest_angle": 0.3})],
+    "tilted base": [ind.tilted(ARM, 0.05, -0.03)],
+    "payload": [ind.carrying(ARM, "tool0", 4.0, (0.0, 0.05, 0.1))],
+    "friction that differs by direction": [ind.hidden("asymmetric_friction", ELBOW, {"coefficient": 4.0})],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_a_physical_effect_is_not_called_a_fault_of_the_data(tmp_path: Path, name: str) -> None:
+    assert checked(tmp_path, sound(EFFECTS[name])).data_faults == ()
+
+
+def test_a_small_delay_is_left_to_the_loop(tmp_path: Path) -> None:
+    late = with_torques(sound(), lambda x: np.roll(x, 2, axis=0))
+    assert checked(tmp_path, [_cut(r, 3) for r in late]).data_faults == ()
+
+
+@pytest.mark.parametrize("name", ["tx40", "emps", "ur10e", "kr300_encoders", "dualarm_v2"])
+def test_real_recordings_are_usable(name: str) -> None:
+    result = rf.check(data_folder(name) / "campaign.toml")
+    assert result.usable
+    gains = {f.joints[0] for f in result.data_faults if f.kind == "torque_gain"}
+    # its torque sensors say that the currents' factors are wrong, above all on joint 4
+    assert ("joint_4" in gains) if name == "dualarm_v2" else (result.data_faults == ())
+
+
+# ---- faults -----------------------------------------------------------------------------------------------------
+
+
+def _cut(run: ind.Run, rows: int) -> ind.Run:
+    """Without its first rows, its clock from zero."""
+    m = run.motion
+    part = ind.Motion(m.time[rows:] - m.time[rows], m.q[rows:], m.v[rows:], m.a[rows:])
+    return ind.Run(run.role, part, run.torque[rows:])
+
+
+def _wild(x: np.ndarray) -> np.ndarray:
+    x[300, LIFT] = 1e6
+    return x
+
+
+def _standing(x: np.ndarray) -> np.ndarray:
+    x[:, ELBOW] = 0.5
+    return x
+
+
+def _clipped(x: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(6) == PAN, np.clip(x, -20.0, 20.0), x)
+
+
+def _random(x: np.ndarray) -> np.ndarray:
+    return x.mean(axis=0) + x.std(axis=0) * np.random.default_rng(5).normal(size=x.shape)
+
+
+def _repeated(runs: Runs) -> Runs:
+    return [*runs[:2], dataclasses.replace(runs[0], role="validation")]
+
+
+FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | None]] = {
+    "torques exchanged": (lambda r: with_torques(r, exchanged(LIFT, ELBOW)), "swapped_columns", (LIFT, ELBOW), None),
+    "positions exchanged": (lambda r: with_angles(r, exchanged(LIFT, ELBOW)), "swapped_columns", (LIFT, ELBOW), None),
+    "a torque reversed": (lambda r: with_torques(r, scaled(WRIST_1, -1.0)), "reversed_sign", (WRIST_1,), None),
+    "every torque reversed": (lambda r: with_torques(r, np.negative), "reversed_sign", tuple(range(6)), None),
+    "a position reversed": (lambda r: with_angles(r, scaled(ELBOW, -1.0)), "reversed_sign", (ELBOW,), None),
+    "angles in degrees": (lambda r: with_angles(r, np.degrees), "unit", tuple(range(6)), np.degrees(1.0)),
+    "a torque in N mm": (lambda r: with_torques(r, scaled(ELBOW, 1000.0)), "unit", (ELBOW,), 1000.0),
+    "a wrong motor constant": (lambda r: with_torques(r, scaled(LIFT, 2.5)), "torque_gain", (LIFT,), 2.5),
+    "torques a second late": (
+        lambda r: [_cut(x, 100) for x in with_torques(r, lambda t: np.roll(t, 100, axis=0))],
+        "time_shift", tuple(range(6)), 1.0,
+    ),
+    "a torque cut off": (lambda r: with_torques(r, _clipped), "clipped", (PAN,), None),
+    "an encoder that stands": (lambda r: with_angles(r, _standing), "stuck", (ELBOW,), None),
+    "a wild cell": (lambda r: with_torques(r, _wild), "glitch", (LIFT,), None),
+    "random torques": (lambda r: with_torques(r, _random), "unrelated", tuple(range(6)), None),
+    "validation as fitted": (_repeated, "repeated_recording", (), None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_named_on_its_joints(tmp_path: Path, name: str) -> None:
+    change, kind, joints, factor = FAULTS[name]
+    result = checked(tmp_path, change(sound()))
+    fault = next(f for f in result.data_faults if f.kind == kind)
+    assert set(fault.joints) == {JOINTS[j] for j in joints}
+    assert kind in KINDS
+    assert fault.usable == result.usable == (kind == "torque_gain")
+    if factor is not None:
+        assert fault.factor == pytest.approx(factor, rel=0.1)
+
+
+def test_angles_in_degrees_are_named_though_they_could_be_radians(tmp_path: Path) -> None:
+    runs = with_angles(sound(speed=0.6), np.degrees)
+    assert max(float(np.abs(r.motion.q).max()) for r in runs) < 100.0  # what the reader refuses begins there
+    (fault,) = checked(tmp_path, runs).data_faults
+    assert (fault.kind, fault.joints, fault.signal) == ("unit", JOINTS, "motor_position")
+    assert fault.factor == pytest.approx(180.0 / np.pi)
+
+
+def test_a_stated_rate_of_half_the_true_one_is_named_without_a_time_column(tmp_path: Path) -> None:
+    path = ind.write_files(tmp_path, ARM, DECLARED, sound(), cutoff_hz=0.5 * CUTOFF_HZ)
+    for log in tmp_path.glob("log_*.csv"):
+        rows = log.read_text().splitlines()
+        log.write_text("\n".join(row.split(",", 1)[1] for row in rows) + "\n")
+    path.write_text(path.read_text().replace("sample_rate_hz = 100", "sample_rate_hz = 50"))
+    (fault,) = rf.check(path).data_faults
+    assert fault.kind == "sample_rate"
+    assert fault.factor == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_stated_rate_that_the_time_column_contradicts_is_named(tmp_path: Path) -> None:
+    path = ind.write_files(tmp_path, ARM, DECLARED, sound(), cutoff_hz=CUTOFF_HZ)
+    path.write_text(path.read_text().replace("sample_rate_hz = 100", "sample_rate_hz = 200"))
+    (fault,) = rf.check(path).data_faults
+    assert (fault.kind, fault.usable) == ("sample_rate", False)
+    assert fault.factor == pytest.approx(2.0, rel=1e-3)
+
+
+# ---- what the motion can tell -----------------------------------------------------------------------------------
+
+
+def test_what_never_moves_is_not_told_and_what_is_held_is_no_fault(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    runs = []
+    for role in ROLES:
+        m = ind.harmonics(rng, 6, period_s=PERIOD_S, rate_hz=RATE_HZ)
+        q, v, a = m.q.copy(), m.v.copy(), m.a.copy()
+        q[:, WRIST_1], v[:, WRIST_1], a[:, WRIST_1] = 0.4, 0.0, 0.0
+        m = ind.Motion(m.time, q, v, a)
+        runs.append(ind.run(ARM, role, m, [ind.friction(COULOMB, VISCOUS)], ind.white(rng, len(q), NOISE)))
+    result = checked(tmp_path, runs)
+    (fault,) = result.data_faults
+    assert (fault.kind, fault.joints, fault.usable) == ("stuck", (JOINTS[WRIST_1],), True)
+    assert result.never_move == (JOINTS[WRIST_1],)
+    status = {p.name: p.status for p in result.parameters}
+    assert status[f"{JOINTS[WRIST_1]}.viscous_friction.coefficient"] == "not"
+    assert status[f"{JOINTS[LIFT]}.viscous_friction.coefficient"] == "identifiable"
+
+
+def test_parameters_of_known_links_are_known(tmp_path: Path) -> None:
+    path = ind.write_files(tmp_path, ind.ur10(), DECLARED, sound(), cutoff_hz=CUTOFF_HZ, known=True)
+    statuses = [p.status for p in rf.check(path).parameters]
+    assert statuses.count("known") == 60
+
+
+def test_base_links_mass_is_not_told(tmp_path: Path) -> None:
+    status = {p.name: p.status for p in checked(tmp_path, sound()).parameters}
+    assert status["shoulder_link.mass"] == "not"  # it turns about a vertical axis: nothing holds its mass
+
+
+def test_friction_that_a_bare_urdf_lacks_is_offered(tmp_path: Path) -> None:
+    basics = checked(tmp_path, sound(), declared=[]).undeclared_basics
+    assert {"coulomb_friction", "viscous_friction"} <= set(basics)
+    assert checked(tmp_path, sound()).undeclared_basics == ()
+
+
+# ---- command ----------------------------------------------------------------------------------------------------
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["rx90b-flex", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+@pytest.mark.parametrize("name", [None, "torques exchanged"])
+def test_the_command_writes_what_it_says_and_ends_with_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
+) -> None:
+    runs = sound() if name is None else FAULTS[name][0](sound())
+    path = ind.write_files(tmp_path, ARM, DECLARED, runs, cutoff_hz=CUTOFF_HZ)
+    out = tmp_path / "out"
+    status = run_command(monkeypatch, "check", str(path), "--out", str(out), "--plots")
+    content = json.loads((out / "check.json").read_text())
+    assert status == (0 if name is None else 1)
+    assert content["schema"] == 1 and content["usable"] is (name is None)
+    assert [f["kind"] for f in content["data_faults"]] == ([] if name is None else ["swapped_columns"])
+    assert {r["role"] for r in content["recordings"]} == {"identification", "validation"}
+    assert (out / "check.html").read_text().startswith("<!DOCTYPE html>")
+
+
+def test_bad_input_is_one_line_and_status_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run_command(monkeypatch, "check", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")) == 2
+    assert not (tmp_path / "out").exists()

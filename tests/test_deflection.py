@@ -1,0 +1,81 @@
+"""Claims about flexible drives as torques over time show them, on logs integrated by `twisting.py` without the package."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import independent as ind
+import numpy as np
+import pytest
+import twisting
+
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
+from rx90b_flex.robot import Robot, load_robot
+
+LAG = 5e-3  # s, damping over stiffness
+RATE_HZ, SECONDS = 250.0, 5.0
+ENDS = 15  # samples at either end where differences lack neighbours; a fit leaves as many out
+SHOULDER, ELBOW = 0, 1
+SOFT, STIFF = {SHOULDER: 400.0, ELBOW: 80.0}, {SHOULDER: 4e4, ELBOW: 8e3}
+
+
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """The arm of two joints, its robot, and one motion of its motors from rest."""
+
+    arm: ind.Arm
+    robot: Robot
+    time: np.ndarray
+    motors: twisting.Motors
+    motion: ind.Motion
+
+    def measured(self, stiffness: Mapping[int, float]) -> np.ndarray:
+        """What motors feel beyond the rigid arm, (N, 2), N m."""
+        drives = {j: twisting.Drive(k, LAG * k) for j, k in stiffness.items()}
+        return twisting.motor_torque(self.arm, self.motors, self.time, drives) - self.arm.torque(self.motion)
+
+    def said(self, stiffness: Mapping[int, float]) -> np.ndarray:
+        """What the package says of that."""
+        drives = [
+            DriveFlexibility(joint=self.robot.joints[j], stiffness=k, damping=LAG * k) for j, k in stiffness.items()
+        ]
+        rigid = self.robot.with_effects(drives).over_time()
+        m = self.motion
+        seen = rigid.on_links(rigid.motion(m.q, m.v, m.a, m.time), rigid.link_parameters, effects=rigid.effects)
+        return np.sum([e.force(seen) for e in rigid.effects], axis=0)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    folder: Path = tmp_path_factory.mktemp("arm")
+    arm = ind.two_joints(folder)
+    motors = twisting.from_rest(twisting.harmonics(np.random.default_rng(3), 2, SECONDS, 12, 1.5), 2.0)
+    time = np.arange(int(SECONDS * RATE_HZ)) / RATE_HZ
+    q, v, a = (np.array(x) for x in zip(*(motors(t) for t in time), strict=True))
+    return Bench(arm, load_robot(folder / "two_joints.urdf"), time, motors, ind.Motion(time, q, v, a))
+
+
+@pytest.mark.parametrize("stiffness", [STIFF, SOFT, {SHOULDER: 400.0}, {ELBOW: 80.0}], ids=str)
+def test_the_torque_of_twisting_drives_is_that_of_two_inertias_with_a_spring_between(bench, stiffness):
+    kept = slice(ENDS, -ENDS)
+    true, ours = bench.measured(stiffness)[kept], bench.said(stiffness)[kept]
+    # of large torsions what third order leaves, of small ones the steps' own error
+    assert np.linalg.norm(ours - true) < 0.02 * np.linalg.norm(true)
+
+
+def test_a_stiff_drive_is_felt_in_proportion_to_its_compliance(bench):
+    once, twice = (bench.said({SHOULDER: k})[ENDS:-ENDS] for k in (4e6, 2e6))
+    assert np.linalg.norm(twice - 2 * once) < 1e-3 * np.linalg.norm(twice)
+
+
+def test_a_declared_drive_stands_on_the_rigid_tree_and_goes_back_into_the_flexible_one():
+    drive = DriveFlexibility(joint="joint_2", stiffness=2e5, damping=100.0)
+    bending = JointFlexibility(joint="joint_2", stiffness=(1e5, 1e5), damping=(10.0, 10.0))
+    robot = load_robot("rx90b").with_effects([drive, bending])
+    standing: tuple[Effect, ...] = robot.over_time().effects
+    assert [e.type_name() for e in standing] == ["drive_flexibility"]
+    assert [e.in_tree() for e in standing] == [drive]
+    assert robot.over_time().model.nv == robot.tree.nv

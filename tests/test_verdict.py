@@ -1,0 +1,117 @@
+"""Claims about the verdict: it is about what remains, and nothing is called explained that is at no measure."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from rx90b_flex.diagnose.evidence import Dependence
+from rx90b_flex.diagnose.residual import Errors, RoleErrors
+from rx90b_flex.diagnose.verdict import Remains
+from rx90b_flex.diagnose.yardstick import Explainable
+
+JOINTS = ("one", "two")
+SIZE = 10.0  # N m, of each joint's torque
+CURVES = ("smooth curves", "smooth curves")
+NAMED = Dependence("two", "two velocity", 0.3, 1e-6)
+
+
+def errors(*rms: float) -> Errors:
+    return Errors(float(np.hypot(*rms) / np.hypot(SIZE, SIZE)), rms)
+
+
+def roles(*rms: float) -> RoleErrors:
+    return RoleErrors(errors(*rms), errors(*rms))
+
+
+def explained_to(*rms: float, share: float, forms: tuple[str, ...] = CURVES) -> Explainable:
+    return Explainable(errors(*rms), share, forms)
+
+
+def verdict(
+    after: tuple[float, float],
+    *,
+    before: tuple[float, float] = (2.0, 2.0),
+    found: bool = True,
+    floor: tuple[float, float] | None = None,
+    free: tuple[float, float] | None = None,
+    forms: tuple[str, ...] = CURVES,
+    where: tuple[Dependence, ...] = (),
+    doubtful: bool = False,
+) -> str:
+    known = None
+    if free is not None:
+        drop = np.hypot(*before) - np.hypot(*free)
+        share = (np.hypot(*before) - np.hypot(*after)) / drop if drop > 0 else 1.0
+        known = explained_to(*free, share=float(share), forms=forms)
+    noise = None if floor is None else np.array(floor)
+    return Remains(JOINTS, found, roles(*before), roles(*after), noise, known, where, doubtful).verdict
+
+
+def test_at_the_noise_floor_all_is_explained_whatever_a_free_form_says():
+    assert verdict((1.0, 1.0), floor=(1.0, 1.0)) == "explained"
+    assert verdict((1.0, 1.0), floor=(1.0, 1.0), free=(0.1, 0.1)) == "explained"
+    assert verdict((1.0, 1.0), before=(1.0, 1.0), found=False, floor=(1.0, 1.0)) == "nothing_missing"
+
+
+def test_far_above_the_noise_floor_something_is_left():
+    assert verdict((1.0, 1.6), floor=(1.0, 1.0)) == "partly_explained"
+    assert verdict((1.0, 1.6), found=False, floor=(1.0, 1.0)) == "unexplained"
+
+
+def test_a_little_above_the_noise_floor_it_takes_a_signal_that_the_residual_depends_on():
+    assert verdict((1.0, 1.3), floor=(1.0, 1.0)) == "explained"
+    assert verdict((1.0, 1.3), floor=(1.0, 1.0), where=(NAMED,)) == "partly_explained"
+
+
+def test_less_than_four_fifths_of_what_a_free_form_explains_is_not_enough():
+    assert verdict((1.15, 1.15), free=(1.0, 1.0)) == "explained"
+    assert verdict((1.3, 1.3), free=(1.0, 1.0)) == "partly_explained"
+
+
+def test_one_joint_left_with_more_than_it_should_have_is_enough_to_doubt():
+    """Nearly all of a large joint's error is explained, nothing of a small one's."""
+    big, small = 5.0, 0.5
+    free = (1.0, 0.2)
+    assert verdict((1.05, 0.2), before=(big, small), free=free) == "explained"
+    assert verdict((1.05, small), before=(big, small), free=free) == "partly_explained"
+
+
+def test_a_joint_that_still_depends_on_a_signal_has_less_room():
+    assert verdict((1.0, 1.08), before=(2.0, 1.0), free=(1.0, 1.0)) == "explained"
+    assert verdict((1.0, 1.08), before=(2.0, 1.0), free=(1.0, 1.0), where=(NAMED,)) == "partly_explained"
+
+
+def test_where_the_free_form_finds_nothing_a_signal_that_the_residual_depends_on_is_enough():
+    same = (2.0, 2.0)
+    silent = ("none", "none")
+    assert verdict(same, found=False, free=same, forms=silent) == "nothing_missing"
+    assert verdict(same, found=False, free=same, forms=silent, where=(NAMED,)) == "unexplained"
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_where_neither_measure_is_known_nobody_can_say_that_nothing_is_left(found):
+    assert verdict((0.1, 0.1), found=found) == ("partly_explained" if found else "unexplained")
+
+
+def test_what_does_not_carry_over_explains_nothing():
+    assert verdict((1.0, 1.0), before=(0.9, 0.9), floor=(1.0, 1.0)) == "partly_explained"
+
+
+def test_data_that_holds_what_a_rigid_tree_cannot_have_is_never_explained():
+    assert verdict((1.0, 1.0), floor=(1.0, 1.0), doubtful=True) == "partly_explained"
+
+
+def test_nothing_is_called_explained_that_is_far_from_both_measures():
+    """Whatever else holds."""
+    for after, free, floor, where, found in itertools.product(
+        ((2.0, 2.0), (1.0, 2.0), (1.9, 1.9)),
+        ((1.0, 1.0), (0.5, 1.0), None),
+        ((0.5, 0.5), None),
+        ((), (NAMED,)),
+        (True, False),
+    ):
+        said = verdict(after, before=(2.1, 2.1), found=found, floor=floor, free=free, where=where)
+        assert said in ("partly_explained", "unexplained"), (after, free, floor, where, found)
