@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from rx90b_flex.effects import catalogue
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import BaseFlexibility, DriveFlexibility
 from rx90b_flex.joint_angles import JointAngleDynamics
@@ -40,7 +41,8 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite_in_every_pose(name):
 @given(st.sampled_from(ROBOTS), st.lists(st.sampled_from(TYPES), max_size=6), seeds())
 def test_inverse_dynamics_is_affine_in_the_acceleration_with_the_mass_matrix(source, kinds, seed):
     rng = np.random.default_rng(seed)
-    robot = with_drawn_effects(tree(source), [k for k in kinds if k != "load_friction"], rng)
+    # what follows the size of the load has a corner where that changes sign
+    robot = with_drawn_effects(tree(source), [k for k in kinds if not catalogue()[k].needs_load], rng)
     q, v, a = draw_state(robot, rng)
     found = robot.inverse_dynamics(q, v, a) - robot.inverse_dynamics(q, v, 0 * a)
     expected = robot.mass_matrix(q) @ a

@@ -70,10 +70,10 @@ def data(
 
 
 def estimates(model: Identification) -> dict[str, Estimate]:
-    """Every parameter by name."""
+    """Every parameter by name, but turn-overs: the arm's dry friction is a step, of which a log tells an upper bound alone."""
     found = {e.name: e for e in model.link_estimates()}
     for i, effect in enumerate(model.effects):
-        found |= {f"{effect.label}.{e.name}": e for e in model.estimates(i)}
+        found |= {f"{effect.label}.{e.name}": e for e in model.estimates(i) if e.name != "turnover"}
     return found
 
 
@@ -141,7 +141,8 @@ def test_a_model_predicts_other_motion_as_well_as_its_own_although_parameters_ar
     item = ind.run(arm, "validation", motion(seed=9), [ind.friction(COULOMB, VISCOUS)], np.zeros((1600, 2)))
     other = Regression.of(robot, [recorded(item)], None)
     columns = np.concatenate([other.link_columns, *(other.columns(e) for e in model.effects)], axis=2)
-    variance = np.einsum("njk,kl,njl->j", columns, model.covariance, columns) / len(columns)
+    k = len(model.theta)
+    variance = np.einsum("njk,kl,njl->j", columns, model.covariance[:k, :k], columns) / len(columns)
     error = model.residual_on(other)
     assert not model.solution.determined.all()
     assert (np.sqrt((error**2).mean(axis=0)) < DEVIATIONS * np.sqrt(variance)).all()

@@ -214,7 +214,7 @@ REFUSED = {
     ),
     "a Stribeck velocity of zero": (
         effect("stribeck_friction", joint='"elbow"', torque=1, velocity=0, power=1),
-        "velocity is 0; expected 0.001 to 20 rad/s",
+        "velocity is 0; expected 1e-09 to 1000 rad/s",
     ),
     "an effect that is declared twice": (
         COULOMB + COULOMB,

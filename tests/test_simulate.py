@@ -17,7 +17,7 @@ import rx90b_flex as rf
 from rx90b_flex import kernels
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.effects.reversal import REVERSAL_VELOCITY
+from rx90b_flex.effects.reversal import SHARP
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import (
     CS8,
@@ -173,7 +173,7 @@ def written_out(robot: Robot) -> Callable[[float, Array, Array], Array]:
         speed = v[::4] + v[1::4]
         size = np.abs(speed)
         rub = friction[0] * np.exp(-size / 0.04) + friction[1] * size**0.7
-        rub *= 2 / np.pi * np.arctan(speed / REVERSAL_VELOCITY)
+        rub *= np.tanh(speed / SHARP)
         angle = q[4] + q[5]
         length = np.sqrt(low**2 + high**2 - 2 * low * high * np.cos(angle))
         rub[1] += (stiffness * (length - (high - low)) + prestress) * low * high * np.sin(angle) / length

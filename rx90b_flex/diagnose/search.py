@@ -703,7 +703,10 @@ class Search:
         if len(wrong):
             i = wrong[0]
             unit = effect.coefficient_units[i]
-            objection = f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {abs(beta[i] / std[i]):.0f} std of the wrong sign"
+            far = abs(beta[i] / std[i])
+            objection = (
+                f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {far:.0f} std of the wrong sign"
+            )
         elif len(shapes) and not effect.coefficients_follow:
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -30,8 +30,6 @@ class CableTorque(PairEffect):
     ------
     Not in Hardeman 2008; torques of cable packages along an arm, the first two terms of a smooth curve.
     """
-
-    part: ClassVar[str] = "spring"
 
     bends: tuple[float, float] | None = linear("N m/rad^k", rank=SPRING, size=2, public="coefficients")
 

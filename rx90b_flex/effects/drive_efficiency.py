@@ -39,8 +39,8 @@ class DriveEfficiency(DryFriction):
 
     Source
     ------
-    Not in Hardeman 2008; efficiency of gears by direction of power flow: S. Wappler and others on worm and spur gears; as a model of robot drives
-    P. Hamon, M. Gautier, P. Garrec, *Dynamic identification of robots with a dry friction model depending on load and velocity*, IROS 2010.
+    Not in Hardeman 2008; P. Hamon, M. Gautier, P. Garrec, *Dynamic identification of robots with a dry friction model depending on
+    load and velocity*, IROS 2010: friction that depends on the load and on the direction of power flow.
     """
 
     needs_load: ClassVar[bool] = True

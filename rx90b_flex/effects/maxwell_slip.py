@@ -21,8 +21,9 @@ ELEMENTS = 2  # where none are stated
 class MaxwellSlipFriction(JointEffect):
     """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
 
-    An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its stiffness. Where samples
-    do not follow each other in time there is no memory, and it is what it comes to after sliding: ``torque * sign(v)``.
+    An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its
+    stiffness. Where samples do not follow each other in time there is no memory, and it is what it comes to after sliding:
+    ``torque * sign(v)``.
 
     Signature
     ---------

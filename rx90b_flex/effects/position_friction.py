@@ -24,13 +24,13 @@ class PositionFriction(PeriodicEffect, DryFriction):
 
     Neighbours
     ----------
-    `gear_ripple` is the same in both directions; `coulomb_friction` is the same at all angles; `load_friction` follows the load, which
-    gravity changes with the angle too: other poses of the joints behind tell.
+    `gear_ripple` is the same in both directions; `coulomb_friction` is the same at all angles; `load_friction` follows the load,
+    which gravity changes with the angle too: other poses of the joints behind tell.
 
     Source
     ------
-    Not in Hardeman 2008; friction that depends on the position in gears and seals: B. Armstrong-Hélouvry, P. Dupont, C. Canudas de Wit,
-    Automatica 30(7), 1994.
+    Not in Hardeman 2008; friction that depends on the position in gears: B. Armstrong-Hélouvry, P. Dupont,
+    C. Canudas de Wit, Automatica 30(7), 1994.
     """
 
     PEAKS: ClassVar[int] = 4

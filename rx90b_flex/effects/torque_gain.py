@@ -17,7 +17,8 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 class TorqueGain(JointEffect):
     """The logged torque is `gain` times the true one: a motor constant, a gear ratio or a unit that is not what the log assumes.
 
-    It is linear in ``gain - 1``, whose column is the model's torque; a fit goes on until that torque is the one with the gain in the model.
+    It is linear in ``gain - 1``, whose column is the model's torque; a fit goes on until that torque is the one with the gain in
+    the model.
 
     Signature
     ---------
@@ -31,8 +32,8 @@ class TorqueGain(JointEffect):
 
     Source
     ------
-    Not in Hardeman 2008; M. Gautier, S. Briot, *Global identification of joint drive gains and dynamic parameters of robots*, ASME Journal of
-    Dynamic Systems, Measurement, and Control 136(5), 2014.
+    Not in Hardeman 2008; M. Gautier, S. Briot, *Global identification of joint drive gains and dynamic parameters of robots*, ASME
+    Journal of Dynamic Systems, Measurement, and Control 136(5), 2014.
     """
 
     acts_on: ClassVar[str] = "signals"

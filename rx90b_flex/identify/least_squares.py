@@ -624,15 +624,23 @@ class _Fit:
         return float((self.normal.squares(solution.theta) / sigma**2).sum())
 
     def refined(self, rounds: int = 100) -> _Fit:
-        """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection)."""
-        fit = self
-        if not len(self.shapes):
-            return fit
-        damping = 1e-3
+        """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).
+
+        Those that effects share wait until the others have settled: a turn-over must not grow in place of what stands beside it.
+        """
+        shared = np.array([key is not None for key in self.shapes.keys], dtype=bool)
+        if shared.all() or not shared.any():
+            return self._stepped(rounds, np.ones(len(self.shapes), dtype=bool)) if len(shared) else self
+        return self._stepped(rounds, ~shared)._stepped(rounds, np.ones(len(shared), dtype=bool))
+
+    def _stepped(self, rounds: int, moving: Mask) -> _Fit:
+        """Steps in some of the shape parameters (s,)."""
+        fit, damping = self, 1e-3
         for _ in range(rounds):
             sigma = fit.solution.sigma
             before = fit.cost(sigma)
             gram, score = fit._shape_equations(sigma)
+            gram, score = gram * np.outer(moving, moving), score * moving
             won = False
             while damping < LARGEST_DAMPING:
                 moved = fit.shapes.moved(fit.shape, _damped_step(gram, score, damping))
