@@ -287,7 +287,7 @@ class Search:
     @cached_property
     def target(self) -> Array:
         if self.model.links_fitted:
-            return self.regression.torque
+            return self.regression.torque + self.model.offset
         return self.regression.torque - self.regression.link_columns @ self.model.link_parameters
 
     @cached_property
