@@ -417,7 +417,7 @@ class _Fit:
     @property
     def offset(self) -> Array | float:
         """What the columns stand for beyond the torque, where they are derivatives."""
-        return 0.0 if self.by_links is None else np.asarray(self.by_links @ self.about)
+        return 0.0 if self.by_links is None or self.about is None else np.asarray(self.by_links @ self.about)
 
     @cached_property
     def columns(self) -> Array:
