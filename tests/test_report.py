@@ -17,6 +17,7 @@ import pytest
 from rx90b_flex.diagnose.close import ClosedLoop, LastRound, Unexplained, close_loop
 from rx90b_flex.diagnose.evidence import STANDSTILL, Band, Dependence, signals
 from rx90b_flex.diagnose.output import closed_loop_json
+from rx90b_flex.diagnose.yardstick import Explainable
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.friction import CoulombFriction
 from rx90b_flex.robot import load_robot
@@ -184,6 +185,13 @@ def test_what_can_be_explained_appears_beside_what_was(found: ClosedLoop, page: 
 def test_where_nothing_can_be_explained_the_report_says_so(nothing: ClosedLoop, empty_page: Page) -> None:
     assert nothing.explainable is not None and set(nothing.explainable.forms) == {"none"}
     assert "no better than the declared model" in empty_page.text
+
+
+def test_where_more_can_be_explained_the_headline_says_so(nothing: ClosedLoop) -> None:
+    errors = dataclasses.replace(nothing.before.validation, relative_error=0.0123)
+    more = Explainable(errors, 0.4, ("smooth curves", "none"))
+    result = dataclasses.replace(nothing, explainable=more, verdict="unexplained")
+    assert "reaches 1.2 %, so more can be explained" in headline(result)
 
 
 def test_where_no_measure_is_known_the_reason_stands_in_the_report(nothing: ClosedLoop) -> None:

@@ -61,6 +61,12 @@ def test_far_above_the_noise_floor_something_is_left():
     assert verdict((1.0, 1.6), found=False, floor=(1.0, 1.0)) == "unexplained"
 
 
+def test_at_the_noise_where_fitted_and_far_above_it_elsewhere_is_not_explained():
+    fitted, elsewhere = roles(1.0, 1.0).identification, roles(1.0, 1.6).validation
+    left = Remains(JOINTS, True, roles(2.0, 2.0), RoleErrors(elsewhere, fitted), np.ones(2), None, ())
+    assert left.verdict == "partly_explained"
+
+
 def test_a_little_above_the_noise_floor_it_takes_a_signal_that_the_residual_depends_on():
     assert verdict((1.0, 1.3), floor=(1.0, 1.0)) == "explained"
     assert verdict((1.0, 1.3), floor=(1.0, 1.0), where=(NAMED,)) == "partly_explained"

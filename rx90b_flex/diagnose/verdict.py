@@ -62,7 +62,7 @@ class Remains:
     def left(self) -> bool:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
         if self.floor is not None:
-            return bool(self._above_floor(self.floor).any())
+            return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor)).any())
         if self.explainable is not None:
             return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
         return True  # neither measure is known, so nobody can say that nothing is left
@@ -82,6 +82,11 @@ class Remains:
         # friction that changes sign within one sample leaves spikes of up to a third of the noise that depend on nothing
         ratio = np.array(self.after.identification.torque_rms) / np.maximum(floor, 1e-300)
         return np.asarray((ratio > FAR_FROM_FLOOR) | ((ratio > NEAR_FLOOR) & self._named))
+
+    def _not_carried_over(self, floor: Array) -> Mask:
+        """Joints whose error on validation is far above the noise, and above what a free form leaves there, shape (joints,)."""
+        far = np.array(self.after.validation.torque_rms) > FAR_FROM_FLOOR * floor
+        return far if self.explainable is None else far & self._above_free_form(self.explainable)
 
     @property
     def _named(self) -> Mask:

@@ -24,8 +24,10 @@ from rx90b_flex.identify.regression import Regression, Stretch
 from rx90b_flex.signals import lowpass
 
 FEWEST_SAMPLES = 200  # of a fit: with less, parts of it are too short to hold out
-BY_RECORDING = 2  # recordings from which each is held out whole: parts of one are too alike to tell what carries over
-PARTS = (3, 4, 5)  # of a single recording, in as many ways; few, so that they are long
+# of all samples, up to which a recording is held out whole, for parts of one are too alike to tell what carries over; a longer
+# one would leave too little to fit
+LARGEST_PART = 0.75
+PARTS = (3, 4, 5)  # of equal length instead, in as many ways; few, so that they are long
 LEAST_DROP = 0.02  # of the declared model's error; below it there is nothing to share
 # of the largest speed at which dry friction sets in: from what a log hardly resolves to a curve over all speeds
 SPEEDS = np.array([0.001, 0.01, 0.03, 0.1, 0.3, 1.0])
@@ -117,10 +119,10 @@ def _share(before: Errors, after: Errors, free: Errors) -> float:
 
 def _layouts(regression: Regression) -> list[Indices]:
     """The part of each sample that is held out with it."""
-    lengths = [len(s) for s in regression.stretches]
-    if len(lengths) >= BY_RECORDING:
+    lengths, samples = [len(s) for s in regression.stretches], len(regression)
+    if max(lengths) <= LARGEST_PART * samples:
         return [np.repeat(np.arange(len(lengths)), lengths)]
-    return [np.arange(lengths[0]) * parts // lengths[0] for parts in PARTS]
+    return [np.arange(samples) * parts // samples for parts in PARTS]
 
 
 def _at_own_rate(said: Array, validation: Regression, held_out: Sequence[HeldOut]) -> list[Array]:

@@ -103,11 +103,7 @@ def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     rigid = np.array(motion.on_tree.load())
     for _ in range(LARGE_SWEEPS):
         torsion, *torque = _first_order(motion, springs, load + out)
-        first, second = _rates(torsion, motion.time)
-        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        for x, change in ((q, torsion), (v, first), (a, second)):
-            x[:, places] += change
-        there = dataclasses.replace(motion, q=q, v=v, a=a).on_tree.load()
+        there = _moved(motion, places, torsion).on_tree.load()
         new = there - rigid - np.sum(torque, axis=0)
         if not np.isfinite(new).all() or np.abs(torsion).max() > LARGEST:
             return np.zeros_like(motion.q)  # no drive twists like that: values from which a fit turns back
@@ -116,6 +112,31 @@ def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
         if done:
             break
     return out
+
+
+def by_links(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
+    """Change of the torque that all drives of the model add, per change of the links' parameters, (N, n, 10 * bodies).
+
+    The tree asks for its torque at the deflected motion, and drives twist further under what more it asks for.
+    """
+    places = _places(motion, springs)
+    found = deflected(motion, springs, springs, load)
+    there = _moved(motion, places, found.torsion).on_tree.link_regressor()
+    by_q, by_v, by_a = (by[:, :, places] for by in motion.on_tree.derivatives())
+    steps = _steps(springs, by_q[:, places], by_v[:, places], by_a[:, places], motion.time)
+    further = steps.solve(-there[:, places])
+    out = there - motion.on_tree.link_regressor()
+    for by, x in zip((by_q, by_v, by_a), (further, *_rates(further, motion.time)), strict=True):
+        out += by @ x
+    return np.asarray(out)
+
+
+def _moved(motion: Motion, places: Indices, torsion: Array) -> Motion:
+    """The links' motion behind twisted drives."""
+    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+    for x, change in zip((q, v, a), (torsion, *_rates(torsion, motion.time)), strict=True):
+        x[:, places] += change
+    return dataclasses.replace(motion, q=q, v=v, a=a)
 
 
 def _first_order(motion: Motion, springs: Sequence[Spring], load: Array) -> tuple[Array, ...]:
@@ -136,14 +157,9 @@ def _places(motion: Motion, springs: Sequence[Spring]) -> Indices:
 
 def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, by_a: Array, time: Array) -> Array:
     """Torsions (N, m) under a load (N, m), for derivatives (N, m, m) of the load by angle, velocity and acceleration."""
-    stiffness = np.array([s.stiffness for s in springs])
     cubic = np.array([s.cubic for s in springs])
-    at_angle = by_q + np.diag(stiffness)
-    at_rate = by_v + np.diag(stiffness * np.array([s.lag for s in springs]))
-    step = _step(time)
-    if step == 0.0:  # no motion in time: what each sample's load does if it lasts
-        at_rate, by_a = np.zeros_like(at_rate), np.zeros_like(by_a)
-    steps = _Steps.of(at_angle, at_rate, by_a, step)
+    at_angle, at_rate = _with_springs(springs, by_q, by_v)
+    steps = _steps(springs, by_q, by_v, by_a, time)
     torsion = steps.solve(-load)
     for _ in range(CORRECTIONS):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
@@ -154,6 +170,17 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
             asked = asked + np.einsum("nij,nj->ni", by, x)
         torsion = torsion + steps.solve(-asked)
     return torsion
+
+
+def _with_springs(springs: Sequence[Spring], by_q: Array, by_v: Array) -> tuple[Array, Array]:
+    """Derivatives of the torque on the torsions by them and by their rates, springs and dampers included, (N, m, m)."""
+    stiffness = np.array([s.stiffness for s in springs])
+    return by_q + np.diag(stiffness), by_v + np.diag(stiffness * np.array([s.lag for s in springs]))
+
+
+def _steps(springs: Sequence[Spring], by_q: Array, by_v: Array, by_a: Array, time: Array) -> _Steps:
+    at_angle, at_rate = _with_springs(springs, by_q, by_v)
+    return _Steps.of(at_angle, at_rate, by_a, _step(time))
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,13 +234,14 @@ class _Steps:
         return _Steps(banded, bands, weight, swings)
 
     def solve(self, force: Array) -> Array:
-        """Deflections (N, m) under forces (N, m)."""
-        right = force.copy()
-        w = self.weight[1:-1]
-        smooth = w * (force[2:] + force[:-2]) + (1.0 - 2.0 * w) * force[1:-1]
-        right[2:] = np.where(self.swings > 0, smooth, force[2:])
+        """Deflections (N, m, ...) under forces (N, m, ...)."""
+        right = force.reshape(*self.weight.shape, -1).copy()
+        w = self.weight[1:-1, :, None]
+        smooth = w * (right[2:] + right[:-2]) + (1.0 - 2.0 * w) * right[1:-1]
+        right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
+        right = right.reshape(-1, right.shape[2])
         try:
-            out = linalg.solve_banded(self.bands, self.banded, right.ravel(), check_finite=False)
+            out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)
         except linalg.LinAlgError:
             return np.zeros_like(force)
         return np.asarray(out).reshape(force.shape)

@@ -338,6 +338,10 @@ class Effect(ABC):
         """The larger part of the columns as `factors` has it, enough for a first look; the same where they are factors."""
         return self.factors(motion)
 
+    def by_links(self, motion: Motion) -> Array | None:
+        """Change of its force per change of the links' parameters, (N, n, 10 * bodies), where it is large; None: not worth it."""
+        return None
+
     def logged(self, motion: Motion, torque: Array) -> Array:
         """Torque in the log (N, n) where the model's torque is `torque` (N, n); for effects that are not in the dynamics."""
         return torque + self.force(motion)

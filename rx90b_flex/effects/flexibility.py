@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.deflection import Spring, deflected, softest
+from rx90b_flex.effects.deflection import Spring, by_links, deflected, softest
 from rx90b_flex.effects.effect import (
     DAMPING,
     STIFFNESS,
@@ -266,6 +266,12 @@ class _DriveDeflection(Effect):
         if present and present[0].joint == self.joint:
             out = out + found.beyond
         return np.asarray(out * self.stiffness)[:, :, None]
+
+    def by_links(self, motion: Motion) -> Array | None:
+        present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
+        if not present or present[0].joint != self.joint:
+            return None  # the first one answers for all
+        return by_links(motion, [e.spring for e in present], _through_drives(motion))
 
     @property
     def spring(self) -> Spring:

@@ -400,38 +400,52 @@ class _Fixed:
 def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None) -> _Fit:
     """A fit whose effects see the model that it ends with, links (10 * bodies,) as they see them at first.
 
-    Where much is left over, links that were fitted to it are far off: then one that begins with the declared links is tried as well.
+    Where much was left over, links that were fitted to it are far off: then one that begins with the declared links comes first.
     """
-    settled = _circled(fit, links, regression)
     own = regression.robot.link_parameters
-    if not fit.fit_links or np.array_equal(links, own) or settled.relative_error < BENT:
-        return settled
-    new = [e for e in settled.valued if start is None or not any(e.label == known.label for known in start.effects)]
-    new = [e for e in new if e.coefficients_follow and len(e.shape)]
+    bent = start is not None and fit.fit_links and start.relative_error > BENT
+    new = [e for e in fit.effects if e.coefficients_follow and len(e.shape)]
+    new = [e for e in new if start is not None and not any(e.label == known.label for known in start.effects)]
+    if not (bent and new):
+        return _circled(fit, links, regression)
     other = dataclasses.replace(fit, regression=regression.with_model(own, ()))
     for effect in new:
         starts = effect.shape_starts(other.regression.longest)
         shaped = [other.with_effect(effect.with_shape(x)) for x in starts]
         other = min(shaped, key=lambda f: f.misfit, default=other)
-    return min(settled, _circled(other, own, regression), key=lambda f: f.misfit)
+    other = _circled(other, own, regression)
+    if other.relative_error < BENT:
+        return other
+    return min(other, _circled(fit, links, regression), key=lambda f: f.misfit)
 
 
 def _circled(fit: _Fit, links: Array, regression: Regression) -> _Fit:
-    """Fits that see one another's links in turn, as far on the way from one to the next as does not spoil them."""
+    """Fits that see one another's links in turn, as far on the way from one to the next as does not spoil them.
+
+    Where effects are large, links are fitted together with what these do as the links change (Gauss and Newton's method).
+    """
+    fit = fit.refined()
+    large = fit.fit_links and fit.followed > BENT * float(np.linalg.norm(regression.torque))
+
+    def seeing(links: Array) -> _Fit:
+        seen = fit.seen_by(regression.with_model(links, fit.valued))
+        return seen.changing_with(links) if large else seen
+
+    if large:
+        fit = seeing(links).refined()
     for _ in range(MOST_CIRCLES):
-        fit = fit.refined()
         for part in (1.0, 0.5, 0.25, 0.1):
             on_the_way = links + part * (fit.link_parameters - links)
-            further = fit.seen_by(regression.with_model(on_the_way, fit.valued))
+            further = seeing(on_the_way).refined()
             if further.misfit < fit.misfit + SAME_MISFIT:
                 break
         else:
-            break
+            return fit if large else seeing(fit.link_parameters)
         done = part == 1.0 and fit.misfit - further.misfit < SAME_MISFIT
         fit, links = further, on_the_way
         if done:
-            return fit
-    return fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
+            break
+    return fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -442,6 +456,10 @@ class _Fit:
     effects: tuple[Effect, ...]
     fit_links: bool
     shapes: Shapes
+    about: Array | None = (
+        None  # links (10 * bodies,) about which effects change with the links; None: they see them as they are
+    )
+    by_links: Array | None = None  # by so much, (N, joints, 10 * bodies)
 
     @staticmethod
     def of(regression: Regression, effects: Sequence[Effect], fit_links: bool) -> _Fit:
@@ -466,12 +484,22 @@ class _Fit:
     def target(self) -> Array:
         """Torque that the columns are to explain. Gains are linear about their values so far, whose part is added."""
         torque = self.regression.torque
+        if self.by_links is not None and self.about is not None:
+            torque = torque + self.factors * (self.by_links @ self.about)
         if not self.fit_links:
             torque = torque - self.factors * (self.regression.link_columns @ self.regression.robot.link_parameters)
         for e in self.effects:
             if e.multiplies and e.known:
                 torque = torque + self.regression.columns(e) @ e.coefficients
         return torque
+
+    @property
+    def _link_columns(self) -> Array:
+        """Of the links, with what effects change by them; (N, joints, 10 * bodies)."""
+        columns = (
+            self.regression.link_columns if self.by_links is None else self.regression.link_columns + self.by_links
+        )
+        return columns if (self.factors == 1.0).all() else columns * self.factors[:, None]
 
     @property
     def _shaped(self) -> Mask:
@@ -482,7 +510,7 @@ class _Fit:
     @cached_property
     def fixed(self) -> _Fixed:
         """Columns that do not change with the shapes; zeros for coefficients that are not estimated."""
-        parts = [self.regression.link_columns * self.factors[:, None]] if self.fit_links else []
+        parts = [self._link_columns] if self.fit_links else []
         parts += [self._estimated(e) for e in self.effects if not len(e.shape)]
         return _Fixed.of(np.concatenate([self._none, *parts], axis=2))
 
@@ -519,7 +547,7 @@ class _Fit:
     @cached_property
     def columns(self) -> Array:
         """All columns, shape (N, joints, p)."""
-        links = [self.regression.link_columns * self.factors[:, None]] if self.fit_links else []
+        links = [self._link_columns] if self.fit_links else []
         return np.concatenate([self._none, *links, *(self._scaled(e) for e in self.effects)], axis=2)
 
     @cached_property
@@ -581,6 +609,15 @@ class _Fit:
 
     def seen_by(self, regression: Regression) -> _Fit:
         return _Fit(regression, self.valued, self.fit_links, self.shapes)
+
+    def changing_with(self, links: Array) -> _Fit:
+        """With effects that change with the links, about those (10 * bodies,) that they see."""
+        return dataclasses.replace(self, about=links, by_links=self.regression.by_links(self.effects))
+
+    @property
+    def followed(self) -> float:
+        """Norm of the torque of the effects whose coefficients follow from their shapes."""
+        return float(np.linalg.norm(self.columns[:, :, self.follows] @ self.prior[self.follows]))
 
     @property
     def _offset(self) -> int:

@@ -303,6 +303,16 @@ class Regression:
         rows = np.flatnonzero(columns.any(axis=(0, 2)))
         return rows, stretch.brought(columns[:, rows])
 
+    def by_links(self, effects: Sequence[Effect]) -> Array:
+        """Change of the effects' torque per change of the links' parameters, shape (N, joints, 10 * bodies)."""
+        out = np.zeros((len(self), len(self.joints), len(self.robot.link_parameters)))
+        for span, stretch in zip(self.spans, self.stretches, strict=True):
+            for effect in effects:
+                change = effect.by_links(stretch.motion)
+                if change is not None:
+                    out[span] += self._brought(stretch, change)
+        return out if self.trust is None else out * self.trust[:, :, None]
+
     @cached_property
     def link_columns(self) -> Array:
         """Columns of the links, shape (N, joints, 10 * bodies)."""

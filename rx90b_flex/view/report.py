@@ -15,7 +15,7 @@ from rx90b_flex.diagnose.close import ClosedLoop, FoundEffect
 from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.motion import MotionErrors
 from rx90b_flex.diagnose.search import Trial
-from rx90b_flex.diagnose.verdict import NEAR_FLOOR
+from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
@@ -195,6 +195,9 @@ def _remains(result: ClosedLoop) -> str:
     still = standstill(result).total_share
     if still > MOSTLY and result.noise_floor is None:
         return f"{100 * still:.0f} % of what is left (squared) arises while joints stand still"
+    known = result.explainable
+    if result.noise_floor is None and known is not None and known.share < ENOUGH:
+        return f"a free-form model reaches {percent(known.validation.relative_error)}, so more can be explained"
     strongest = next(iter(result.unexplained.where), None)
     dependence = f" {dependence_words(strongest)}" if strongest else ""
     if result.noise_floor is None:
