@@ -454,7 +454,11 @@ class _Rounds:
         """Add effects until nothing more is significant, or the noise floor is reached. No model is visited twice."""
         outcome = _Outcome(declared, before, (), ())
         visited = {_signature(declared.effects)}
-        while len(outcome.steps) < MOST_EFFECTS and len(visited) < 2 * MOST_EFFECTS and not self._at_floor(outcome):
+        while (
+            len(outcome.steps) < MOST_EFFECTS
+            and len(visited) < 2 * MOST_EFFECTS
+            and not (outcome.steps and self._at_floor(outcome))
+        ):
             model, number = outcome.model, len(outcome.steps)
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)

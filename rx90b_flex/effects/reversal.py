@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from rx90b_flex.effects.effect import JointEffect, shape
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
 SHARP = 2.0e-4
-FASTEST_PART = 0.5  # of a joint's speed within which dry friction turns over at the most
+FASTEST_PART = 0.2  # of a joint's speed within which dry friction turns over at the most
 FINEST = 0.1  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
@@ -75,9 +76,6 @@ def _resolution(q: Array, v: Array, time: Array) -> Array:
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if len(v) < 2 * WINDOW_SAMPLES or step <= 0:
         return np.array([SHARP, SHARP, max(speed, SHARP), 1e-6, travel])
-    turns = np.flatnonzero(v[1:] * v[:-1] < 0)
-    change = np.abs(np.diff(v))[turns]
-    velocity = 0.5 * float(np.median(change)) if len(change) else 1e-3 * speed
     window = max(WINDOW_SAMPLES, round(WINDOW_S / step))
     whole = len(v) // window * window
     if whole == 0:
@@ -85,6 +83,11 @@ def _resolution(q: Array, v: Array, time: Array) -> Array:
     largest = np.abs(v[:whole]).reshape(-1, window).max(axis=1)
     quietest = np.sort(largest)[: max(1, int(QUIET * len(largest)))]
     noise = min(float(quietest.mean()), SLOWEST_PART * speed)
+    # where a joint stands and only noise crosses zero, nothing reverses
+    moving = maximum_filter1d(np.abs(v), 2 * window + 1) > 3.0 * noise
+    turns = np.flatnonzero((v[1:] * v[:-1] < 0) & moving[1:])
+    change = np.abs(np.diff(v))[turns]
+    velocity = 0.5 * float(np.median(change)) if len(change) else 1e-3 * speed
     # third differences of a smooth motion hold little but noise, whose variance they multiply by 20
     rough = float(np.median(np.abs(np.diff(q, 3)))) / np.sqrt(20.0)
     angle = max(0.5 * velocity * step, 3.0 * rough)

@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import JointEffect, PairEffect
@@ -18,6 +19,7 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
     Recording,
     decimation_factor,
+    filters,
     lowpass,
     motion,
     noise_cutoff_hz,
@@ -33,6 +35,9 @@ WORKING_RATE_RATIO = 20.0
 LATEST_S = 1.0e6
 # Left out of a fit at both ends, in periods of the cutoff: where the filter and the differences lack neighbours.
 EDGE_PERIODS = 1.0
+STANDING_S = 0.2  # within which the angle of a joint that stands still
+STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the log's noise
+MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next
@@ -126,6 +131,7 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     try:
         position_cutoff = _position_cutoff(recording.position, rate, cutoff_hz)
         moved = motion(recording.position, rate, position_cutoff)
+        moved = _standing(moved, recording.position, rate)
         torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
     except ValueError as error:
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
@@ -159,6 +165,23 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         working,
         kept,
         None if recording.payload is None else carried_parameters(robot, recording.payload),
+    )
+
+
+def _standing(moved: filters.Motion, logged: Array, rate: float) -> filters.Motion:
+    """A motion without velocity and acceleration where a joint stands still.
+
+    There the angle stays within the log's noise, and the velocity's sign would be that of the noise.
+    """
+    off = logged - moved.position
+    noise = MAD_TO_STD * np.median(np.abs(off - np.median(off, axis=0)), axis=0)
+    window = max(3, round(STANDING_S * rate))
+    reach = [
+        filter_(moved.position, window, axis=0, mode="nearest") for filter_ in (maximum_filter1d, minimum_filter1d)
+    ]
+    still = reach[0] - reach[1] <= STANDING_NOISE * noise + 1e-12
+    return moved._replace(
+        velocity=np.where(still, 0.0, moved.velocity), acceleration=np.where(still, 0.0, moved.acceleration)
     )
 
 
