@@ -90,7 +90,7 @@ def close_loop_command(
     Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
     """
     if model_error is not None and not model_error > 0.0:
-        raise ValueError(f"--model-error is {model_error:g}; expected more than 0")
+        raise ValueError(f"model_error is {model_error:g}; expected more than 0")
     from rx90b_flex.diagnose.modal_files import speaks_of_frequency
 
     if speaks_of_frequency(campaign):
