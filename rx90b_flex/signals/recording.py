@@ -55,6 +55,8 @@ _SIGNALS = (
 _REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
+# Nor is there a torque, a speed or a current of this size; sums of squares stay finite below it.
+_LARGEST_VALUE = 1e9
 _LARGEST_DEGREES = 360.0  # beyond it, motor turns are as likely
 _OTHER_UNIT = re.compile(
     r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
@@ -523,6 +525,8 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         joint_side = _to_joint_side(measured, item, layout)
         if item.kind == "angle":
             _check_angles(table.path, names, joint_side, item, layout)
+        else:
+            _check_sizes(table.path, names, joint_side, item, layout)
         values[item.field] = joint_side
     if layout.torque_constants is not None:
         values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.torque_constants])
@@ -595,6 +599,16 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
             item.key,
             layout.joints if degrees else beyond,
             180.0 / math.pi if degrees else None,
+        )
+
+
+def _check_sizes(file: Path, names: Sequence[str], values: Array, item: _Signal, layout: _Layout) -> None:
+    largest = np.max(np.abs(values), axis=0)
+    joint = int(np.argmax(largest))
+    if largest[joint] > _LARGEST_VALUE:
+        raise ValueError(
+            f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} on the joint side;"
+            f" SI units, below {_LARGEST_VALUE:g}, are expected"
         )
 
 

@@ -273,6 +273,11 @@ def simulate_into(
     what = f"simulating {prepared.trajectory.name}"
     tell(what, 0.0)
     result = run(prepared, lambda part: tell(what, 0.95 * part))
+    if len(result.time) < 2:
+        raise ValueError(
+            f"{prepared.robot.name}: {prepared.trajectory.name} ended at once: {result.ended or 'it has no samples'}; expected a "
+            "robot whose drives and links have inertia, and a reference that begins where it rests"
+        )
     tell("writing", 0.95)
 
     def fill(at: Path) -> None:
