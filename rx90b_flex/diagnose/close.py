@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
@@ -177,6 +178,8 @@ class ClosedLoop:
         Why nothing is known; empty otherwise.
     fitted : FittedErrors or None
         Errors with the fitted values, where a robot that can exist has others; `before` and `after` are of the latter.
+    deflection : tuple of GearDeflection
+        What second encoders show of each gear; empty where there are none.
     """
 
     robot: str
@@ -199,6 +202,7 @@ class ClosedLoop:
     not_explainable: str = ""
     fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
+    deflection: tuple[GearDeflection, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +290,21 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)))
+        return _with_second_encoders(_closed(source, robot, seed, _rising(progress or (lambda _text, _part: None))))
+
+
+def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
+    """The result with the flexibilities that second encoders show; torques of a rigid tree do not change by them."""
+    gears = gear_deflections(result.source, result.campaign, result.model)
+    torque = result.after.validation
+    found = tuple(
+        FoundEffect(g.effect, g.parameters, torque, torque, g.trial.p_value, g.trial.gain_t, (), g.trial)
+        for g in gears
+        if g.effect is not None and g.trial is not None
+    )
+    named = {"unexplained": "partly_explained", "nothing_missing": "explained"} if found else {}
+    verdict = named.get(result.verdict, result.verdict)
+    return dataclasses.replace(result, effects=(*result.effects, *found), verdict=verdict, deflection=gears)
 
 
 def _rising(tell: Progress) -> Progress:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals import tables
-from rx90b_flex.signals.section import Section
+from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
     FlangeLoad,
     flange_load_toml,
@@ -228,7 +228,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     """
     path = Path(path)
     missing = "no such file; a campaign file (TOML) is expected"
-    root = Section(str(path), "", read_toml(path, "campaign file", missing))
+    root = CampaignSection(str(path), "", read_toml(path, "campaign file", missing))
     layout = _read_layout(root)
     entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
     if not any(entry.role == "identification" for entry in entries):
@@ -367,7 +367,7 @@ class _Layout:
 class _Entry:
     """One [[recording]]."""
 
-    where: Section
+    where: CampaignSection
     file: Path
     role: Role
     start_s: float | None
@@ -376,7 +376,7 @@ class _Entry:
     payload: FlangeLoad | None
 
 
-def _read_layout(root: Section) -> _Layout:
+def _read_layout(root: CampaignSection) -> _Layout:
     root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "recording")
     rate = root.positive("sample_rate_hz")
     joints = root.texts("joints")
@@ -429,11 +429,11 @@ def _read_layout(root: Section) -> _Layout:
 
 
 def _read_motor(
-    root: Section, joints: Sequence[str], has_current: bool, from_current: bool
+    root: CampaignSection, joints: Sequence[str], has_current: bool, from_current: bool
 ) -> tuple[Array | None, Array, tuple[float | None, ...] | None]:
     """Gear matrix, offset and torque constants; the constants None where the torque does not come from currents."""
     count = len(joints)
-    motor = root.section("motor") if root.has("motor") else Section(root.file, "[motor]", {})
+    motor = root.section("motor") if root.has("motor") else CampaignSection(root.file, "[motor]", {})
     motor.allow("gear_matrix", "offset", "torque_constant")
     if motor.has("torque_constant") and not has_current:
         raise motor.problem("torque_constant", "there is no [signals] motor_current that it belongs to")
@@ -450,7 +450,7 @@ def _read_motor(
     return gear_matrix, offset, constants if from_current else None
 
 
-def _read_entry(section: Section, campaign: Path, layout: _Layout) -> _Entry:
+def _read_entry(section: CampaignSection, campaign: Path, layout: _Layout) -> _Entry:
     section.allow("file", "role", "start_s", "end_s", "period_s", "payload")
     file = campaign.parent / section.text("file")
     try:
@@ -486,7 +486,7 @@ def _period_problem(period_s: float, rate: float, samples: int | None) -> str | 
     return None
 
 
-def _refuse_repeats(section: Section, key: str, names: Sequence[str]) -> None:
+def _refuse_repeats(section: CampaignSection, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise section.problem(key, f"{name!r} is listed {names.count(name)} times")
