@@ -13,10 +13,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
-from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections
+from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
-from rx90b_flex.diagnose.identified import with_possible_values
+from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
+from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.search import SIGNIFICANCE, Search, Trial, added, choose
@@ -294,17 +295,40 @@ def close_loop(
 
 
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
-    """The result with the flexibilities that second encoders show; torques of a rigid tree do not change by them."""
+    """The result with the flexibilities that second encoders show, its errors those of the robot that has them."""
     gears = gear_deflections(result.source, result.campaign, result.model)
-    torque = result.after.validation
+    result = dataclasses.replace(result, deflection=gears)
+    if not any(g.parameters for g in gears):
+        return result
+    robot = with_gears(identified_robot(result.source, result.model, result.joints), gears)
+    torques = {role: replayed(robot, result.campaign, role) for role in ROLES}
+    after = RoleErrors(*(Errors.of([r.torque for r, _ in x], [t for _, t in x]) for x in torques.values()))
     found = tuple(
-        FoundEffect(g.effect, g.parameters, torque, torque, g.trial.p_value, g.trial.gain_t, (), g.trial)
+        FoundEffect(
+            g.effect,
+            g.parameters,
+            result.after.validation,
+            after.validation,
+            g.trial.p_value,
+            g.trial.gain_t,
+            (),
+            g.trial,
+        )
         for g in gears
         if g.effect is not None and g.trial is not None
     )
+    predictions = tuple(
+        dataclasses.replace(p, after=t) for p, (_, t) in zip(result.predictions, torques["validation"], strict=True)
+    )
     named = {"unexplained": "partly_explained", "nothing_missing": "explained"} if found else {}
-    verdict = named.get(result.verdict, result.verdict)
-    return dataclasses.replace(result, effects=(*result.effects, *found), verdict=verdict, deflection=gears)
+    return dataclasses.replace(
+        result,
+        after=after,
+        effects=(*result.effects, *found),
+        verdict=named.get(result.verdict, result.verdict),
+        predictions=predictions,
+        moving=_moving(predictions),
+    )
 
 
 def _rising(tell: Progress) -> Progress:

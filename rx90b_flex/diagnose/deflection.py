@@ -12,7 +12,7 @@ from scipy import stats
 from rx90b_flex.diagnose.residual import Replay
 from rx90b_flex.diagnose.search import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.flexibility import DriveFlexibility
+from rx90b_flex.effects.flexibility import DAMPING_TIME, DriveFlexibility
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify import deflection as gears
 from rx90b_flex.identify.least_squares import Estimate, Identification
@@ -138,7 +138,7 @@ def gear_deflections(source: Robot, campaign: Campaign, model: Identification) -
         if data is None or not any(r.role == "identification" for r in data.runs):
             out.append(GearDeflection(joint, f"{joint} moves too little for its second encoder to show its gear."))
         else:
-            out.append(_judged(data, len(own), [*source.effects, *model.effects]))
+            out.append(_judged(data, len(own), [*source.effects, *(e.in_tree() for e in model.effects)]))
     return tuple(out)
 
 
@@ -239,13 +239,13 @@ def _errors(data: gears.GearData, learned: gears.GearFit) -> GearErrors:
 
 
 def _parameters(fit: gears.GearFit) -> tuple[Estimate, ...]:
-    """Stiffness and damping; a damping that does not stand out is none, with the uncertainty it has."""
+    """Stiffness and damping; one that does not stand out is the usual one, with the uncertainty that it has here."""
     c = fit.compliance
     rate = gears.with_more(fit, "rate", gears.rate_of_torque)
     damping, spread = rate.value("rate") / c**2, rate.std("rate") / c**2
     return (
         Estimate("stiffness", 1.0 / c, fit.std("torque") / c**2, "N m/rad"),
-        Estimate("damping", damping if damping > SURE * spread else 0.0, spread, "N m s/rad"),
+        Estimate("damping", damping if damping > SURE * spread else DAMPING_TIME / c, spread, "N m s/rad"),
     )
 
 
