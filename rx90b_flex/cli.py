@@ -6,9 +6,10 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
 
 app = typer.Typer(
     name="rx90b-flex",
@@ -88,7 +89,9 @@ def close_loop_command(
 
     Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
     """
-    from rx90b_flex.diagnose.close_flexible import speaks_of_frequency
+    if model_error is not None and not model_error > 0.0:
+        raise ValueError(f"model_error is {model_error:g}; expected more than 0")
+    from rx90b_flex.diagnose.modal_files import speaks_of_frequency
 
     if speaks_of_frequency(campaign):
         _close_over_frequency(campaign, out, robot, model_error, overwrite)
@@ -96,13 +99,13 @@ def close_loop_command(
     for name, value in (("--robot", robot), ("--model-error", model_error)):
         if value is not None and campaign.exists():  # what is not there is said to be missing, further on
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
+    from rx90b_flex.early import read_campaign
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
-    from rx90b_flex.signals.recording import load_campaign
 
     check_folder(out, CLOSED_LOOP, overwrite, [campaign])
     with _progress() as tell:
         tell("reading", 0.0)
-        read = load_campaign(campaign)  # what is wrong with it is said before the libraries of the search are loaded
+        read = read_campaign(campaign)
         from rx90b_flex.diagnose.close import close_loop
         from rx90b_flex.diagnose.motion import motion_errors
         from rx90b_flex.diagnose.output import write_result
@@ -205,7 +208,9 @@ def demo(
     from rx90b_flex.signals.folders import DEMONSTRATION, check_folder, fill_folder
 
     check_folder(out, DEMONSTRATION, overwrite)
-    from rx90b_flex.demo import make_demonstration
+    from rx90b_flex.demo import check_hidden, make_demonstration
+
+    check_hidden(hidden)
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.motion import motion_errors
     from rx90b_flex.diagnose.output import write_result
@@ -264,8 +269,8 @@ def frf(
 
     CAMPAIGN is what `rx90b-flex excite` writes, with the logs of its motions.
     """
+    from rx90b_flex.early import check_jobs, read_campaign
     from rx90b_flex.signals.folders import MOTOR_SIGNALS, check_folder
-    from rx90b_flex.signals.recording import load_campaign
 
     check_folder(out, MOTOR_SIGNALS, overwrite, [campaign])
     if not 0.0 < low_hz < high_hz:
@@ -274,9 +279,10 @@ def frf(
         raise ValueError(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
         )
-    if jobs < 1:
-        raise ValueError(f"jobs is {jobs}; expected 1 or more")
-    read = load_campaign(campaign)
+    check_jobs(jobs)
+    if mains_hz is not None and not mains_hz > 0.0:
+        raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
+    read = read_campaign(campaign)
     from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
     from rx90b_flex.view.frf_report import write_frf_report
 
@@ -340,6 +346,11 @@ def excite(
     """
     import math
 
+    from rx90b_flex.early import check_robot
+    from rx90b_flex.signals.folders import CAMPAIGN, check_folder
+
+    check_folder(out, CAMPAIGN, overwrite)
+    check_robot(robot)
     from rx90b_flex.simulate.excite import Request, excite_into
 
     poses = tuple(tuple(math.radians(x) for x in _numbers("pose", text)) for text in pose or [])
@@ -419,8 +430,8 @@ def simulate_command(
 
     The first simulation of a user compiles for about a minute; later ones do not.
     """
-    from rx90b_flex.simulate.closed_loop import Noise
-    from rx90b_flex.simulate.command import Request, simulate_into, summary
+    from rx90b_flex.early import check_robot
+    from rx90b_flex.signals.folders import RUN, check_folder
 
     chosen = [*([str(trajectory)] if trajectory else []), *["line"] * line, *["excitation"] * excitation]
     chosen += [*["square-wave"] * square_wave, *["harmonics"] * harmonics]
@@ -428,6 +439,13 @@ def simulate_command(
         raise ValueError(
             f"{' and '.join(chosen)}: choose one of --trajectory, --line, --excitation, --square-wave, --harmonics"
         )
+    check_folder(out, RUN, overwrite)
+    check_robot(robot)
+    if trajectory is not None and not trajectory.is_file():
+        raise ValueError(f"{trajectory}: no such trajectory file")
+    from rx90b_flex.simulate.closed_loop import Noise
+    from rx90b_flex.simulate.command import Request, simulate_into, summary
+
     noise = Noise(torque_noise, position_noise, velocity_noise)
     request = Request(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
     with _progress() as tell:
@@ -474,6 +492,15 @@ def check_path_command(
         check_folder(
             out, PATH_CHECK, overwrite, [path, *([robot] if robot else []), *([controller] if controller else [])]
         )
+    from rx90b_flex.early import check_jobs, check_robot
+
+    check_jobs(jobs)
+    if save_example is None:
+        from rx90b_flex.path.seam import load_seam
+
+        named = load_seam(path, speed_mm_s).robot
+        if robot or named:
+            check_robot(robot or named or "")
     from rx90b_flex.path.check import Options
     from rx90b_flex.path.output import Request, run_request, write_check, write_example
 
@@ -517,6 +544,14 @@ def view(
 
     In a browser, or (--out) as one HTML file that opens offline.
     """
+    from rx90b_flex.early import check_robot, read_campaign
+
+    for given in [source, *([beside] if beside else [])]:
+        inside = Path(given) / "campaign.toml" if Path(given).is_dir() else Path(given)
+        if inside.is_file() and inside.suffix == ".toml" and b"[[recording]]" in inside.read_bytes():
+            read_campaign(inside)
+        elif not Path(given).is_dir():
+            check_robot(given)
     from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
 
     wanted = Wanted(source, beside, recording, magnify, modes, pose, count)
@@ -584,13 +619,13 @@ def identify_command(
 
     Parameters with standard deviations, robot file and URDF, predictions, report.
     """
+    from rx90b_flex.early import read_campaign
     from rx90b_flex.signals.folders import IDENTIFIED, check_folder, fill_folder
-    from rx90b_flex.signals.recording import load_campaign
 
     check_folder(out, IDENTIFIED, overwrite, [campaign])
     with _progress() as tell:
         tell("reading", 0.0)
-        read = load_campaign(campaign)
+        read = read_campaign(campaign)
         from rx90b_flex.identify.command import identify_campaign, write_identified
         from rx90b_flex.view.identify_report import headline, write_identify_report
 
@@ -650,6 +685,24 @@ def _describe(effect: object) -> str:
     values = ", ".join(f"{name} {value:.4g} {unit}".removesuffix(" -") for name, unit, value in effect.public_values())
     return f"{effect.type_name()} on {' + '.join(effect.joints) or 'the robot'}: {values}"
 
+
+class _Command(typer.core.TyperCommand):
+    """A command whose numbers are finite, and whose seeds a generator takes."""
+
+    def invoke(self, ctx: Any) -> Any:
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name)
+            if isinstance(value, float) and not abs(value) < 1e300:
+                raise ValueError(f"{parameter.opts[0]} is {value}; expected a finite number")
+            if isinstance(value, int) and not isinstance(value, bool) and not -(2**63) <= value < 2**63:
+                raise ValueError(f"{parameter.opts[0]} is a number of {len(str(value))} digits; expected a smaller one")
+            if parameter.name == "seed" and isinstance(value, int) and value < 0:
+                raise ValueError(f"{parameter.opts[0]} is {value}; expected 0 or more")
+        return super().invoke(ctx)
+
+
+for _info in app.registered_commands:
+    _info.cls = _Command
 
 # in the order in which a user meets them
 _ORDER = (

@@ -85,8 +85,7 @@ def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT)
         An effect type that the demonstration does not make.
     """
     rng = np.random.default_rng(seed)
-    if hidden is not None and hidden not in (*HIDDEN, NOTHING):
-        raise ValueError(f"--hidden: unknown effect type {hidden!r}; {close_match(hidden, (*HIDDEN, NOTHING))}")
+    check_hidden(hidden)
     kind = str(rng.choice(HIDDEN)) if hidden is None else hidden
     base = load_robot(robot)
     experiments = [_Experiment.draw(base, rng) for _ in range(3)]
@@ -99,6 +98,12 @@ def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT)
         for i, (experiment, role) in enumerate(zip(experiments, roles, strict=True), start=1)
     ]
     return Demonstration(declared, true, effect, tuple(recordings))
+
+
+def check_hidden(hidden: str | None) -> None:
+    """Refuse an effect type that the demonstration does not make, with the nearest one that it does."""
+    if hidden is not None and hidden not in (*HIDDEN, NOTHING):
+        raise ValueError(f"--hidden: unknown effect type {hidden!r}; {close_match(hidden, (*HIDDEN, NOTHING))}")
 
 
 @dataclass(frozen=True, eq=False)

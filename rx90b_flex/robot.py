@@ -27,6 +27,7 @@ LINK_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 # pinocchio's order is m, s, then J as xx xy yy xz yz zz
 _TO_TABLE_ORDER = np.array([0, 1, 2, 3, 4, 6, 9, 5, 7, 8])
 
+LARGEST_INERTIA = 1e9  # kg, kg m or kg m^2 of a link: none is larger
 ROBOT_KEYS = ("name", "urdf", "tip_frame", "inertial_parameters", "effects")
 
 
@@ -609,6 +610,12 @@ def load_robot(source: str | os.PathLike[str]) -> Robot:
 def _from_urdf(source: str | Path, name: str, tip_frame: str | None, inertial_parameters: str) -> Robot:
     urdf = virtual.to_xml(virtual.normalise(virtual.read_urdf(source)))
     robot = Robot(name, urdf, "", inertial_parameters, ())
+    for frame, inertia in zip(robot.tree.names, robot.tree.inertias, strict=True):
+        largest = float(np.abs(inertia.toDynamicParameters()).max())
+        if not largest <= LARGEST_INERTIA:
+            raise ValueError(
+                f"{source}: the link behind joint {frame!r} has an inertial parameter of {largest:.3g}; expected SI units"
+            )
     if robot.tree.nv == 0:
         raise ValueError(f"{source}: the URDF has no moving joint")
     tip = _default_tip(robot.tree) if tip_frame is None else tip_frame

@@ -27,7 +27,15 @@ def angle_dependent(motion: ind.Motion, load: np.ndarray) -> np.ndarray:
     return out
 
 
-def campaign(folder: Path, hidden: ind.Torque | None, recordings: int = 3, rest_s: float = 0.0) -> Path:
+def campaign(
+    folder: Path,
+    hidden: ind.Torque | None,
+    recordings: int = 3,
+    rest_s: float = 0.0,
+    *,
+    known: bool = False,
+    joints: tuple[str, ...] | None = None,
+) -> Path:
     """The arm of two joints; all but the last recording are to identify on; each begins with a rest."""
     folder.mkdir(exist_ok=True)
     arm, rng = ind.two_joints(folder), np.random.default_rng(4)
@@ -38,7 +46,7 @@ def campaign(folder: Path, hidden: ind.Torque | None, recordings: int = 3, rest_
         m = resting_first(moved, rest_s)
         torques = [ind.friction(COULOMB, VISCOUS), *([hidden] if hidden else [])]
         runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), NOISE)))
-    return ind.write_files(folder, arm, DECLARED, runs, cutoff_hz=CUTOFF_HZ)
+    return ind.write_files(folder, arm, DECLARED, runs, cutoff_hz=CUTOFF_HZ, known=known, joints=joints)
 
 
 def resting_first(motion: ind.Motion, rest_s: float) -> ind.Motion:
@@ -172,6 +180,17 @@ def test_the_written_robot_replayed_gives_the_stated_error(spring, tmp_path):
         errors = rf.replay_errors(tmp_path / "robot.toml", path, role)
         assert errors.relative_error == pytest.approx(content["after"][role]["relative_error"], rel=1e-6)
         assert errors.torque_rms == pytest.approx(content["after"][role]["torque_rms"], rel=1e-6)
+
+
+@pytest.mark.parametrize("joints", [("elbow", "shoulder"), ("elbow",)], ids=["another order", "one joint of two"])
+@pytest.mark.parametrize("known", [True, False], ids=["links known", "links fitted"])
+def test_that_holds_whatever_the_form_of_the_campaign(joints, known, tmp_path):
+    """What the other joint does is missing where it is not logged; the written robot is the reported one all the same."""
+    path = campaign(tmp_path / "data", ind.hidden("joint_spring", 1, SPRING), 2, known=known, joints=joints)
+    r = rf.close_loop(path)
+    write_result(r, tmp_path / "out")
+    errors = rf.replay_errors(tmp_path / "out" / "robot.toml", path)
+    assert errors.relative_error == pytest.approx(r.after.validation.relative_error, rel=1e-6)
 
 
 def test_both_errors_are_stated_where_the_fitted_links_are_no_bodies(spring):

@@ -13,9 +13,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
-from rx90b_flex.diagnose.identified import with_possible_values
+from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
+from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.search import SIGNIFICANCE, Search, Trial, added, choose
@@ -177,6 +179,8 @@ class ClosedLoop:
         Why nothing is known; empty otherwise.
     fitted : FittedErrors or None
         Errors with the fitted values, where a robot that can exist has others; `before` and `after` are of the latter.
+    deflection : tuple of GearDeflection
+        What second encoders show of each gear; empty where there are none.
     """
 
     robot: str
@@ -199,6 +203,7 @@ class ClosedLoop:
     not_explainable: str = ""
     fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
+    deflection: tuple[GearDeflection, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +291,44 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)))
+        return _with_second_encoders(_closed(source, robot, seed, _rising(progress or (lambda _text, _part: None))))
+
+
+def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
+    """The result with the flexibilities that second encoders show, its errors those of the robot that has them."""
+    gears = gear_deflections(result.source, result.campaign, result.model)
+    result = dataclasses.replace(result, deflection=gears)
+    if not any(g.parameters for g in gears):
+        return result
+    robot = with_gears(identified_robot(result.source, result.model, result.joints), gears)
+    torques = {role: replayed(robot, result.campaign, role) for role in ROLES}
+    after = RoleErrors(*(Errors.of([r.torque for r, _ in x], [t for _, t in x]) for x in torques.values()))
+    found = tuple(
+        FoundEffect(
+            g.effect,
+            g.parameters,
+            result.after.validation,
+            after.validation,
+            g.trial.p_value,
+            g.trial.gain_t,
+            (),
+            g.trial,
+        )
+        for g in gears
+        if g.effect is not None and g.trial is not None
+    )
+    predictions = tuple(
+        dataclasses.replace(p, after=t) for p, (_, t) in zip(result.predictions, torques["validation"], strict=True)
+    )
+    named = {"unexplained": "partly_explained", "nothing_missing": "explained"} if found else {}
+    return dataclasses.replace(
+        result,
+        after=after,
+        effects=(*result.effects, *found),
+        verdict=named.get(result.verdict, result.verdict),
+        predictions=predictions,
+        moving=_moving(predictions),
+    )
 
 
 def _rising(tell: Progress) -> Progress:

@@ -41,7 +41,6 @@ from rx90b_flex.diagnose.response import MODEL_ERROR as RESPONSE_ERROR
 from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, thinned
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
-from rx90b_flex.files.toml import read_toml
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
@@ -570,17 +569,6 @@ def write_loop(
 
     fill_folder(folder, fill, CLOSED_LOOP, overwrite)
     return folder
-
-
-def speaks_of_frequency(source: str | os.PathLike[str]) -> bool:
-    """Whether a file or folder is a modal table or a result of ``rx90b-flex frf``, not a campaign of recordings."""
-    path = Path(source)
-    if path.is_dir():
-        return (path / "frf.json").is_file()
-    try:
-        return path.suffix == ".toml" and "pose" in read_toml(path, "modal table")
-    except ValueError:
-        return False  # the campaign's reader says what is wrong with it
 
 
 def close_over_frequency(

@@ -12,6 +12,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction
+from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.residual import RoleErrors
 from rx90b_flex.effects import Effect
@@ -51,6 +52,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
             ],
             "cautions": list(result.cautions),
         },
+        "deflection": deflection_json(result.deflection),
     }
 
 
@@ -121,7 +123,7 @@ def closed_loop_robot(result: ClosedLoop) -> Robot:
     Fitted links that no body could have, and coefficients below their bounds, are replaced by the nearest that are possible,
     in the metric of the data's own information (see `rx90b_flex.identify.physical`).
     """
-    return identified_robot(result.source, result.model, result.joints)
+    return with_gears(identified_robot(result.source, result.model, result.joints), result.deflection)
 
 
 def prediction_table(prediction: Prediction) -> str:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal
 
 from rx90b_flex.diagnose.residual import Errors, Replay
+from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.regression import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign
+from rx90b_flex.signals.recording import Role
+
+ROLES: tuple[Role, Role] = ("validation", "identification")
 
 
 def replay_errors(
     robot: str | os.PathLike[str] | Robot,
     campaign: str | os.PathLike[str] | Campaign,
-    role: Literal["identification", "validation"] = "validation",
+    role: Role = "validation",
 ) -> Errors:
     """Torque errors of a robot with the values that it has, nothing identified, on the recordings of one role.
 
@@ -36,9 +39,15 @@ def replay_errors(
     """
     loaded = robot if isinstance(robot, Robot) else load_robot(os.fspath(robot))
     known = campaign if isinstance(campaign, Campaign) else load_campaign(Path(campaign))
-    recordings = [r for r in known.recordings if r.role == role]
-    if not recordings:
+    if not any(r.role == role for r in known.recordings):
         raise ValueError(f"{known.path}: no recording has role {role!r}")
-    rigid = loaded.over_time().restricted(known.joints)
-    replays = [Replay(rigid, prepare(rigid, r, known.cutoff_hz, thin=False)) for r in recordings]
-    return Errors.of([r.torque for r in replays], [r.predict(rigid.effects, rigid.link_parameters) for r in replays])
+    both = replayed(loaded, known, role)
+    return Errors.of([r.torque for r, _ in both], [t for _, t in both])
+
+
+def replayed(robot: Robot, campaign: Campaign, role: Role) -> list[tuple[Replay, Array]]:
+    """Recordings of one role, each with the torque of a robot as it stands, (N, joints), N m, after the low-pass."""
+    rigid = robot.over_time().restricted(campaign.joints)
+    recordings = [r for r in campaign.recordings if r.role == role]
+    replays = [Replay(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings]
+    return [(r, r.predict(rigid.effects, rigid.link_parameters)) for r in replays]

@@ -94,6 +94,8 @@ class PeriodicEffect(SineEffect):
         best: list[Indices] = []
         for power in self._spectra(orders, residual, cutoff_hz):
             best.append(highest_peaks(power, self.PEAKS))
+        if not best:  # a joint that never moves shows no order
+            return np.empty((0, 1))
         return orders[np.unique(np.concatenate(best))][:, None]
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:

@@ -184,13 +184,20 @@ def _identified(source: Path | Campaign, tell: Progress) -> Identified:
             raise ValueError(
                 f"{recording.source or recording.name}: every torque is zero; errors have no size to go by"
             )
+    if declared.inertial_parameters == "known" and not any(not e.virtual for e in declared.effects):
+        raise ValueError(
+            f"{campaign.robot_source}: nothing to identify: inertial_parameters is 'known' and no effects are declared"
+        )
     tell("differentiating", 0.1)
     regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz)
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
     model = identify(regression, regression.robot.effects, fit_links=fitted)
     tell("making it possible", 0.6)
-    theta, held = possible_coefficients(model)
+    try:
+        theta, held = possible_coefficients(model)
+    except ValueError as error:  # of a torque that hardly depends on the motion, say
+        raise ValueError(f"{campaign.path}: {error}; do the torques belong to these motions?") from None
     robot = _robot(declared, model, theta)
     base = base_parameters(model)
     tell("predicting", 0.8)

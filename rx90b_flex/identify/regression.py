@@ -129,10 +129,11 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     """
     rate = recording.sample_rate_hz
     try:
+        # the narrower filter first: where a recording is too short for it, that is the cutoff that the user knows
+        torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
         position_cutoff = _position_cutoff(recording.position, rate, cutoff_hz)
         moved = motion(recording.position, rate, position_cutoff)
         moved = _standing(moved, recording.position, rate)
-        torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
     except ValueError as error:
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     if cutoff_hz is None or not thin:

@@ -44,6 +44,8 @@ KEYS = (
     "start_deg", "robot",
 )  # fmt: skip
 ACCELERATION = 1.0  # m/s^2; choice: 50 mm/s is reached in 94 ms and 2.3 mm
+FARTHEST = 100.0  # m, of a point
+LONGEST_S = 3600.0  # of a path
 STRAIGHT = 1e-6  # rad; a corner that turns less is none
 RAMP_PEAK = 1.875  # of a ramp's acceleration, over its mean
 
@@ -155,6 +157,15 @@ class Seam:
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{self.name}: {name} is {value:g}; expected more than 0")
         sides = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if np.abs(points).max() > FARTHEST:
+            raise ValueError(
+                f"{self.name}: a point is {np.abs(points).max():.3g} m away; expected metres, {FARTHEST:g} at most"
+            )
+        if sides.sum() > LONGEST_S * self.speed or self.speed > LONGEST_S * self.acceleration:
+            raise ValueError(
+                f"{self.name}: at {1e3 * self.speed:.3g} mm/s and {self.acceleration:.3g} m/s^2 it takes more than {LONGEST_S:g} s; "
+                "expected a faster motion"
+            )
         if (sides < 1e-6).any():
             k = int(np.argmin(sides))
             raise ValueError(f"{self.name}: points {k + 1} and {k + 2} are the same; expected a path between them")

@@ -21,6 +21,7 @@ _RESAMPLE_ATTENUATION_DB = 100.0
 _RESAMPLE_PASS = 0.8
 # `noise_cutoff_hz`: a spectrum this many times the noise floor is signal; noise that adds less than this part
 # to the acceleration does not matter.
+FEWEST_SAMPLES = 64  # that noise can be told from motion in
 _SIGNAL_OVER_FLOOR = 4.0
 _NEGLIGIBLE_NOISE = 1e-3
 
@@ -300,14 +301,15 @@ def noise_cutoff_hz(position: ArrayLike, sample_rate_hz: float, order: int = 4) 
     Raises
     ------
     ValueError
-        Fewer than 256 samples: no spectrum worth the name.
+        Fewer than 64 samples: no spectrum worth the name. Below 256 it is a rough one.
     """
     samples = _samples(position)
     rate = _rate(sample_rate_hz)
     samples = samples.reshape(len(samples), -1)
-    if len(samples) < 256:
-        raise ValueError(f"{len(samples)} samples are too few to tell noise from motion: 256 are needed")
-    length = min(max(128, 2 ** int(math.log2(len(samples) / 8))), 8192)
+    if len(samples) < FEWEST_SAMPLES:
+        raise ValueError(f"{len(samples)} samples are too few to tell noise from motion: {FEWEST_SAMPLES} are needed")
+    shortest = min(128, 2 ** int(math.log2(len(samples) / 2)))
+    length = min(max(shortest, 2 ** int(math.log2(len(samples) / 8))), 8192)
     hz, spectrum = signal.welch(np.diff(samples, 2, axis=0), rate, nperseg=length, detrend=False, axis=0)
     # bin 0 carries no shape, the last (Nyquist) only half the power
     hz, spectrum = hz[1:-1], spectrum[1:-1]

@@ -37,6 +37,9 @@ SPLIT = 0.7  # of a single file: the part that is fitted
 JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
 GAP = 10.0  # sample periods without a sample: the log was interrupted
 SHORTEST = 10  # samples
+SHORT_S = 10.0  # s of identification below which intervals are wide
+FEWEST_S = 4.0  # s of identification, of which close-loop holds parts out
+FEWEST_SAMPLES = 64  # below which there is no spectrum to tell noise from motion
 
 # words in names, in lower case
 # fmt: off
@@ -183,7 +186,30 @@ def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = Non
             for k, (r, name) in enumerate(zip(parts, _unique([r.name for r in parts]), strict=True))
         )
         findings.append(("all files", Finding(f"the last file, {recordings[-1].name}, validates", "sure")))
+    findings += [("all files", finding) for finding in _too_short(recordings)]
     return Imported(recordings, tuple(findings))
+
+
+def _too_short(recordings: Sequence[Recording]) -> list[Finding]:
+    """A word where recordings are so short that what is found in them is uncertain, or that a search cannot be made."""
+    fitted = sum(r.duration_s for r in recordings if r.role == "identification")
+    fewest = min(r.samples for r in recordings)
+    out = []
+    if fitted < SHORT_S:
+        out.append(
+            Finding(
+                f"{fitted:.3g} s identify: parameters will be uncertain; record more than {SHORT_S:g} s, and at least "
+                f"{FEWEST_S:g} s for close-loop",
+                "sure",
+            )
+        )
+    if fewest < FEWEST_SAMPLES:
+        out.append(
+            Finding(
+                f"a part of {fewest} samples: state a cutoff_hz, for noise cannot be told from motion in it", "sure"
+            )
+        )
+    return out
 
 
 def _check_options(options: Options, axes: Axes) -> None:

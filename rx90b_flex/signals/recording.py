@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals import tables
-from rx90b_flex.signals.section import Section
+from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
     FlangeLoad,
     flange_load_toml,
@@ -55,6 +55,8 @@ _SIGNALS = (
 _REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
+# Nor is there a torque, a speed or a current of this size; sums of squares stay finite below it.
+_LARGEST_VALUE = 1e9
 _LARGEST_DEGREES = 360.0  # beyond it, motor turns are as likely
 _OTHER_UNIT = re.compile(
     r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
@@ -226,7 +228,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     """
     path = Path(path)
     missing = "no such file; a campaign file (TOML) is expected"
-    root = Section(str(path), "", read_toml(path, "campaign file", missing))
+    root = CampaignSection(str(path), "", read_toml(path, "campaign file", missing))
     layout = _read_layout(root)
     entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
     if not any(entry.role == "identification" for entry in entries):
@@ -365,7 +367,7 @@ class _Layout:
 class _Entry:
     """One [[recording]]."""
 
-    where: Section
+    where: CampaignSection
     file: Path
     role: Role
     start_s: float | None
@@ -374,7 +376,7 @@ class _Entry:
     payload: FlangeLoad | None
 
 
-def _read_layout(root: Section) -> _Layout:
+def _read_layout(root: CampaignSection) -> _Layout:
     root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "recording")
     rate = root.positive("sample_rate_hz")
     joints = root.texts("joints")
@@ -427,11 +429,11 @@ def _read_layout(root: Section) -> _Layout:
 
 
 def _read_motor(
-    root: Section, joints: Sequence[str], has_current: bool, from_current: bool
+    root: CampaignSection, joints: Sequence[str], has_current: bool, from_current: bool
 ) -> tuple[Array | None, Array, tuple[float | None, ...] | None]:
     """Gear matrix, offset and torque constants; the constants None where the torque does not come from currents."""
     count = len(joints)
-    motor = root.section("motor") if root.has("motor") else Section(root.file, "[motor]", {})
+    motor = root.section("motor") if root.has("motor") else CampaignSection(root.file, "[motor]", {})
     motor.allow("gear_matrix", "offset", "torque_constant")
     if motor.has("torque_constant") and not has_current:
         raise motor.problem("torque_constant", "there is no [signals] motor_current that it belongs to")
@@ -448,7 +450,7 @@ def _read_motor(
     return gear_matrix, offset, constants if from_current else None
 
 
-def _read_entry(section: Section, campaign: Path, layout: _Layout) -> _Entry:
+def _read_entry(section: CampaignSection, campaign: Path, layout: _Layout) -> _Entry:
     section.allow("file", "role", "start_s", "end_s", "period_s", "payload")
     file = campaign.parent / section.text("file")
     try:
@@ -484,7 +486,7 @@ def _period_problem(period_s: float, rate: float, samples: int | None) -> str | 
     return None
 
 
-def _refuse_repeats(section: Section, key: str, names: Sequence[str]) -> None:
+def _refuse_repeats(section: CampaignSection, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise section.problem(key, f"{name!r} is listed {names.count(name)} times")
@@ -523,6 +525,8 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         joint_side = _to_joint_side(measured, item, layout)
         if item.kind == "angle":
             _check_angles(table.path, names, joint_side, item, layout)
+        else:
+            _check_sizes(table.path, names, joint_side, item, layout)
         values[item.field] = joint_side
     if layout.torque_constants is not None:
         values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.torque_constants])
@@ -595,6 +599,16 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
             item.key,
             layout.joints if degrees else beyond,
             180.0 / math.pi if degrees else None,
+        )
+
+
+def _check_sizes(file: Path, names: Sequence[str], values: Array, item: _Signal, layout: _Layout) -> None:
+    largest = np.max(np.abs(values), axis=0)
+    joint = int(np.argmax(largest))
+    if largest[joint] > _LARGEST_VALUE:
+        raise ValueError(
+            f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} on the joint side;"
+            f" SI units, below {_LARGEST_VALUE:g}, are expected"
         )
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Section:
+class CampaignSection:
     """A table of the campaign file whose values are asked for by key and type; every error names file and key."""
 
     file: str
@@ -81,17 +81,17 @@ class Section:
             raise self.problem(key, f"has {len(value)} rows of {found} numbers, {expected}")
         return np.array([[self.finite(key, item) for item in row] for row in value])
 
-    def section(self, key: str) -> Section:
+    def section(self, key: str) -> CampaignSection:
         value = self._get(key)
         if not isinstance(value, dict):
             raise self.problem(key, f"found {shown(value)}, a table [{key}] is expected")
-        return Section(self.file, f"[{key}]", value)
+        return CampaignSection(self.file, f"[{key}]", value)
 
-    def sections(self, key: str) -> list[Section]:
+    def sections(self, key: str) -> list[CampaignSection]:
         value = self._get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self.problem(key, f"found {shown(value)}, tables [[{key}]] are expected")
-        return [Section(self.file, f"[[{key}]] {index + 1}", item) for index, item in enumerate(value)]
+        return [CampaignSection(self.file, f"[[{key}]] {index + 1}", item) for index, item in enumerate(value)]
 
     def finite(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

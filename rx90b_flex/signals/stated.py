@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.signals import tables
-from rx90b_flex.signals.section import Section, shown
+from rx90b_flex.signals.section import CampaignSection, shown
 
 # A list in a TOML file holds no gaps, but it may hold this.
 LEFT_OUT = "nan"
@@ -36,7 +36,7 @@ class FlangeLoad:
         return self.mass * np.r_[1.0, c, inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
 
 
-def read_torque_constants(motor: Section, joints: Sequence[str]) -> tuple[float | None, ...]:
+def read_torque_constants(motor: CampaignSection, joints: Sequence[str]) -> tuple[float | None, ...]:
     """`torque_constant` of a [motor] table, N m/A at the joint, one a joint; None for a value that is left out.
 
     Either a list with a value a joint, `nan` where it is left out, or a table ``{ joint = value }`` of those that are known; without
@@ -65,7 +65,7 @@ def read_torque_constants(motor: Section, joints: Sequence[str]) -> tuple[float 
     return tuple(_constant(motor, key, value) for value in found)
 
 
-def _constant(motor: Section, key: str, value: object) -> float | None:
+def _constant(motor: CampaignSection, key: str, value: object) -> float | None:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return None
     number = motor.finite(key, value)
@@ -74,7 +74,7 @@ def _constant(motor: Section, key: str, value: object) -> float | None:
     return number
 
 
-def read_flange_load(entry: Section) -> FlangeLoad | None:
+def read_flange_load(entry: CampaignSection) -> FlangeLoad | None:
     """`payload = { mass = 2.6, centre = [0.0, 0.0, 0.05] }` of a [[recording]], kg and m in the tip frame; None where it has none.
 
     Raises
@@ -88,7 +88,7 @@ def read_flange_load(entry: Section) -> FlangeLoad | None:
     found = entry.values["payload"]
     if not isinstance(found, dict):
         raise entry.problem("payload", f"found {shown(found)}, {expected}")
-    inside = Section(entry.file, f"{entry.name} payload", found)
+    inside = CampaignSection(entry.file, f"{entry.name} payload", found)
     inside.allow("mass", "centre")
     centre = found.get("centre")
     if not isinstance(centre, list) or len(centre) != 3:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rx90b_flex.early import LONGEST_S
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation import multisine
 from rx90b_flex.export import save_robot
@@ -88,6 +89,8 @@ def prepare(request: Request) -> Prepared:
         raise ValueError(f"velocity noise is {request.noise.velocity}; expected 0 or more")
     if request.periods < 1:
         raise ValueError(f"periods is {request.periods}; expected 1 or more")
+    if request.periods * PERIOD_S > LONGEST_S:
+        raise ValueError(f"periods is {request.periods}; expected {int(LONGEST_S / PERIOD_S)} at most, a day of motion")
     robot = load_robot(request.robot)
     for effect in robot.effects:
         effect.known_coefficients()
@@ -270,6 +273,11 @@ def simulate_into(
     what = f"simulating {prepared.trajectory.name}"
     tell(what, 0.0)
     result = run(prepared, lambda part: tell(what, 0.95 * part))
+    if len(result.time) < 2:
+        raise ValueError(
+            f"{prepared.robot.name}: {prepared.trajectory.name} ended at once: {result.ended or 'it has no samples'}; expected a "
+            "robot whose drives and links have inertia, and a reference that begins where it rests"
+        )
     tell("writing", 0.95)
 
     def fill(at: Path) -> None:

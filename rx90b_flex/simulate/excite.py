@@ -41,6 +41,8 @@ MATRICES: dict[Matrix, Callable[[int], Array]] = {
 }
 SHARE = 0.1  # of a joint's torque limit, where no peak is given: the source's 45 N m on the RX90B's first joints
 NOISE = Noise(torque=0.1, position=1e-6, velocity=1e-4)  # of a simulated log
+LONGEST_PERIOD_S = 600.0  # lines 1/300 Hz apart: finer than any resonance is wide
+MOST_DAYS = 7
 LOGGED = ("motor_position", "torque", "feedforward_torque")  # what a robot's log must hold
 
 Progress = Callable[[str, float], None]
@@ -104,6 +106,7 @@ def excitation_plans(request: Request) -> tuple[Plan, ...]:
     ValueError
         One line that names what does not fit: a joint, a pose beyond its limits, a torque beyond its limit, lines beyond Nyquist.
     """
+    _check_numbers(request)
     robot = load_robot(request.robot)
     joints = request.joints or robot.joints[:3]
     for joint in joints:
@@ -114,8 +117,8 @@ def excitation_plans(request: Request) -> tuple[Plan, ...]:
     controller = _controller(robot, request.controller)
     low, high = request.band_hz
     nyquist = 0.5 * controller.reference_rate_hz
-    lines = lines_in_band(low, high, request.period_s)
-    if not 0.0 < low < high < nyquist or not lines:
+    lines = lines_in_band(low, high, request.period_s) if 0.0 < low < high < nyquist else ()
+    if not lines:
         raise ValueError(
             f"the band is {low:g} to {high:g} Hz with lines {2.0 / request.period_s:.3g} Hz apart; expected odd lines between 0 and "
             f"{nyquist:g} Hz, half the references' rate"
@@ -141,6 +144,28 @@ def excitation_plans(request: Request) -> tuple[Plan, ...]:
         )
         plans.append(dataclasses.replace(plan, amplitudes=white_amplitudes(plan)) if request.white else plan)
     return tuple(plans)
+
+
+def _check_numbers(request: Request) -> None:
+    """Refuse numbers that cannot be meant, before arrays of their size are made."""
+    for joint in request.joints:
+        if request.joints.count(joint) > 1:
+            raise ValueError(f"--joints: {joint!r} is listed {request.joints.count(joint)} times")
+    if not 0.0 < request.period_s <= LONGEST_PERIOD_S:
+        raise ValueError(f"--period-s is {request.period_s:g}; expected more than 0, up to {LONGEST_PERIOD_S:g}")
+    if not request.speed > 0.0:
+        raise ValueError(f"--speed is {request.speed:g}; expected more than 0")
+    for name, value in (("--realisations", request.realisations), ("--periods", request.periods)):
+        if value < 1:
+            raise ValueError(f"{name} is {value}; expected 1 or more")
+    days = request.realisations * request.periods * request.period_s / 86400.0
+    if days > MOST_DAYS:
+        raise ValueError(
+            f"--realisations, --periods and --period-s make {days:.3g} days of motion; expected {MOST_DAYS} at most"
+        )
+    for name, numbers in (("--peak", request.peak), *(("--pose", pose) for pose in request.poses)):
+        if not np.isfinite(numbers).all():
+            raise ValueError(f"{name} has a number that is not finite; expected finite ones")
 
 
 def white_amplitudes(plan: Plan) -> tuple[tuple[float, ...], ...]:

@@ -294,6 +294,13 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
     q0 = robot.input_matrix @ angles
     free = robot.with_effects([effect for effect in robot.effects if effect.part != "friction"])
     linear = free.linearize(q0)
+    mass = robot.mass_matrix(q0)
+    sizes, directions = np.linalg.eigh(mass)
+    if sizes[0] <= 1e-12 * sizes[-1]:
+        at = robot.coordinates[int(np.abs(directions[:, 0]).argmax())]
+        raise ValueError(
+            f"{robot.name}: nothing with mass moves with {at} alone; expected a drive_inertia or a link's inertia there"
+        )
     elastic = linear.frequencies_hz(elastic_only=True)[len(robot.joints) :]  # before them, the free drives
     if len(elastic) == 0:
         raise ValueError(f"{robot.name}: nothing in it bends; expected a robot with flexible drives or joints")

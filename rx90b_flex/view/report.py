@@ -31,6 +31,7 @@ from rx90b_flex.view.advice import (
     place_words,
     standstill,
 )
+from rx90b_flex.view.deflection_section import gear_section
 from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
 
 MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
@@ -91,6 +92,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         motion_is_known=isinstance(motion, MotionErrors),
         joint_figures=[_joint_figures(result, joint) for joint in result.joints],
         rounds=_rounds(result),
+        gears=gear_section(result.deflection),
         dependence_figures=_dependence_figures(result),
         band_figures=_band_figures(result),
         advice=next_measurements(result),

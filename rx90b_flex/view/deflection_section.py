@@ -1,0 +1,63 @@
+"""The part of a report about second encoders: what each gear does under load, in words, numbers and loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import markupsafe
+import numpy as np
+from matplotlib.figure import Figure
+
+from rx90b_flex.diagnose.deflection import GearDeflection
+from rx90b_flex.identify.deflection import GearFit, loops
+from rx90b_flex.view.page import image, template
+
+COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+MARKS = ("s", "o", "^", "D", "v", "P")
+
+
+def gear_section(found: Sequence[GearDeflection]) -> markupsafe.Markup | None:
+    """The section as HTML; None where no joint has a second encoder."""
+    if not found:
+        return None
+    figures = {
+        gear.joint: image(
+            loop_figure(gear.fit),
+            f"Deflection of the gear of {gear.joint} over torque",
+            "Left: link less motor as measured, over the motor's torque. Right: less the second encoder's lag and position "
+            "errors, over the torque that passes the gear (the model's, less friction and rotor inertia), with the fitted line.",
+        )
+        for gear in found
+        if gear.fit is not None
+    }
+    return markupsafe.Markup(template("deflection.html").render(gears=found, figures=figures))
+
+
+def loop_figure(fit: GearFit) -> Figure:
+    """Deflection over torque before and after, one colour and mark a recording."""
+    figure = Figure(figsize=(8.0, 3.2), layout="constrained", dpi=160)
+    before, after = figure.subplots(1, 2)
+    widest = 0.0
+    for i, loop in enumerate(loops(fit)):
+        style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKS[i % len(MARKS)], "label": loop.recording}
+        for ax, torque, angle in (
+            (before, loop.motor, loop.measured),
+            (after, loop.through, loop.deflection),
+        ):
+            # thousands of marks as one picture keep the report small
+            ax.plot(torque, 1e3 * angle, linestyle="none", markersize=2.0, rasterized=True, **style)
+        widest = max(widest, float(np.abs(loop.through).max()))
+    ends = np.array([-widest, widest])
+    after.plot(ends, -1e3 * fit.compliance * ends, color="#000000", linewidth=1.2, label="fitted line")
+    for ax, title, label in (
+        (before, "before", "motor torque, N m"),
+        (after, "after", "torque through the gear, less its mean, N m"),
+    ):
+        ax.set_title(title, fontsize=9)
+        ax.set_xlabel(label, fontsize=8)
+        ax.tick_params(labelsize=8)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(color="#e6e6e6", linewidth=0.5)
+    before.set_ylabel("link less motor, mrad", fontsize=8)
+    after.legend(fontsize=7, frameon=False)
+    return figure

@@ -1,0 +1,210 @@
+"""What a wrong or odd input is told: one line, status 2, the file and the place named, nothing written."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_cli import Command, campaign, command, edit, tree, write_campaign
+
+import rx90b_flex as rf
+
+__all__ = ["campaign", "command"]  # fixtures
+
+
+def change_logs(folder: Path, **columns: float) -> None:
+    for name in ("log_1.csv", "log_2.csv"):
+        table = pd.read_csv(folder / name)
+        table.assign(**columns).to_csv(folder / name, index=False)
+
+
+def scale_logs(folder: Path, column: str, factor: float) -> None:
+    for name in ("log_1.csv", "log_2.csv"):
+        table = pd.read_csv(folder / name)
+        table.assign(**{column: table[column] * factor}).to_csv(folder / name, index=False)
+
+
+def refused(command: Command, folder: Path, *arguments: object) -> str:
+    before = tree(folder)
+    found = command(*arguments)
+    assert (found.status, found.out, found.err.count("\n")) == (2, "", 1)
+    assert tree(folder) == before
+    return found.err
+
+
+# ---- numbers --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "sample_rate_hz = 100\n",
+            "sample_rate_hz = 1" + "0" * 400 + "\n",
+            "campaign.toml: sample_rate_hz: a number of 401 digits",
+        ),
+        ("sample_rate_hz = 100\n", "sample_rate_hz = 1" + "0" * 5000 + "\n", "campaign.toml: not a TOML file"),
+        ("sample_rate_hz = 100\n", f"sample_rate_hz = {'[' * 5000}{']' * 5000}\n", "too deep"),
+        ("sample_rate_hz = 100\n", f"sample_rate_hz = {'[' * 200}{']' * 200}\n", "too deep"),
+        ("sample_rate_hz = 100\n", "sample_rate_hz = inf\n", "campaign.toml: sample_rate_hz: found inf"),
+        ("cutoff_hz = 10.0", "cutoff_hz = 0.001", "log_1.csv: 600 samples are too few for a low-pass of 0.001 Hz"),
+    ],
+    ids=["400 digits", "5000 digits", "5000 deep", "200 deep", "inf", "a cutoff too low"],
+)
+def test_a_number_that_cannot_be_meant_is_named_in_a_campaign_file(
+    campaign: Path, command: Command, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    edit(campaign, old, new)
+    assert said in refused(command, tmp_path, "identify", campaign, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["excite", "rx90b_3dof", "--period-s", "0"], "--period-s is 0"),
+        (["excite", "rx90b_3dof", "--period-s", "1e6"], "--period-s is 1e+06"),
+        (["excite", "rx90b_3dof", "--high-hz", "1e9"], "the band is 2.5 to 1e+09 Hz"),
+        (["excite", "rx90b_3dof", "--speed", "0"], "--speed is 0"),
+        (["excite", "rx90b_3dof", "--speed", "nan"], "--speed is nan"),
+        (["excite", "rx90b_3dof", "--joints", "joint_1,joint_1"], "'joint_1' is listed 2 times"),
+        (["excite", "rx90b_3dof", "--realisations", "1000000000"], "days of motion"),
+        (["excite", "rx90b_3dof", "--peak", "inf"], "--peak"),
+        (["demo", "--seed", "-1"], "--seed is -1"),
+        (["simulate", "rx90b_3dof", "--excitation", "--periods", "1000000000"], "periods is 1000000000"),
+        (["check-path", "line", "--speed-mm-s", "1e-9"], "takes more than 3600 s"),
+        (["check-path", "line", "--tolerance-mm", "inf"], "--tolerance-mm is inf"),
+        (["check-path", "line", "--jobs", "1000000"], "--jobs is 1000000"),
+        (["close-loop"], "Missing argument"),
+        (["close-lop"], "No such command"),
+        (["demo", "--sed", "3"], "No such option"),
+        (["demo", "--seed", "x"], "--seed"),
+    ],
+    ids=" ".join,
+)
+def test_an_option_that_cannot_be_meant_is_named(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = [] if arguments[0] == "close-lop" else ["--out", tmp_path / "out"]
+    assert said in refused(command, tmp_path, *arguments, *out)
+
+
+def test_brackets_in_names_are_printed_as_they_are(command: Command, tmp_path: Path) -> None:
+    path = write_campaign(tmp_path / "data")
+    for name in ("robot_declared.toml", "campaign.toml", "two_joints.urdf"):
+        text = (path.parent / name).read_text()
+        (path.parent / name).write_text(
+            text.replace("elbow", "elbow[/bold]").replace('name = "declared"', 'name = "[red]arm"')
+        )
+    found = command("identify", path, "--out", tmp_path / "[b]out")
+    assert (found.status, found.err) == (0, "")
+    assert "[red]arm" in found.out and "elbow[/bold]" in found.out and "[b]out" in found.out
+
+
+# ---- messages -------------------------------------------------------------------------------------------------
+
+
+def test_known_links_and_no_effects_leave_nothing_to_identify_and_it_says_so(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    robot = campaign.parent / "robot_declared.toml"
+    head = robot.read_text().split("[[effects]]")[0]
+    robot.write_text(head.replace('"fitted"', '"known"'))
+    said = refused(command, tmp_path, "identify", campaign, "--out", tmp_path / "out")
+    assert "robot_declared.toml" in said and "nothing to identify" in said
+
+
+def test_a_torque_beyond_measure_is_named_with_file_and_column(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    scale_logs(campaign.parent, "moment_0", 1e300)
+    for name in ("identify", "close-loop"):
+        assert "log_1.csv: column 'moment_0': torque of 'shoulder' reaches" in refused(
+            command, tmp_path, name, campaign, "--out", tmp_path / "out"
+        )
+
+
+def test_a_mass_beyond_measure_is_named_with_file_and_joint(campaign: Path, command: Command, tmp_path: Path) -> None:
+    urdf = campaign.parent / "two_joints.urdf"
+    urdf.write_text(re.sub(r'mass value="[^"]*"', 'mass value="1e300"', urdf.read_text()))
+    said = refused(command, tmp_path, "identify", campaign, "--out", tmp_path / "out")
+    assert "two_joints.urdf" in said and "inertial parameter" in said
+
+
+def test_a_joint_that_never_moves_is_no_reason_to_fail(campaign: Path, command: Command, tmp_path: Path) -> None:
+    change_logs(campaign.parent, angle_0=0.3)
+    assert command("identify", campaign, "--out", tmp_path / "out").status == 0
+    assert command("close-loop", campaign, "--out", tmp_path / "closed").status in (
+        0,
+        1,
+    )  # 1: the check says that it is stuck
+
+
+def test_a_robot_whose_drives_weigh_nothing_is_named(command: Command, tmp_path: Path) -> None:
+    assert command("flexify", "rx90b", "--out", tmp_path / "flex.urdf").status == 0
+    said = refused(command, tmp_path, "view", tmp_path / "flex.urdf", "--out", tmp_path / "view.html")
+    assert said.startswith("rx90b-flex: flex: nothing with mass moves with ")
+    assert "flex: " in refused(
+        command, tmp_path, "simulate", tmp_path / "flex.urdf", "--harmonics", "--out", tmp_path / "run"
+    )
+
+
+def test_a_robot_shows_itself_in_a_line() -> None:
+    assert repr(rf.load_robot("rx90b_3dof")) == "<Robot 'rx90b_3dof': 3 joints, 12 coordinates, 12 effects>".replace(
+        "12 effects", f"{len(rf.load_robot('rx90b_3dof').effects)} effects"
+    )
+
+
+# ---- short logs -----------------------------------------------------------------------------------------------
+
+
+def test_a_short_slow_log_becomes_a_campaign_that_runs_and_says_that_it_is_short(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    table = pd.read_csv(campaign.parent / "log_1.csv").iloc[::4]  # 6 s at 25 Hz
+    again = [pd.DataFrame(np.array(table), columns=table.columns) for _ in range(2)]
+    long = pd.concat(again, ignore_index=True)
+    long["time"] = np.arange(len(long)) / 25.0
+    long.to_csv(tmp_path / "log.csv", index=False)
+    robot = campaign.parent / "robot_declared.toml"
+    found = command("import", tmp_path / "log.csv", "--robot", robot, "--out", tmp_path / "imported")
+    assert found.status == 0 and "parameters will be uncertain" in found.out
+    for name in ("identify", "close-loop"):
+        found = command(name, tmp_path / "imported" / "campaign.toml", "--out", tmp_path / name)
+        assert found.status in (0, 1) and found.err == ""
+
+
+# ---- the places of output -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 5000], ids=len)
+def test_a_name_too_long_for_any_file_is_one_line(campaign: Path, command: Command, tmp_path: Path, name: str) -> None:
+    assert "too long" in refused(command, tmp_path, "identify", campaign, "--out", tmp_path / name)
+    assert "too long" in refused(command, tmp_path, "identify", tmp_path / name, "--out", tmp_path / "out")
+    assert "too long" in refused(command, tmp_path, "flexify", "rx90b_3dof", "--out", tmp_path / f"{name}.urdf")
+
+
+def test_a_path_through_a_file_and_a_dangling_link_are_one_line(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    through, link = campaign / "out", tmp_path / "link"
+    link.symlink_to(tmp_path / "nowhere")
+    for out in (through, link):
+        for arguments in (["identify", campaign], ["demo"], ["check-path", "line"], ["excite", "rx90b_3dof"]):
+            assert str(out) in refused(command, tmp_path, *arguments, "--out", out)
+
+
+def test_a_full_device_for_what_is_printed_is_said(campaign: Path, tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", "from rx90b_flex.cli import main; main()", "--help"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "No space left" in done.stderr
