@@ -33,6 +33,7 @@ FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
 MEMBER = 0.01  # p-value, not corrected, of a member
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
+LEAK = 0.02  # of a recording that is left out as a whole
 LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
 LOST_PART = 0.005  # of its squared error, and this much: less is no reason
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
@@ -185,6 +186,7 @@ class Base:
     shared: _Shared
     kept: Indices  # places of the base's columns among the shared ones
     prior: Array
+    leak: float = 0.0  # part of a block that is held out which a fit to the others sees all the same
 
     @property
     def weight(self) -> Array:
@@ -222,7 +224,8 @@ class Base:
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
         out = []
         for g, c in zip(self.grams, self.crosses, strict=True):
-            theta, inverse, _, _ = solve_weighted(gram - g, cross - c, self.prior)
+            part = 1.0 - self.leak
+            theta, inverse, _, _ = solve_weighted(gram - part * g, cross - part * c, self.prior)
             out.append((theta, inverse))
         return out
 
@@ -233,13 +236,13 @@ class Base:
         return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
 
     def grouped(self, groups: Sequence[Indices]) -> Base:
-        """With blocks put together."""
+        """With blocks put together, of which a fit to the others sees a trace: what they leave open must not run away."""
         normal = self.shared.normal
         gram, cross, power, counts = (
             np.array([x[at].sum(axis=0) for at in groups])
             for x in (normal.gram, normal.cross, normal.power, normal.counts)
         )
-        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared))
+        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared), leak=LEAK)
         other.shared.__dict__["normal"] = NormalEquations(gram, cross, power, counts)
         return other
 
@@ -660,7 +663,7 @@ class Search:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
         out = np.empty(len(b))
         for i, (theta, inverse) in enumerate(base.without):
-            bb, yy, dd = b.sum(axis=0) - b[i], y.sum(axis=0) - y[i], d.sum(axis=0) - d[i]
+            bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x[i] for x in (b, y, d))
             beta = _solve(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
             new = theta - inverse @ (bb @ beta)
             out[i] = (
