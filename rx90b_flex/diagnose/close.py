@@ -328,6 +328,8 @@ def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
         verdict=named.get(result.verdict, result.verdict),
         predictions=predictions,
         moving=_moving(predictions),
+        explainable=result.explainable and result.explainable.of(result.before.validation, after.validation),
+        unexplained=dataclasses.replace(result.unexplained, relative_error=after.validation.relative_error),
     )
 
 

@@ -57,6 +57,10 @@ class Explainable:
     share: float
     forms: tuple[str, ...]
 
+    def of(self, before: Errors, after: Errors) -> Explainable:
+        """The same measure for another final model, with its share of the drop."""
+        return dataclasses.replace(self, share=_share(before, after, self.validation))
+
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
