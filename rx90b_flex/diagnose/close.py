@@ -27,6 +27,7 @@ from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
@@ -359,6 +360,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     tell("reading", 0.0)
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
     _check_joints(campaign, declared_robot)
+    campaign, constants = resolved(campaign, declared_robot)
     data = _Data.of(declared_robot, campaign)
     if len(data.regression.blocks()) < FEWEST_BLOCKS:
         seconds = sum(r.duration_s for r in campaign.identification)
@@ -411,7 +413,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         known,
         "" if known else str(explainable),
         data.if_not_possible(declared, model, before, after),
-        cautions,
+        (*cautions, *(c.message for c in constants)),
     )
 
 

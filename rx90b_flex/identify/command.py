@@ -26,6 +26,7 @@ from rx90b_flex.identify.physical import (
     possible_coefficients,
 )
 from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import LINK_UNITS, Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
@@ -179,6 +180,7 @@ def _identified(source: Path | Campaign, tell: Progress) -> Identified:
         declared.restricted(campaign.joints)
     except ValueError as error:
         raise ValueError(f"{campaign.path}: joints: {error}") from None
+    campaign, _ = resolved(campaign, declared)
     for recording in campaign.recordings:
         if not recording.torque.any():
             raise ValueError(
