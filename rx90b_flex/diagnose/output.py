@@ -52,8 +52,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
             ],
             "cautions": list(result.cautions),
         },
-        "deflection": deflection_json(result.deflection),
-    }
+    } | ({"deflection": deflection_json(result.deflection)} if result.deflection else {})
 
 
 def _explainable(result: ClosedLoop) -> dict[str, Any] | None:
