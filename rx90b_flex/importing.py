@@ -86,6 +86,10 @@ def import_into(request: Request, folder: Path, overwrite: bool = False) -> Impo
     tree = robot.tree
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
     imported = import_logs(request.files, Axes(robot.joints, *limits), request.options)
+    written_names = {f"{r.name}.{request.file_format}" for r in imported.recordings}
+    for file in request.files:
+        if file.name in written_names and file.resolve().parent == folder.resolve():
+            raise ValueError(f"{folder}: holds {file.name}, which this run reads; give another folder")
     path = Path(request.robot)
     # as seen from where the campaign will lie, not from where it is made
     written = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.is_file() else request.robot
