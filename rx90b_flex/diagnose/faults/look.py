@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import optimize
 
-from rx90b_flex.diagnose.faults.rigid_fit import Products, RigidFit, columns_of
+from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, Products, RigidFit, columns_of
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array
 
@@ -97,6 +97,14 @@ class Look:
         """How well a reading does on rows it did not see; the present one where none is given."""
         reading = reading or self.reading
         return RigidFit.of(self.products(reading), reading)
+
+    def fit_of_known_links(self, reading: Reading | None = None) -> RigidFit:
+        """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
+        reading = reading or self.reading
+        products = self.products(reading)
+        ridge = products.ridge.copy()
+        ridge[: len(reading.robot.link_parameters)] = KNOWN
+        return RigidFit.of(dataclasses.replace(products, ridge=ridge), reading)
 
     def refined(self, hypothesis: Hypothesis) -> tuple[Hypothesis, float | None]:
         """The factor at which a hypothesis does best, and its standard deviation from the score's curvature."""
