@@ -13,10 +13,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.check import check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
+from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
+from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
@@ -172,6 +175,10 @@ class ClosedLoop:
     seed : int
     cautions : tuple of str
         What limits how far the result can be trusted, in sentences.
+    data_faults : tuple of DataFault
+        What the look at the data found; with `despite_faults` also what makes them not usable.
+    undeclared_basics : tuple of str
+        Effect types that every drive has and no joint declares, although the torques show them.
     moving : MovingErrors
         The validation errors over rows in which the joint moves.
     explainable : Explainable or None
@@ -205,6 +212,8 @@ class ClosedLoop:
     fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
     deflection: tuple[GearDeflection, ...] = ()
+    data_faults: tuple[DataFault, ...] = ()
+    undeclared_basics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +276,8 @@ def close_loop(
     robot: Robot | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> ClosedLoop:
+    despite_faults: bool = False,
+) -> ClosedLoop | RefusedLoop:
     """Find what measured torques hold that the declared model does not, and trace it to effects.
 
     The declared model is identified on the identification recordings. Then, in rounds: every effect of the
@@ -284,6 +294,9 @@ def close_loop(
         Of the permutation test for what remains.
     progress : callable, optional
         Called with a message and a fraction.
+    despite_faults : bool
+        Whether to go on where the look at the data (`rx90b_flex.check`) found them not usable. Otherwise the result then is a
+        `RefusedLoop` with verdict ``data_fault``.
 
     Raises
     ------
@@ -292,7 +305,8 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _with_second_encoders(_closed(source, robot, seed, _rising(progress or (lambda _text, _part: None))))
+        closed = _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)), despite_faults)
+        return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
 
 
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
@@ -346,7 +360,9 @@ def _rising(tell: Progress) -> Progress:
     return told
 
 
-def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress) -> ClosedLoop:
+def _closed(
+    source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress, despite_faults: bool
+) -> ClosedLoop | RefusedLoop:
     campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
     if not campaign.validation:
         raise ValueError(
@@ -368,6 +384,10 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
             f"{campaign.path}: the recordings with role 'identification' last {seconds:.3g} s in all; "
             f"{FEWEST_BLOCKS} s or more are needed, for parts of them are held out"
         )
+    tell("looking at the data", 0.02)
+    checked = check(campaign, robot=declared_robot)
+    if not (checked.usable or despite_faults):
+        return RefusedLoop.of(checked, declared_robot, campaign)
     fit_links = declared_robot.inertial_parameters == "fitted"
     tell("identifying the declared model", 0.05)
     declared = _trusting(data.regression, identify(data.regression, data.regression.robot.effects, fit_links=fit_links))
@@ -400,7 +420,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         after,
         None if floor is None else tuple(float(x) for x in floor),
         _found(outcome.steps, search, before),
-        remains.verdict,
+        verdict_despite(remains.verdict, checked),
         Unexplained(after.validation.relative_error, where, left, bands(left)),
         model,
         declared,
@@ -414,6 +434,8 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         "" if known else str(explainable),
         data.if_not_possible(declared, model, before, after),
         (*cautions, *(c.message for c in constants)),
+        data_faults=checked.data_faults,
+        undeclared_basics=checked.undeclared_basics,
     )
 
 
