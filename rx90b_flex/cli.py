@@ -635,6 +635,7 @@ def import_command(
     offset: Annotated[str | None, typer.Option(help="Joint angles where the motor angles are zero, rad.")] = None,
     topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
     file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
+    basics: Basics = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Make a campaign of logs: CSV, Parquet, MATLAB, ROS 2, MCAP.
@@ -644,7 +645,11 @@ def import_command(
     from rx90b_flex.importing import Request, import_into, options_of
 
     request = Request(
-        tuple(files), robot, options_of(columns or [], joints, rate, degrees, gear, offset, topic), file_format
+        tuple(files),
+        robot,
+        options_of(columns or [], joints, rate, degrees, gear, offset, topic),
+        file_format,
+        basics,
     )
     with _progress() as tell:
         tell("reading", 0.1)

@@ -106,19 +106,25 @@ def _best(look: Look) -> Found | None:
     refined: list[tuple[_Gain, int, Hypothesis, float | None]] = []
     for gain, rank, hypothesis in finals:
         if gain.total > PROMISING * max(best, MODEST):
-            better, std = look.refined(hypothesis)
+            better, std = look.refined(hypothesis, OF_KNOWN if gain.credible else 0.0)
             refined.append((bases.gain(better), rank, better, std))
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
-    if not accepted:
-        return None
-    top = max(gain.total for gain, *_ in accepted)
-    _, _, chosen, std = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
-    return Found(chosen, std, bases.fitted, look.fit(chosen.reading))
+    # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's
+    beside = look.beside(with_effects=True)
+    without = beside.fit().score if accepted else 0.0
+    while accepted:
+        top = max(gain.total for gain, *_ in accepted)
+        best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
+        gain, _, chosen, std = best_one
+        if gain.fitted < MODEST or without - beside.fit(chosen.reading).score >= MODEST:
+            return Found(chosen, std, bases.fitted, look.fit(chosen.reading))
+        accepted.remove(best_one)
+    return None
 
 
 def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:
     """The best of each kind at a part of the rows, as (gain, rank of the kind, hypothesis)."""
-    bases = _Bases.of(dataclasses.replace(look, sample=look.sample.thinned(THIN), _columns={}, _products={}))
+    bases = _Bases.of(look.beside(THIN))
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in ON_TORQUES_ALONE):
