@@ -173,7 +173,6 @@ def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = Non
     for file, (recording, found) in zip(files, _all_in_one_unit(files, axes, options), strict=True):
         parts.append(recording)
         findings += [(file.name, finding) for finding in found]
-    _refuse_the_same_log(parts)
     parts, more = _alike(parts, options)
     findings += [("all files", finding) for finding in more]
     if len(parts) == 1:
@@ -218,15 +217,6 @@ def _refuse_the_same_file(files: Sequence[Path]) -> None:
     for k, file in enumerate(files):
         if any(file.resolve() == other.resolve() for other in files[:k]):
             raise ValueError(f"{file}: given twice; a recording that is fitted cannot validate, too")
-
-
-def _refuse_the_same_log(parts: Sequence[Recording]) -> None:
-    for part in parts[:-1]:
-        last = parts[-1]
-        if np.array_equal(part.position, last.position) and np.array_equal(part.torque, last.torque):
-            raise ValueError(
-                f"{last.source}: holds the same as {part.source}; a recording that is fitted cannot validate, too"
-            )
 
 
 def _all_in_one_unit(files: Sequence[Path], axes: Axes, options: Options) -> list[tuple[Recording, list[Finding]]]:
