@@ -12,10 +12,12 @@ from typing import Literal, cast
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
+from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.signals.importers import Axes, Finding, Imported, Options, import_logs
 from rx90b_flex.signals.recording import load_campaign, write_campaign
 
+FILTERS = 4  # times the length of the low-pass that a recording must have
 FORMATS = ("parquet", "csv", "csv.gz")
 
 
@@ -91,11 +93,7 @@ def import_into(request: Request, folder: Path, overwrite: bool = False) -> Impo
     tree = robot.tree
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
     imported = _with_facts(import_logs(request.files, Axes(robot.joints, *limits), request.options))
-    cutoff = round(sensible_cutoff_hz(imported.recordings), 1)
-    found = Finding(
-        f"low-pass: {cutoff:g} Hz, from the motion's own frequencies; change cutoff_hz in the file", "likely"
-    )
-    imported = dataclasses.replace(imported, findings=(*imported.findings, ("all files", found)))
+    imported, cutoff = _with_low_pass(imported)
     written_names = {f"{r.name}.{request.file_format}" for r in imported.recordings}
     for file in request.files:
         if file.name in written_names and file.resolve().parent == folder.resolve():
@@ -123,6 +121,18 @@ def _with_facts(imported: Imported) -> Imported:
             findings.append((recording.name, Finding(f"the motion repeats every {period:g} s", "likely")))
         recordings.append(recording)
     return dataclasses.replace(imported, recordings=tuple(recordings), findings=tuple(findings))
+
+
+def _with_low_pass(imported: Imported) -> tuple[Imported, float | None]:
+    """With a low-pass that keeps the motion, Hz; none where a recording is too short for it."""
+    cutoff = round(sensible_cutoff_hz(imported.recordings), 1)
+    fits = all(r.samples >= FILTERS * minimum_samples(cutoff, r.sample_rate_hz) for r in imported.recordings)
+    if not fits:
+        return imported, None
+    found = Finding(
+        f"low-pass: {cutoff:g} Hz, from the motion's own frequencies; change cutoff_hz in the file", "likely"
+    )
+    return dataclasses.replace(imported, findings=(*imported.findings, ("all files", found))), cutoff
 
 
 def _write_basics(robot: Robot, joints: Sequence[str], folder: Path) -> str:
