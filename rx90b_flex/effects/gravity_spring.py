@@ -161,6 +161,7 @@ class _SearchedSpring(_SpringOfTwoLevers):
     """``(pull + slack / sqrt(1 - ratio cos(q - angle))) sin(q - angle)``, ratio 2ab/(a^2 + b^2): any spring between two levers."""
 
     part: ClassVar[str] = "spring"
+    replaces: ClassVar[tuple[str, ...]] = ("gravity_spring",)  # one that was found as a sine
 
     pull: float | None = linear("N m", lower=0.0, rank=SPRING)
     slack: float | None = linear("N m", rank=SPRING)
