@@ -140,7 +140,7 @@ def gear_deflections(source: Robot, campaign: Campaign, model: Identification) -
         if data is None or not any(r.role == "identification" for r in data.runs):
             out.append(GearDeflection(joint, f"{joint} moves too little for its second encoder to show its gear."))
         else:
-            judged = _judged(data, len(own), [*source.effects, *(e.in_tree() for e in model.effects)])
+            judged = _judged(data, len(own), [*source.effects, *model.in_tree])
             spring = spring_words(model, joint) if turning else ""
             out.append(dataclasses.replace(judged, message=f"{judged.message} {spring}".strip()))
     return tuple(out)

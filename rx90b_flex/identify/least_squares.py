@@ -220,6 +220,12 @@ class Identification:
         return torque
 
     @property
+    def in_tree(self) -> tuple[Effect, ...]:
+        """The effects as a robot file has them."""
+        motion = self.regression.stretches[0].motion
+        return tuple(e.in_tree(motion) for e in self.effects)
+
+    @property
     def information(self) -> Array:
         """Weighted Gram matrix of all coefficients, shape (p, p)."""
         weighted = self.columns / self.solution.sigma[:, None]
