@@ -6,10 +6,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 import typer.core
+
+if TYPE_CHECKING:
+    from rx90b_flex.robot import Robot
 
 app = typer.Typer(
     name="rx90b-flex",
@@ -27,6 +30,12 @@ Out = Annotated[
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
+]
+
+
+Despite = Annotated[bool, typer.Option("--despite-faults", help="Go on where the data were found not usable.")]
+Basics = Annotated[
+    bool, typer.Option("--basics", help="Declare drive inertia, dry and viscous friction and an offset on every joint.")
 ]
 
 
@@ -83,6 +92,8 @@ def close_loop_command(
     model_error: Annotated[
         float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
     ] = None,
+    basics: Basics = False,
+    despite_faults: Despite = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Find what the data hold and the model lacks; add it.
@@ -100,7 +111,7 @@ def close_loop_command(
         if value is not None and campaign.exists():  # what is not there is said to be missing, further on
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
     from rx90b_flex.early import read_campaign
-    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder, fill_folder
 
     check_folder(out, CLOSED_LOOP, overwrite, [campaign])
     with _progress() as tell:
@@ -109,9 +120,15 @@ def close_loop_command(
         from rx90b_flex.diagnose.close import close_loop
         from rx90b_flex.diagnose.motion import motion_errors
         from rx90b_flex.diagnose.output import write_result
+        from rx90b_flex.diagnose.refused import RefusedLoop
         from rx90b_flex.view.report import write_report
 
-        result = close_loop(read, seed=seed, progress=tell)
+        declared = _with_basics(read) if basics else None
+        result = close_loop(read, robot=declared, seed=seed, progress=tell, despite_faults=despite_faults)
+        if isinstance(result, RefusedLoop):
+            tell("writing the report", 1.0)
+            fill_folder(out, lambda folder: _write_refused(result, folder), CLOSED_LOOP, overwrite)
+            _end_refused(result.checked, out)
         tell("simulating the closed loop and writing the report", 1.0)
         motion = motion_errors(result)
         write_result(
@@ -119,6 +136,34 @@ def close_loop_command(
         )
     _print_result(result)
     _say(f"Report: {out / 'report.html'}")
+
+
+def _with_basics(campaign: object) -> Robot:
+    """The campaign's robot with what every drive has declared on all of the campaign's joints."""
+    from rx90b_flex.diagnose.basics import with_basics
+    from rx90b_flex.robot import load_robot
+    from rx90b_flex.signals import Campaign
+
+    assert isinstance(campaign, Campaign)
+    robot = load_robot(campaign.robot_source)
+    return with_basics(robot, [j for j in campaign.joints if j in robot.joints])
+
+
+def _write_refused(result: object, folder: Path) -> None:
+    from rx90b_flex.diagnose.refused import RefusedLoop, write_refused
+    from rx90b_flex.view.check_report import write_check_page
+
+    assert isinstance(result, RefusedLoop)
+    write_refused(result, folder)
+    write_check_page(result.checked, folder / "report.html")
+
+
+def _end_refused(checked: object, out: Path) -> NoReturn:
+    """Say what was found and end with status 1."""
+    _print_checked(checked)
+    _say("Nothing was fitted; --despite-faults goes on all the same.")
+    _say(f"Report: {out}")
+    raise typer.Exit(1)
 
 
 @app.command("check")
@@ -214,6 +259,7 @@ def demo(
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.motion import motion_errors
     from rx90b_flex.diagnose.output import write_result
+    from rx90b_flex.diagnose.refused import RefusedLoop
     from rx90b_flex.view.report import write_report
 
     with _progress() as tell:
@@ -223,6 +269,8 @@ def demo(
         def fill(folder: Path) -> None:
             # the loop reads the campaign from disk, as it would read anyone's: it is not told what is hidden
             result = close_loop(demonstration.write(folder), progress=tell)
+            if isinstance(result, RefusedLoop):
+                raise ValueError(f"the demonstration's own data: {result.checked.verdict}")
             tell("writing the report", 0.98)
             motion = motion_errors(result)
             write_result(result, folder, [lambda r, at: write_report(r, at / "report.html", motion)])
@@ -587,6 +635,7 @@ def import_command(
     offset: Annotated[str | None, typer.Option(help="Joint angles where the motor angles are zero, rad.")] = None,
     topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
     file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
+    basics: Basics = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Make a campaign of logs: CSV, Parquet, MATLAB, ROS 2, MCAP.
@@ -596,7 +645,11 @@ def import_command(
     from rx90b_flex.importing import Request, import_into, options_of
 
     request = Request(
-        tuple(files), robot, options_of(columns or [], joints, rate, degrees, gear, offset, topic), file_format
+        tuple(files),
+        robot,
+        options_of(columns or [], joints, rate, degrees, gear, offset, topic),
+        file_format,
+        basics,
     )
     with _progress() as tell:
         tell("reading", 0.1)
@@ -613,6 +666,8 @@ def import_command(
 def identify_command(
     campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
     out: Out,
+    basics: Basics = False,
+    despite_faults: Despite = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Fit the declared robot's parameters to a campaign.
@@ -620,16 +675,23 @@ def identify_command(
     Parameters with standard deviations, robot file and URDF, predictions, report.
     """
     from rx90b_flex.early import read_campaign
-    from rx90b_flex.signals.folders import IDENTIFIED, check_folder, fill_folder
+    from rx90b_flex.signals.folders import CHECKED, IDENTIFIED, check_folder, fill_folder
 
     check_folder(out, IDENTIFIED, overwrite, [campaign])
     with _progress() as tell:
         tell("reading", 0.0)
         read = read_campaign(campaign)
+        from rx90b_flex.diagnose.check import check
         from rx90b_flex.identify.command import identify_campaign, write_identified
+        from rx90b_flex.view.check_report import basics_words, write_check_report
         from rx90b_flex.view.identify_report import headline, write_identify_report
 
-        result = identify_campaign(read, progress=tell)
+        declared = _with_basics(read) if basics else None
+        checked = check(read, robot=declared)
+        if not (checked.usable or despite_faults):
+            fill_folder(out, lambda folder: write_check_report(checked, folder), CHECKED, overwrite)
+            _end_refused(checked, out)
+        result = identify_campaign(read, robot=declared, progress=tell)
         tell("writing the report", 0.95)
 
         def fill(folder: Path) -> None:
@@ -640,13 +702,14 @@ def identify_command(
     known = [e for e in result.parameters if e.value is not None]
     rows = [(e.name, _value("", e.value, e.std, e.unit).strip()) for e in known]
     _show_table(result.source.name, rows, ("parameter", "value"))
-    for text in headline(result):
+    for text in (*headline(result), *(f.message for f in checked.data_faults), *basics_words(checked)):
         _say(text)
     _say(f"Report: {out / 'report.html'}")
 
 
 def _print_result(result: object) -> None:
     from rx90b_flex.diagnose.close import ClosedLoop
+    from rx90b_flex.view.check_report import basics_offer
 
     assert isinstance(result, ClosedLoop)
     rows = []
@@ -670,6 +733,8 @@ def _print_result(result: object) -> None:
         _say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
     for caution in result.cautions:
         _say(f"Beware: {caution}")
+    for text in (*(f.message for f in result.data_faults), *basics_offer(result.undeclared_basics)):
+        _say(text)
 
 
 def _value(name: str, value: float | None, std: float | None, unit: str) -> str:

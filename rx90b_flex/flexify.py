@@ -259,7 +259,10 @@ def _parse_xml(data: bytes) -> Any:
     if not data.strip():
         raise ValueError("is empty, expected a URDF")
     parser = etree.XMLParser(recover=True, remove_blank_text=True, remove_comments=True, resolve_entities=False)
-    root = etree.fromstring(data, parser=parser)
+    try:
+        root = etree.fromstring(data, parser=parser)
+    except etree.XMLSyntaxError as error:  # an encoding that it is not in: there is nothing to recover
+        raise ValueError(f"is not XML ({' '.join(str(error).split())})") from None
     # Undeclared name spaces are common in URDFs and harmless; every other error means that recovery guessed.
     errors = [e for e in parser.error_log if e.domain != etree.ErrorDomains.NAMESPACE]
     if root is None or errors:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
-from rx90b_flex.robot import load_robot
+from rx90b_flex.export import save_robot
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
+from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.signals.importers import Axes, Imported, Options, import_logs
+from rx90b_flex.signals.importers import Axes, Finding, Imported, Options, import_logs
 from rx90b_flex.signals.recording import load_campaign, write_campaign
 
+FILTERS = 4  # times the length of the low-pass that a recording must have
 FORMATS = ("parquet", "csv", "csv.gz")
 
 
@@ -26,12 +31,14 @@ class Request:
     robot : as `load_robot` takes it.
     options : what is not to be worked out.
     file_format : of the recordings: parquet, csv or csv.gz.
+    basics : whether to write a robot file that declares drive inertia, friction and an offset on every joint of the logs.
     """
 
     files: tuple[Path, ...]
     robot: str
     options: Options = field(default_factory=Options)
     file_format: str = "parquet"
+    basics: bool = False
 
 
 def options_of(
@@ -85,14 +92,52 @@ def import_into(request: Request, folder: Path, overwrite: bool = False) -> Impo
     robot = load_robot(request.robot)
     tree = robot.tree
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
-    imported = import_logs(request.files, Axes(robot.joints, *limits), request.options)
+    imported = _with_facts(import_logs(request.files, Axes(robot.joints, *limits), request.options))
+    imported, cutoff = _with_low_pass(imported)
+    written_names = {f"{r.name}.{request.file_format}" for r in imported.recordings}
+    for file in request.files:
+        if file.name in written_names and file.resolve().parent == folder.resolve():
+            raise ValueError(f"{folder}: holds {file.name}, which this run reads; give another folder")
     path = Path(request.robot)
     # as seen from where the campaign will lie, not from where it is made
     written = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.is_file() else request.robot
 
     def fill(at: Path) -> None:
         file_format = cast(Literal["parquet", "csv", "csv.gz"], request.file_format)
-        load_campaign(write_campaign(at, written, imported.recordings, file_format=file_format))
+        name = _write_basics(robot, imported.recordings[0].joints, at) if request.basics else written
+        load_campaign(write_campaign(at, name, imported.recordings, cutoff_hz=cutoff, file_format=file_format))
 
     fill_folder(folder, fill, CAMPAIGN, overwrite)
     return imported
+
+
+def _with_facts(imported: Imported) -> Imported:
+    """With the period of each motion that repeats."""
+    recordings, findings = [], list(imported.findings)
+    for recording in imported.recordings:
+        period = recording.period_s or found_period_s(recording)
+        if period is not None and recording.period_s is None:
+            recording = dataclasses.replace(recording, period_s=period)
+            findings.append((recording.name, Finding(f"the motion repeats every {period:g} s", "likely")))
+        recordings.append(recording)
+    return dataclasses.replace(imported, recordings=tuple(recordings), findings=tuple(findings))
+
+
+def _with_low_pass(imported: Imported) -> tuple[Imported, float | None]:
+    """With a low-pass that keeps the motion, Hz; none where a recording is too short for it."""
+    cutoff = round(sensible_cutoff_hz(imported.recordings), 1)
+    fits = all(r.samples >= FILTERS * minimum_samples(cutoff, r.sample_rate_hz) for r in imported.recordings)
+    if not fits:
+        return imported, None
+    found = Finding(
+        f"low-pass: {cutoff:g} Hz, from the motion's own frequencies; change cutoff_hz in the file", "likely"
+    )
+    return dataclasses.replace(imported, findings=(*imported.findings, ("all files", found))), cutoff
+
+
+def _write_basics(robot: Robot, joints: Sequence[str], folder: Path) -> str:
+    """The robot with what every drive has declared, as files beside the campaign."""
+    from rx90b_flex.diagnose.basics import with_basics
+
+    path = save_robot(with_basics(robot, joints), folder, allow_inconsistent=True)
+    return path.name

@@ -262,3 +262,48 @@ def test_the_command_writes_what_it_says_and_ends_with_its_status(
 def test_bad_input_is_one_line_and_status_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run_command(monkeypatch, "check", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")) == 2
     assert not (tmp_path / "out").exists()
+
+
+# ---- before anything else ---------------------------------------------------------------------------------------
+
+
+def test_closing_the_loop_refuses_data_with_a_fault_and_says_which(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = ind.write_files(tmp_path, ARM, DECLARED, FAULTS["torques exchanged"][0](sound()), cutoff_hz=CUTOFF_HZ)
+    result = rf.close_loop(path)
+    assert (result.verdict, result.effects) == ("data_fault", ())
+    assert [f.kind for f in result.data_faults] == ["swapped_columns"]
+    out = tmp_path / "out"
+    assert run_command(monkeypatch, "close-loop", str(path), "--out", str(out)) == 1
+    content = json.loads((out / "closed_loop.json").read_text())
+    assert content["verdict"] == "data_fault" and content["effects"] == []
+    assert content["data_faults"][0]["joints"] == [JOINTS[LIFT], JOINTS[ELBOW]]
+    assert not (out / "robot.toml").exists()
+
+
+def test_identifying_refuses_data_with_a_fault_unless_told_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = ind.write_files(tmp_path, ARM, DECLARED, FAULTS["a torque reversed"][0](sound()), cutoff_hz=CUTOFF_HZ)
+    out = tmp_path / "out"
+    assert run_command(monkeypatch, "identify", str(path), "--out", str(out)) == 1
+    assert json.loads((out / "check.json").read_text())["data_faults"][0]["kind"] == "reversed_sign"
+    assert not (out / "identification.json").exists()
+    assert run_command(monkeypatch, "identify", str(path), "--out", str(tmp_path / "on"), "--despite-faults") == 0
+    assert (tmp_path / "on" / "identification.json").exists()
+
+
+def test_basics_are_identified_where_they_are_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = ind.write_files(tmp_path, ARM, [], sound(), cutoff_hz=CUTOFF_HZ)
+    assert run_command(monkeypatch, "identify", str(path), "--out", str(tmp_path / "bare")) == 0
+    assert "--basics" in capsys.readouterr().out
+    assert run_command(monkeypatch, "identify", str(path), "--out", str(tmp_path / "basics"), "--basics") == 0
+    assert "--basics" not in capsys.readouterr().out
+    found = json.loads((tmp_path / "basics" / "identification.json").read_text())
+    values = {p["name"]: p["value"] for p in found["parameters"]}
+    for joint, dry, viscous in zip(JOINTS, COULOMB, VISCOUS, strict=True):
+        assert values[f"{joint}.coulomb_friction.torque"] == pytest.approx(dry, rel=0.1)
+        assert values[f"{joint}.viscous_friction.coefficient"] == pytest.approx(viscous, rel=0.1)

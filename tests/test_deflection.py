@@ -75,7 +75,9 @@ def test_a_declared_drive_stands_on_the_rigid_tree_and_goes_back_into_the_flexib
     drive = DriveFlexibility(joint="joint_2", stiffness=2e5, damping=100.0)
     bending = JointFlexibility(joint="joint_2", stiffness=(1e5, 1e5), damping=(10.0, 10.0))
     robot = load_robot("rx90b").with_effects([drive, bending])
-    standing: tuple[Effect, ...] = robot.over_time().effects
+    over_time = robot.over_time()
+    standing: tuple[Effect, ...] = over_time.effects
+    rest = over_time.motion(*np.zeros((3, over_time.model.nv)))
     assert [e.type_name() for e in standing] == ["drive_flexibility"]
-    assert [e.in_tree() for e in standing] == [drive]
-    assert robot.over_time().model.nv == robot.tree.nv
+    assert [e.in_tree(rest) for e in standing] == [drive]
+    assert over_time.model.nv == robot.tree.nv

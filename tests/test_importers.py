@@ -527,3 +527,53 @@ def test_the_tx40_log_is_read_as_its_campaign_says() -> None:
     for field in ("position", "torque"):
         wanted = np.concatenate([getattr(r, field) for r in campaign.recordings])
         np.testing.assert_allclose(whole(imported, field), wanted, rtol=1e-12, atol=1e-12)
+
+
+# ---- what is refused, and what is found out for the campaign file --------------------------------------------------
+
+
+def three_logs(folder: Path, *scales: float) -> list[Path]:
+    """Logs whose angles are multiplied so, each with a motion of its own."""
+    files = []
+    for k, scale in enumerate(scales):
+        path = folder / f"log_{k}.csv"
+        table(["time", *numbered("q", "tau")], TIME, scale * angle(TIME + 3.0 * k), TAU + k).to_csv(path, index=False)
+        files.append(path)
+    return files
+
+
+def test_units_that_differ_from_file_to_file_are_refused(tmp_path):
+    files = three_logs(tmp_path, 180.0 / np.pi, 1.0, 180.0 / np.pi)
+    with pytest.raises(ValueError, match=r"log_1\.csv: angles in rad; those of .*log_0\.csv are in degrees"):
+        import_logs(files, AXES)
+
+
+def test_a_log_given_twice_is_refused(tmp_path):
+    first, second = three_logs(tmp_path, 1.0, 1.0)
+    with pytest.raises(ValueError, match=r"log_0\.csv: given twice"):
+        import_logs([first, second, first], AXES)
+
+
+def test_a_column_chosen_twice_is_refused(tmp_path):
+    columns = {"motor_position": ("q1", "q2", "q3"), "torque": ("tau1", "q2", "tau3")}
+    with pytest.raises(ValueError, match="--columns torque: column 'q2' is already used by motor_position"):
+        import_logs(three_logs(tmp_path, 1.0), AXES, Options(columns))
+
+
+def test_an_imported_campaign_says_its_period_and_a_low_pass_that_keeps_the_motion(tmp_path, monkeypatch):
+    time = np.arange(5000) / RATE
+    hz = 0.5  # the slowest of the harmonics: the motion repeats every two seconds
+    q = np.stack(
+        [np.sin(2 * np.pi * hz * time), 0.5 * np.cos(4 * np.pi * hz * time), 0.3 * np.sin(6 * np.pi * hz * time)], 1
+    )
+    path = tmp_path / "run.csv"
+    table(["time", *numbered("q", "tau")], time, q, np.cos(q)).to_csv(path, index=False)
+    monkeypatch.setattr(
+        sys, "argv", ["rx90b-flex", "import", str(path), "--robot", ROBOT, "--out", str(tmp_path / "out")]
+    )
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert not ended.value.code
+    made = tomllib.loads((tmp_path / "out" / "campaign.toml").read_text())
+    assert [r["period_s"] for r in made["recording"]] == [2.0, 2.0]
+    assert 6 * hz / 2 < made["preprocessing"]["cutoff_hz"] < 25.0

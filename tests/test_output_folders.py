@@ -96,6 +96,20 @@ def test_what_no_command_wrote_is_in_the_way_until_told_to_overwrite(tmp_path: P
     assert sorted(tree(tmp_path)) == ["out", "out/closed_loop.json", "out/prediction_new.csv", "out/report.html"]
 
 
+def test_the_recordings_of_an_earlier_simulation_go_with_it(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    one = writes(
+        state_dot_parquet="1", line_dot_parquet="1", campaign_dot_toml='[[recording]]\nfile = "line.parquet"\n'
+    )
+    two = writes(
+        state_dot_parquet="2", wave_dot_parquet="2", campaign_dot_toml='[[recording]]\nfile = "wave.parquet"\n'
+    )
+    fill_folder(out, one, RUN)
+    (out / "mine.parquet").write_text("mine")
+    fill_folder(out, two, RUN)
+    assert sorted(tree(out)) == ["campaign.toml", "mine.parquet", "state.parquet", "wave.parquet"]
+
+
 def test_a_campaign_is_never_replaced_untold(tmp_path: Path) -> None:
     out = tmp_path / "out"
     fill_folder(out, writes(campaign_dot_toml="1", run_dot_csv="1"), CAMPAIGN)

@@ -199,6 +199,18 @@ def test_a_path_through_a_file_and_a_dangling_link_are_one_line(
             assert str(out) in refused(command, tmp_path, *arguments, "--out", out)
 
 
+def test_an_import_never_takes_the_place_of_a_log_that_it_reads(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    folder = campaign.parent
+    (folder / "campaign.toml").unlink()
+    logs, robot = [folder / "log_1.csv", folder / "log_2.csv"], folder / "robot_declared.toml"
+    said = refused(
+        command, tmp_path, "import", *logs, "--robot", robot, "--format", "csv", "--out", folder, "--overwrite"
+    )
+    assert "log_1.csv, which this run reads" in said
+
+
 def test_a_full_device_for_what_is_printed_is_said(campaign: Path, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run(

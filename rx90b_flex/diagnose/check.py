@@ -17,8 +17,8 @@ from rx90b_flex.diagnose.faults.compare import Found, faults_of
 from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look
-from rx90b_flex.diagnose.faults.repeated import found_period_s, repeated
-from rx90b_flex.diagnose.faults.sample import Reading, Sample, sensible_cutoff_hz
+from rx90b_flex.diagnose.faults.repeated import repeated
+from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
 from rx90b_flex.diagnose.faults.unrelated import unrelated
@@ -26,6 +26,7 @@ from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
+from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.recording import DataFaultError
 
 SCHEMA = 1
@@ -168,7 +169,9 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += [_fault(f) for f in found]
         faults += impossible_sizes(look, faults)
         faults += stuck(mended, np.sqrt(fit.error))
-        faults += unrelated(campaign.joints, fit.error, moving, constant)
+        # what a missing spring or coupling would explain is related to the motion
+        least = np.minimum(fit.error, look.beside(with_effects=True).fit().error)
+        faults += unrelated(campaign.joints, least, moving, constant)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
         parameters = statuses(look, rigid, moving)

@@ -13,10 +13,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.check import check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
+from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
+from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
@@ -27,6 +30,7 @@ from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
@@ -171,6 +175,10 @@ class ClosedLoop:
     seed : int
     cautions : tuple of str
         What limits how far the result can be trusted, in sentences.
+    data_faults : tuple of DataFault
+        What the look at the data found; with `despite_faults` also what makes them not usable.
+    undeclared_basics : tuple of str
+        Effect types that every drive has and no joint declares, although the torques show them.
     moving : MovingErrors
         The validation errors over rows in which the joint moves.
     explainable : Explainable or None
@@ -204,6 +212,8 @@ class ClosedLoop:
     fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
     deflection: tuple[GearDeflection, ...] = ()
+    data_faults: tuple[DataFault, ...] = ()
+    undeclared_basics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +276,8 @@ def close_loop(
     robot: Robot | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> ClosedLoop:
+    despite_faults: bool = False,
+) -> ClosedLoop | RefusedLoop:
     """Find what measured torques hold that the declared model does not, and trace it to effects.
 
     The declared model is identified on the identification recordings. Then, in rounds: every effect of the
@@ -283,6 +294,9 @@ def close_loop(
         Of the permutation test for what remains.
     progress : callable, optional
         Called with a message and a fraction.
+    despite_faults : bool
+        Whether to go on where the look at the data (`rx90b_flex.check`) found them not usable. Otherwise the result then is a
+        `RefusedLoop` with verdict ``data_fault``.
 
     Raises
     ------
@@ -291,7 +305,8 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _with_second_encoders(_closed(source, robot, seed, _rising(progress or (lambda _text, _part: None))))
+        closed = _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)), despite_faults)
+        return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
 
 
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
@@ -328,6 +343,8 @@ def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
         verdict=named.get(result.verdict, result.verdict),
         predictions=predictions,
         moving=_moving(predictions),
+        explainable=result.explainable and result.explainable.of(result.before.validation, after.validation),
+        unexplained=dataclasses.replace(result.unexplained, relative_error=after.validation.relative_error),
     )
 
 
@@ -343,7 +360,9 @@ def _rising(tell: Progress) -> Progress:
     return told
 
 
-def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress) -> ClosedLoop:
+def _closed(
+    source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress, despite_faults: bool
+) -> ClosedLoop | RefusedLoop:
     campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
     if not campaign.validation:
         raise ValueError(
@@ -357,6 +376,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
     tell("reading", 0.0)
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
     _check_joints(campaign, declared_robot)
+    campaign, constants = resolved(campaign, declared_robot)
     data = _Data.of(declared_robot, campaign)
     if len(data.regression.blocks()) < FEWEST_BLOCKS:
         seconds = sum(r.duration_s for r in campaign.identification)
@@ -364,6 +384,10 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
             f"{campaign.path}: the recordings with role 'identification' last {seconds:.3g} s in all; "
             f"{FEWEST_BLOCKS} s or more are needed, for parts of them are held out"
         )
+    tell("looking at the data", 0.02)
+    checked = check(campaign, robot=declared_robot)
+    if not (checked.usable or despite_faults):
+        return RefusedLoop.of(checked, declared_robot, campaign)
     fit_links = declared_robot.inertial_parameters == "fitted"
     tell("identifying the declared model", 0.05)
     declared = _trusting(data.regression, identify(data.regression, data.regression.robot.effects, fit_links=fit_links))
@@ -396,7 +420,7 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         after,
         None if floor is None else tuple(float(x) for x in floor),
         _found(outcome.steps, search, before),
-        remains.verdict,
+        verdict_despite(remains.verdict, checked),
         Unexplained(after.validation.relative_error, where, left, bands(left)),
         model,
         declared,
@@ -409,7 +433,9 @@ def _closed(source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed
         known,
         "" if known else str(explainable),
         data.if_not_possible(declared, model, before, after),
-        cautions,
+        (*cautions, *(c.message for c in constants)),
+        data_faults=checked.data_faults,
+        undeclared_basics=checked.undeclared_basics,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ from scipy import stats
 
 from rx90b_flex.diagnose.residual import Replay
 from rx90b_flex.diagnose.search import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
+from rx90b_flex.diagnose.spring_look import spring_words
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.flexibility import DAMPING_TIME, DriveFlexibility
 from rx90b_flex.effects.motion import Array
@@ -138,7 +140,9 @@ def gear_deflections(source: Robot, campaign: Campaign, model: Identification) -
         if data is None or not any(r.role == "identification" for r in data.runs):
             out.append(GearDeflection(joint, f"{joint} moves too little for its second encoder to show its gear."))
         else:
-            out.append(_judged(data, len(own), [*source.effects, *(e.in_tree() for e in model.effects)]))
+            judged = _judged(data, len(own), [*source.effects, *model.in_tree])
+            spring = spring_words(model, joint) if turning else ""
+            out.append(dataclasses.replace(judged, message=f"{judged.message} {spring}".strip()))
     return tuple(out)
 
 

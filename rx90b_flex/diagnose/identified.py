@@ -15,7 +15,7 @@ def identified_robot(source: Robot, model: Identification, joints: Sequence[str]
     """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
     flexible = [e for e in source.effects if e.on_rigid_tree() is None]
     values = with_possible_values(model)
-    effects = [e.in_tree() for e in values.effects]
+    effects = values.in_tree
     if not model.links_fitted:
         held = [e for e in source.effects if e not in flexible and not set(e.joints) <= set(joints)]
         return source.with_effects([*flexible, *held, *effects])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative
+from rx90b_flex.diagnose.check import faults_json
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
@@ -36,6 +37,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
         "noise_floor": None if result.noise_floor is None else {"torque_rms": list(result.noise_floor)},
         "effects": [_effect(e) for e in result.effects],
         "verdict": result.verdict,
+        "data_faults": faults_json(result.data_faults),
         "explainable": _explainable(result),
         "moving": {
             "before": {"relative_error": result.moving.before},
@@ -52,8 +54,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
             ],
             "cautions": list(result.cautions),
         },
-        "deflection": deflection_json(result.deflection),
-    }
+    } | ({"deflection": deflection_json(result.deflection)} if result.deflection else {})
 
 
 def _explainable(result: ClosedLoop) -> dict[str, Any] | None:

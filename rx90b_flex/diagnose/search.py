@@ -398,11 +398,9 @@ class Search:
                 here = [e for e in self.model.effects if e.place == effect.place]
                 if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
                     continue
-                if any(e.type_name() == cls.type_name() and not cls.repeats for e in here):
+                if any(_shuts_out(e, effect) for e in here):
                     continue
-                if any(cls.type_name() in e.replaces for e in here):
-                    continue
-                replaced = next((e for e in here if e.type_name() in cls.replaces), None)
+                replaced = next((e for e in here if e.type_name() in effect.replaces), None)
                 out.append((self._sharing(effect), replaced))
         return out
 
@@ -731,6 +729,13 @@ class Search:
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"
         return ""
+
+
+def _shuts_out(present: Effect, new: Effect) -> bool:
+    """Whether an effect of the model leaves no room for another one in its place; a freer form of its own type may replace it."""
+    if type(present) is type(new) or present.type_name() == new.type_name():
+        return not new.repeats and (type(present) is type(new) or new.type_name() not in new.replaces)
+    return new.type_name() in present.replaces
 
 
 @dataclass(frozen=True, eq=False)

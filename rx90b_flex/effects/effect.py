@@ -466,8 +466,8 @@ class Effect(ABC):
         """What stands for it where the tree is rigid and motors alone are measured; None: nothing, it is left out."""
         return None if self.virtual else self
 
-    def in_tree(self) -> Effect:
-        """The inverse of `on_rigid_tree`: the effect as a robot file has it."""
+    def in_tree(self, motion: Motion) -> Effect:
+        """The inverse of `on_rigid_tree`: the effect as a robot file has it, on the tree of any sample of motion."""
         return self
 
     @classmethod

@@ -279,7 +279,7 @@ class _DriveDeflection(Effect):
         assert self.stiffness is not None
         return Spring(self.joint, self.stiffness, self._lag)
 
-    def in_tree(self) -> Effect:
+    def in_tree(self, motion: Motion) -> Effect:
         return DriveFlexibility(joint=self.joint, stiffness=self.stiffness, damping=self.damping)
 
     @classmethod

@@ -8,9 +8,13 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, JointEffect, Sites, given, linear
+from rx90b_flex.effects.effect import SPRING, Effect, JointEffect, Sites, given, linear, shape
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+
+FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
+HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
+ANGLES, RATIOS = 8, (0.4, 0.75, 0.93)  # geometries from which a search begins
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +25,9 @@ class GravitySpring(JointEffect):
     ``(stiffness * (l - l_0) + prestress) * dl/dtheta``. l is the distance of the anchors, l_0 that at zero joint angle.
 
     The anchors are points in the joint's own frame at zero angle, m: the first fixed to the parent link, the second
-    to the child. They are geometry and cannot be estimated, so no search tries this effect. The length follows the
-    joint angle theta = e + eps1 alone; what the bending of the joint (about 1e-3 rad) adds to it is left out.
+    to the child. They are geometry that torques tell in part: the angle between them and the ratio of their distances from the
+    axis, no more. A search over time finds these and takes the farther anchor 0.4 m from the axis, both in one plane. The length
+    follows the joint angle theta = e + eps1 alone; what the bending of the joint (about 1e-3 rad) adds to it is left out.
 
     Signature
     ---------
@@ -30,7 +35,8 @@ class GravitySpring(JointEffect):
 
     Neighbours
     ----------
-    `joint_spring` is a straight line. Gravity depends on how the link lies in space, the spring only on its own joint's
+    `joint_spring` is a straight line. `gear_ripple` of order 1 is the spring whose pull is in proportion to its length, a pure sine.
+    Gravity depends on how the link lies in space, the spring only on its own joint's
     angle: tilt the link by a joint before it. Where nothing else tilts it, as the upper arm of an upright robot, a
     fitted link takes the spring up.
 
@@ -105,3 +111,103 @@ class GravitySpring(JointEffect):
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         return []
+
+    @classmethod
+    def over_time(cls, sites: Sites) -> list[Effect]:
+        return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in sites.joints]
+
+
+class _SpringOfTwoLevers(JointEffect):
+    """A `GravitySpring` of unknown geometry: levers a and b from the axis to its ends, ``l^2 = a^2 + b^2 - 2 a b cos(q - angle)``."""
+
+    @classmethod
+    def type_name(cls) -> str:
+        return GravitySpring.type_name()
+
+    def geometry(self) -> tuple[float, float]:
+        """Nearer lever over the farther one, and the angle, rad."""
+        raise NotImplementedError
+
+    def pulls(self) -> tuple[float, float]:
+        """Stiffness times both levers, and what the pull has beyond stiffness times length, times both levers; N m and N m^2."""
+        raise NotImplementedError
+
+    def _spring(self) -> tuple[float, float, float, float]:
+        """Stiffness (N/m), prestress (N), nearer over farther lever, angle (rad)."""
+        ratio, angle = self.geometry()
+        stiff, beyond = (x / (ratio * FAR**2) for x in self.pulls())
+        rest = FAR * float(np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(angle)))
+        return stiff, beyond + stiff * rest, ratio, angle
+
+    def public_values(self) -> list[tuple[str, str, float]]:
+        names = (("stiffness", "N/m"), ("prestress", "N"), ("lever_ratio", "-"), ("angle", "rad"))
+        return [(name, unit, value) for (name, unit), value in zip(names, self._spring(), strict=True)]
+
+    def in_tree(self, motion: Motion) -> Effect:
+        stiffness, prestress, ratio, angle = self._spring()
+        axis = motion.on_tree.joint_axis(self.joint)
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        across /= np.linalg.norm(across)
+        moving = ratio * (np.cos(angle) * across - np.sin(angle) * np.cross(axis, across))
+        anchors = tuple(float(x) for x in FAR * np.r_[across, moving])
+        return GravitySpring(joint=self.joint, stiffness=stiffness, prestress=prestress, anchors=anchors)
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        raise TypeError(f"{self.label}: a spring that was searched for goes into the tree as one of known geometry")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SearchedSpring(_SpringOfTwoLevers):
+    """``(pull + slack / sqrt(1 - ratio cos(q - angle))) sin(q - angle)``, ratio 2ab/(a^2 + b^2): any spring between two levers."""
+
+    part: ClassVar[str] = "spring"
+    replaces: ClassVar[tuple[str, ...]] = ("gravity_spring",)  # one that was found as a sine
+
+    pull: float | None = linear("N m", lower=0.0, rank=SPRING)
+    slack: float | None = linear("N m", rank=SPRING)
+    angle: float | None = shape("rad", start=0.0, lower=-3.0 * np.pi, upper=3.0 * np.pi)
+    ratio: float | None = shape("-", start=0.75, lower=0.02, upper=0.9999)
+
+    def basis(self, at: JointMotion) -> Array:
+        angle, ratio = self.known_shape()
+        sine = np.sin(at.q - angle)
+        return np.stack([sine, sine / np.sqrt(1.0 - ratio * np.cos(at.q - angle))], axis=1)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        angles = np.pi * (2.0 * np.arange(ANGLES) / ANGLES - 1.0)
+        return np.stack(np.meshgrid(angles, RATIOS), axis=-1).reshape(-1, 2)
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return np.array([0.4, 0.15])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return ANGLES
+
+    def geometry(self) -> tuple[float, float]:
+        angle, ratio = self.shape
+        return float((1.0 - np.sqrt(1.0 - ratio**2)) / ratio), float(angle)
+
+    def pulls(self) -> tuple[float, float]:
+        pull, slack = self.coefficients
+        lever, _ = self.geometry()
+        return float(pull), float(slack * FAR * np.sqrt(1.0 + lever**2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SineSpring(_SpringOfTwoLevers):
+    """``sine sin(q) + cosine cos(q)``: a spring that pulls in proportion to its length, as one that balances a weight exactly."""
+
+    part: ClassVar[str] = "spring"
+
+    sine: float | None = linear("N m", rank=SPRING)
+    cosine: float | None = linear("N m", rank=SPRING)
+
+    def basis(self, at: JointMotion) -> Array:
+        return np.stack([np.sin(at.q), np.cos(at.q)], axis=1)
+
+    def geometry(self) -> tuple[float, float]:
+        sine, cosine = self.coefficients
+        return HALF, float(np.arctan2(-cosine, sine))
+
+    def pulls(self) -> tuple[float, float]:
+        return float(np.hypot(*self.coefficients)), 0.0

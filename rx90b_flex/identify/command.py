@@ -26,6 +26,7 @@ from rx90b_flex.identify.physical import (
     possible_coefficients,
 )
 from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import LINK_UNITS, Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
@@ -153,7 +154,9 @@ class Identified:
         return (*(self.model.link_estimates() if self.model.links_fitted else ()), *effects)
 
 
-def identify_campaign(source: Path | Campaign, *, progress: Progress | None = None) -> Identified:
+def identify_campaign(
+    source: Path | Campaign, *, robot: Robot | None = None, progress: Progress | None = None
+) -> Identified:
     """Identify the declared robot of a campaign on its identification recordings.
 
     Weighted least squares over base parameters, shape parameters by variable projection; flexible effects stay as
@@ -168,17 +171,18 @@ def identify_campaign(source: Path | Campaign, *, progress: Progress | None = No
     tell = progress or (lambda _text, _part: None)
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _identified(source, tell)
+        return _identified(source, robot, tell)
 
 
-def _identified(source: Path | Campaign, tell: Progress) -> Identified:
+def _identified(source: Path | Campaign, robot: Robot | None, tell: Progress) -> Identified:
     tell("reading", 0.0)
     campaign = source if isinstance(source, Campaign) else load_campaign(source)
-    declared = load_robot(campaign.robot_source)
+    declared = load_robot(campaign.robot_source) if robot is None else robot
     try:
         declared.restricted(campaign.joints)
     except ValueError as error:
         raise ValueError(f"{campaign.path}: joints: {error}") from None
+    campaign, _ = resolved(campaign, declared)
     for recording in campaign.recordings:
         if not recording.torque.any():
             raise ValueError(
@@ -198,18 +202,18 @@ def _identified(source: Path | Campaign, tell: Progress) -> Identified:
         theta, held = possible_coefficients(model)
     except ValueError as error:  # of a torque that hardly depends on the motion, say
         raise ValueError(f"{campaign.path}: {error}; do the torques belong to these motions?") from None
-    robot = _robot(declared, model, theta)
+    found = _robot(declared, model, theta)
     base = base_parameters(model)
     tell("predicting", 0.8)
-    fit = _predictions(robot, regression.robot, campaign.identification, campaign.cutoff_hz)
-    kept = _predictions(robot, regression.robot, campaign.validation, campaign.cutoff_hz)
+    fit = _predictions(found, regression.robot, campaign.identification, campaign.cutoff_hz)
+    kept = _predictions(found, regression.robot, campaign.validation, campaign.cutoff_hz)
     consistency = _consistency(model, theta, held, base)
     tell("done", 1.0)
     return Identified(
         declared,
         campaign,
         model,
-        robot,
+        found,
         base,
         consistency,
         _error(fit),

@@ -21,6 +21,7 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 RANK_TOLERANCE = 1.0e-6
 MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
 SAME_MISFIT = 1.0e-4  # change of the sum of the residuals' logarithms below which a fit has settled
+TWISTS = 2.0e-3  # of the torque: drives that take so much are fitted together with the links behind them
 BENT = 0.05  # of the torque: with so much left over, links that were fitted to it are far off
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 MULTIPLIED_ROUNDS = 12  # with gains among them, which the links must follow
@@ -240,6 +241,12 @@ class Identification:
         return torque
 
     @property
+    def in_tree(self) -> tuple[Effect, ...]:
+        """The effects as a robot file has them."""
+        motion = self.regression.stretches[0].motion
+        return tuple(e.in_tree(motion) for e in self.effects)
+
+    @property
     def information(self) -> Array:
         """Weighted Gram matrix of all coefficients, shape (p, p)."""
         weighted = self.columns / self.solution.sigma[:, None]
@@ -425,7 +432,7 @@ def _circled(fit: _Fit, links: Array, regression: Regression) -> _Fit:
     Where effects are large, links are fitted together with what these do as the links change (Gauss and Newton's method).
     """
     fit = fit.refined()
-    large = fit.fit_links and fit.followed > BENT * float(np.linalg.norm(regression.torque))
+    large = fit.fit_links and fit.followed > TWISTS * float(np.linalg.norm(regression.torque))
 
     def seeing(links: Array) -> _Fit:
         seen = fit.seen_by(regression.with_model(links, fit.valued))

@@ -35,16 +35,25 @@ class Output:
         Patterns of all other names.
     replaced : bool
         Whether the next run may take the place of it without being told to.
+    recordings : bool
+        Whether the recordings that its campaign file lists are its own, too.
     """
 
     mark: str
     names: tuple[str, ...]
     replaced: bool = True
+    recordings: bool = False
 
     def own(self, folder: Path) -> set[str]:
         """Names in a folder that are of this output."""
         patterns = (self.mark, *self.names)
-        return {name for name in os.listdir(folder) if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
+        found = {name for name in os.listdir(folder) if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
+        if self.recordings and "campaign.toml" in found and not (folder / "campaign.toml").is_symlink():
+            listed = re.findall(
+                r'^file = "([^"/\\]+)"$', (folder / "campaign.toml").read_text(errors="replace"), re.MULTILINE
+            )
+            found |= {name for name in listed if os.path.lexists(folder / name)}
+        return found
 
 
 _MODEL = ("report.html", "robot.toml", "robot.urdf")
@@ -56,7 +65,9 @@ PATH_CHECK = Output(
     "path_check.json",
     ("report.html", "seam.csv", "corrected_path.csv", "corrected_joints.csv", "as_planned", "corrected"),
 )
-RUN = Output("state.parquet", ("campaign.toml", "robot.toml", "robot.urdf", "tip.csv", "tip.png", "tip.svg"))
+RUN = Output(
+    "state.parquet", ("campaign.toml", "robot.toml", "robot.urdf", "tip.csv", "tip.png", "tip.svg"), recordings=True
+)
 RESULTS = (CHECKED, CLOSED_LOOP, IDENTIFIED, MOTOR_SIGNALS, PATH_CHECK, RUN)
 DEMONSTRATION = Output(
     "declared.toml", (CLOSED_LOOP.mark, *CLOSED_LOOP.names, "campaign.toml", "*.urdf", "run_?.csv.gz")

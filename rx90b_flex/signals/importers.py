@@ -40,6 +40,7 @@ SHORTEST = 10  # samples
 SHORT_S = 10.0  # s of identification below which intervals are wide
 FEWEST_S = 4.0  # s of identification, of which close-loop holds parts out
 FEWEST_SAMPLES = 64  # below which there is no spectrum to tell noise from motion
+MIXED = 8.0  # times the motion of another file, in the numbers of both: they are in different units
 
 # words in names, in lower case
 # fmt: off
@@ -168,8 +169,8 @@ def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = Non
     _check_options(options, axes)
     findings: list[tuple[str, Finding]] = []
     parts: list[Recording] = []
-    for file in files:
-        recording, found = _one(read_log(file, options.topic), axes, options)
+    _refuse_the_same_file(files)
+    for file, (recording, found) in zip(files, _all_in_one_unit(files, axes, options), strict=True):
         parts.append(recording)
         findings += [(file.name, finding) for finding in found]
     parts, more = _alike(parts, options)
@@ -212,7 +213,40 @@ def _too_short(recordings: Sequence[Recording]) -> list[Finding]:
     return out
 
 
+def _refuse_the_same_file(files: Sequence[Path]) -> None:
+    for k, file in enumerate(files):
+        if any(file.resolve() == other.resolve() for other in files[:k]):
+            raise ValueError(f"{file}: given twice; a recording that is fitted cannot validate, too")
+
+
+def _all_in_one_unit(files: Sequence[Path], axes: Axes, options: Options) -> list[tuple[Recording, list[Finding]]]:
+    """Every file's recording; a unit that is worked out is the same for all of them."""
+    read = [_one(read_log(file, options.topic), axes, options) for file in files]
+    scales = [scale for _, _, scale in read]
+    if len(set(scales)) > 1:
+        stated = [all(f.sure != "likely" for f in found if f.what.startswith("angles:")) for _, found, _ in read]
+        other = next(k for k, scale in enumerate(scales) if scale != scales[0])
+        names = {1.0: "rad", _DEGREE: "degrees"}
+        widest = [float(np.median(np.ptp(r.position, axis=0) / scale)) for r, _, scale in read]
+        if any(stated) or max(widest) > MIXED * min(widest):
+            one, two = (names.get(scales[k], f"{scales[k]:g} rad") for k in (other, 0))
+            raise ValueError(
+                f"{files[other]}: angles in {one}; those of {files[0]} are in {two}: bring them to one unit, or state it with "
+                "--degrees or --radians"
+            )
+        # motions of one size: what could be either is what the wider one must be
+        options = dataclasses.replace(options, degrees=True)
+        read = [_one(read_log(file, options.topic), axes, options) for file in files]
+    return [(recording, found) for recording, found, _ in read]
+
+
 def _check_options(options: Options, axes: Axes) -> None:
+    used: dict[str, str] = {}
+    for signal, names in options.columns.items():
+        for name in names:
+            if name in used:
+                raise ValueError(f"--columns {signal}: column {name!r} is already used by {used[name]}")
+            used[name] = signal
     for signal in options.columns:
         if signal not in SIGNALS:
             raise ValueError(
@@ -232,7 +266,8 @@ def _check_options(options: Options, axes: Axes) -> None:
 # ---- one file -------------------------------------------------------------------------------------------------
 
 
-def _one(log: Log, axes: Axes, options: Options) -> tuple[Recording, list[Finding]]:
+def _one(log: Log, axes: Axes, options: Options) -> tuple[Recording, list[Finding], float]:
+    """The recording, what was worked out, and what angles were multiplied with."""
     found = [Finding(note, "sure") for note in log.notes]
     time, time_name = _time(log, options, found)
     places = _places(log, axes, options, time_name)
@@ -242,7 +277,7 @@ def _one(log: Log, axes: Axes, options: Options) -> tuple[Recording, list[Findin
     values = {
         signal: np.stack([log.column(c.name)[rows] for c in columns], axis=1) for signal, columns in signals.items()
     }
-    _to_si(log, axes, options, joints, signals, values, found)
+    scale = _to_si(log, axes, options, joints, signals, values, found)
     if options.gear:
         _to_joint_side(options, joints, values, found)
     rate, values, time = _uniform(log, time, values, found)
@@ -255,7 +290,7 @@ def _one(log: Log, axes: Axes, options: Options) -> tuple[Recording, list[Findin
         source=log.path,
         **{SIGNALS[signal]: array for signal, array in values.items()},  # type: ignore[arg-type]
     )
-    return recording, found
+    return recording, found, scale
 
 
 def _words(name: str) -> list[str]:
@@ -470,8 +505,8 @@ def _to_si(
     signals: Mapping[str, list[_Column]],
     values: dict[str, Array],
     found: list[Finding],
-) -> None:
-    """Bring values to SI, in place."""
+) -> float:
+    """Bring values to SI, in place; what the first joint's angles were multiplied with."""
     degrees = options.degrees
     position = signals["motor_position"]
     unstated = all(c.scale is None for c in position)
@@ -481,6 +516,7 @@ def _to_si(
         found.append(Finding(f"angles: in {unit}", "likely"))
     elif degrees is not None:
         found.append(Finding(f"angles: in {'degrees' if degrees else 'rad'}", "stated"))
+    first = 1.0
     for signal, columns in signals.items():
         assumed = np.pi / 180 if degrees and "torque" not in signal else 1.0
         # an option overrules what names say
@@ -490,6 +526,9 @@ def _to_si(
         told = [c.name for c in columns if c.scale not in (None, 1.0)]
         if told and not overruled:
             found.append(Finding(f"{signal}: brought to SI from the unit in the name of {', '.join(told)}", "sure"))
+        if signal == "motor_position":
+            first = float(scales[0])
+    return first
 
 
 def _looks_like_degrees(

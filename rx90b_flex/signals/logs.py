@@ -290,6 +290,11 @@ def _joint_states(path: Path, messages: list[tuple[int, Any]], notes: list[str])
     places = {joint: k for k, joint in enumerate(joints)}
     for row, (_, message) in enumerate(messages):
         at = [places[name] for name in message.name]
+        if len(set(at)) < len(at):
+            twice = next(name for name in message.name if list(message.name).count(name) > 1)
+            raise ValueError(
+                f"{path}: message {row + 1} names {twice!r} {list(message.name).count(twice)} times; once is expected"
+            )
         for f, field in enumerate(fields.values()):
             given = np.asarray(getattr(message, field), dtype=float)
             if len(given) == len(at):  # a field may be left empty

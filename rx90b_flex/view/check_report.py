@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from rx90b_flex.diagnose.check import Checked, check_json
@@ -21,9 +22,12 @@ def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> N
         from rx90b_flex.view.preview import preview_images
 
         images = preview_images(checked.source)
-    write_page(
-        folder / "check.html", f"A look at the data of {checked.robot}", lead(checked), sections(checked, images)
-    )
+    write_check_page(checked, folder / "check.html", images)
+
+
+def write_check_page(checked: Checked, path: Path, images: tuple[Image, ...] = ()) -> None:
+    """Write the page alone."""
+    write_page(path, f"A look at the data of {checked.robot}", lead(checked), sections(checked, images))
 
 
 def lead(checked: Checked) -> list[str]:
@@ -33,9 +37,14 @@ def lead(checked: Checked) -> list[str]:
 
 def basics_words(checked: Checked) -> tuple[str, ...]:
     """The offer to declare what every drive has, where the robot file does not; in one line."""
-    if not checked.undeclared_basics:
+    return basics_offer(checked.undeclared_basics)
+
+
+def basics_offer(undeclared: Sequence[str]) -> tuple[str, ...]:
+    """The same from the types themselves."""
+    if not undeclared:
         return ()
-    names = ", ".join(n.replace("_", " ") for n in checked.undeclared_basics)
+    names = ", ".join(n.replace("_", " ") for n in undeclared)
     return (f"Not declared on any joint, but the torques show it: {names}. Add --basics to have them identified.",)
 
 

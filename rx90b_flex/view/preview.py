@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.sample import sensible_cutoff_hz
 from rx90b_flex.identify.regression import prepare
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Campaign, load_campaign
+from rx90b_flex.signals.facts import sensible_cutoff_hz
 from rx90b_flex.view.identify_plots import torque_fit
 from rx90b_flex.view.page import Image, image
 

@@ -23,12 +23,18 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
     reversed_torques, swapped, other_units, shifted, reversed_positions, torque_gains, zeros, reversed_axes, axes, lengths,
     sample_rates, mountings,
 )  # fmt: skip
+# a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
+ON_POSES = (reversed_positions, zeros, reversed_axes, axes, mountings)
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
 GAINING = 0.9  # of its squared error before: a joint that gains
 TIE = 0.15  # within which the earlier kind is believed
+OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
+CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
+GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
+LOSS = 0.15  # that the fit with free links may lose at the same time
 THIN = 3  # rows of a first look at every hypothesis: one in so many
 SECOND_LOOKS = 2  # of each kind, at all rows and with the factor refined
 PROMISING = 0.3  # of the best gain of a first look, and this much of the log error itself
@@ -58,39 +64,93 @@ def faults_of(look: Look) -> tuple[tuple[Found, ...], Look]:
     return tuple(found), look
 
 
+@dataclass(frozen=True)
+class _Gain:
+    """What a hypothesis gains: with the links fitted, and with those of the URDF, where these are worth a look."""
+
+    fitted: float
+    known: float
+    credible: bool
+
+    @property
+    def total(self) -> float:
+        return self.fitted + (OF_KNOWN * self.known if self.credible else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bases:
+    """A look and its fits without any fault."""
+
+    look: Look
+    fitted: RigidFit
+    known: RigidFit
+
+    @staticmethod
+    def of(look: Look) -> _Bases:
+        return _Bases(look, look.fit(), look.fit_of_known_links())
+
+    def gain(self, hypothesis: Hypothesis) -> _Gain:
+        fitted = self.fitted.score - self.look.fit(hypothesis.reading).score
+        after = self.look.fit_of_known_links(hypothesis.reading)
+        return _Gain(fitted, self.known.score - after.score, bool((after.error < CREDIBLE).all()))
+
+
 def _best(look: Look) -> Found | None:
-    base = look.fit()
-    everything = bool((base.error > GOOD).any() or base.impossible.any() or outside(look, 1.0).any())
-    promising: list[tuple[float, int, Hypothesis]] = []
-    quick = dataclasses.replace(look, sample=look.sample.thinned(THIN), _columns={}, _products={})
-    quick_base = quick.fit().score
+    bases = _Bases.of(look)
+    errors = np.concatenate([bases.fitted.error, bases.known.error])
+    everything = bool((errors > GOOD).any() or bases.fitted.impossible.any() or outside(look, 1.0).any())
+    promising = _promising(look, everything)
+    finals = [(bases.gain(h), rank, h) for _, rank, h in promising]
+    # what has a factor is compared at its best one; what falls far behind cannot be brought to win by it
+    best = max((gain.total for gain, *_ in finals), default=0.0)
+    refined: list[tuple[_Gain, int, Hypothesis, float | None]] = []
+    for gain, rank, hypothesis in finals:
+        if gain.total > PROMISING * max(best, MODEST):
+            better, std = look.refined(hypothesis, OF_KNOWN if gain.credible else 0.0)
+            refined.append((bases.gain(better), rank, better, std))
+    accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
+    # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's
+    beside = look.beside(with_effects=True)
+    without = beside.fit().score if accepted else 0.0
+    while accepted:
+        top = max(gain.total for gain, *_ in accepted)
+        best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
+        gain, _, chosen, std = best_one
+        if gain.fitted < MODEST or without - beside.fit(chosen.reading).score >= MODEST:
+            return Found(chosen, std, bases.fitted, look.fit(chosen.reading))
+        accepted.remove(best_one)
+    return None
+
+
+def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:
+    """The best of each kind at a part of the rows, as (gain, rank of the kind, hypothesis)."""
+    bases = _Bases.of(look.beside(THIN))
+    out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in ON_TORQUES_ALONE):
             continue
-        tried = sorted(((quick_base - quick.fit(h.reading).score, rank, h) for h in kind(quick)), key=lambda t: -t[0])
-        promising += [t for t in tried[:SECOND_LOOKS] if t[0] > PROMISING]
-    promising.sort(key=lambda t: -t[0])
-    finals: list[tuple[float, int, Hypothesis]] = []
-    for quick_gain, rank, hypothesis in promising:
-        if quick_gain < PROMISING * promising[0][0]:
-            break
-        finals.append((base.score - look.fit(hypothesis.reading).score, rank, hypothesis))
-    # what has a factor is compared at its best one; what falls far behind cannot be brought to win by it
-    best = max((gain for gain, *_ in finals), default=0.0)
-    refined: list[tuple[float, int, Hypothesis, float | None]] = []
-    for gain, rank, hypothesis in finals:
-        if gain > PROMISING * max(best, MODEST):
-            better, std = look.refined(hypothesis)
-            refined.append((base.score - look.fit(better.reading).score, rank, better, std))
-    top = max((gain for gain, *_ in refined), default=0.0)
-    if top < MODEST:
-        return None
-    gain, _, chosen, std = min((f for f in refined if f[0] >= top - TIE), key=lambda f: (f[1], -f[0]))
-    after = look.fit(chosen.reading)
-    gaining = after.error < GAINING * base.error
-    if gain < GAIN and (after.error[gaining] > SMALL).any():
-        return None
-    return Found(chosen, std, base, after)
+        tried = []
+        for hypothesis in kind(bases.look):
+            if kind in ON_POSES:
+                tried.append((bases.gain(hypothesis).total, rank, hypothesis))
+            else:
+                tried.append((bases.fitted.score - bases.look.fit(hypothesis.reading).score, rank, hypothesis))
+        tried.sort(key=lambda t: -t[0])
+        out += [t for t in tried[:SECOND_LOOKS] if t[0] > PROMISING]
+    highest = max((gain for gain, *_ in out), default=0.0)
+    return [t for t in out if t[0] >= PROMISING * highest]
+
+
+def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis does so much better than no fault that chance and missing effects do not explain it."""
+    if gain.fitted >= GAIN:
+        return True
+    if gain.fitted >= MODEST:
+        before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
+        if not (after[after < GAINING * before] > SMALL).any():
+            return True
+    on_pose = KINDS[rank] in ON_POSES
+    return on_pose and gain.credible and gain.known >= GAIN_KNOWN and gain.fitted > -LOSS
 
 
 def relative_errors(fit: RigidFit) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import optimize
 
-from rx90b_flex.diagnose.faults.rigid_fit import Products, RigidFit, columns_of
+from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, Products, RigidFit, columns_of, effects_of
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array
 
@@ -69,9 +69,15 @@ class Look:
     reading: Reading
     limits: Array  # (2, joints), rad, as the URDF has them
     prismatic: tuple[bool, ...]
+    with_effects: bool = False  # whether fits may have what could be missing in a joint's drive
     _columns: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
     _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
     _robots: dict[tuple[object, ...], object] = field(default_factory=dict, repr=False)
+
+    def beside(self, factor: int = 1, with_effects: bool = False) -> Look:
+        """The same look at every so many-th row, or with fits that may have more effects."""
+        sample = self.sample.thinned(factor) if factor > 1 else self.sample
+        return dataclasses.replace(self, sample=sample, with_effects=with_effects, _columns={}, _products={})
 
     def columns(self, reading: Reading) -> Array:
         """Columns of a reading's motion, (R, joints, p)."""
@@ -79,7 +85,10 @@ class Look:
         if key not in self._columns:
             while len(self._columns) >= KEPT:
                 del self._columns[next(iter(self._columns))]
-            self._columns[key] = columns_of(self.sample, reading)
+            columns = columns_of(self.sample, reading)
+            if self.with_effects:
+                columns = np.concatenate([columns, effects_of(self.sample, reading)], axis=2)
+            self._columns[key] = columns
         return self._columns[key]
 
     def products(self, reading: Reading) -> Products:
@@ -98,15 +107,28 @@ class Look:
         reading = reading or self.reading
         return RigidFit.of(self.products(reading), reading)
 
-    def refined(self, hypothesis: Hypothesis) -> tuple[Hypothesis, float | None]:
-        """The factor at which a hypothesis does best, and its standard deviation from the score's curvature."""
+    def fit_of_known_links(self, reading: Reading | None = None) -> RigidFit:
+        """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
+        reading = reading or self.reading
+        products = self.products(reading)
+        ridge = products.ridge.copy()
+        ridge[: len(reading.robot.link_parameters)] = KNOWN
+        return RigidFit.of(dataclasses.replace(products, ridge=ridge), reading)
+
+    def refined(self, hypothesis: Hypothesis, of_known: float = 0.0) -> tuple[Hypothesis, float | None]:
+        """The factor at which a hypothesis does best, and its standard deviation from the score's curvature.
+
+        `of_known` is the weight of the fit with the URDF's links beside that with free ones.
+        """
         family, factor = hypothesis.family, hypothesis.factor
         if family is None or factor is None:
             return hypothesis, None
         scale = _Scale(hypothesis.bounds[0] * hypothesis.bounds[1] > 0, float(np.sign(hypothesis.bounds[0])) or 1.0)
 
         def score(y: float) -> float:
-            return self.fit(family(scale.back(y))).score
+            reading = family(scale.back(y))
+            known = of_known * self.fit_of_known_links(reading).score if of_known else 0.0
+            return self.fit(reading).score + known
 
         low, high = sorted(scale.to(b) for b in hypothesis.bounds)
         found = optimize.minimize_scalar(

@@ -14,8 +14,6 @@ from rx90b_flex.signals import Recording
 ALIKE = 0.02**2  # squared difference of two motions over their own size
 ALIKE_TORQUE = 0.15**2  # and of their torques: another load, or pulses on top, make it another experiment
 SAMPLES_A_SECOND = 40.0
-SHORTEST_PERIOD_S = 0.5
-REPEATS = 2e-5  # squared difference of a motion to itself a period later, over twice its variance
 
 
 def repeated(recordings: Sequence[Recording]) -> list[DataFault]:
@@ -62,31 +60,3 @@ def _differences(long: Array, short: Array) -> Array:
     window = square[len(b) :] - square[: len(a) - len(b) + 1]
     product = sum(signal.fftconvolve(a[:, k], b[::-1, k], mode="valid") for k in range(a.shape[1]))
     return np.asarray(window - 2 * product + (b**2).sum())
-
-
-def found_period_s(recording: Recording) -> float | None:
-    """Period of a motion that repeats at least twice, a whole number of samples, s; None where it does not."""
-    q = recording.position - recording.position.mean(axis=0)
-    n, rate = len(q), recording.sample_rate_hz
-    power = (q**2).sum(axis=1)
-    if not power.any():
-        return None
-    size = 2 ** int(np.ceil(np.log2(2 * n)))
-    spectrum = (np.abs(np.fft.rfft(q, size, axis=0)) ** 2).sum(axis=1)
-    product = np.fft.irfft(spectrum, size)[: n // 2 + 1]
-    square = np.concatenate([[0.0], np.cumsum(power)])
-    lags = np.arange(n // 2 + 1)
-    squares = (square[n] - square[lags]) + square[n - lags]
-    unlike = np.maximum(squares - 2 * product, 0.0) / np.maximum(squares, 1e-300)
-    first = max(2, round(SHORTEST_PERIOD_S * rate))
-    # the start of every curve is alike: a period comes after a time at which the motion was somewhere else
-    elsewhere = np.flatnonzero(unlike[:] > 0.1)
-    first = max(first, int(elsewhere[0]) if len(elsewhere) else len(unlike))
-    below = np.flatnonzero(unlike[first:] < REPEATS)
-    if len(below) == 0:
-        return None
-    begin = first + int(below[0])
-    end = begin
-    while end + 1 < len(unlike) and unlike[end + 1] < REPEATS:
-        end += 1
-    return float((begin + int(np.argmin(unlike[begin : end + 1]))) / rate)

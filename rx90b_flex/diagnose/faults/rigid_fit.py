@@ -61,8 +61,7 @@ class Products:
         torque, inside = sample.torque_of(reading)
         fold = np.where(inside, sample.fold, -1)
         _, v, a, _ = sample.seen(reading)
-        links = columns.shape[2] - PER_JOINT * len(sample.joints)
-        links -= sum(len(e.coefficients) for e in other_effects(reading.robot))
+        links = 10 * len(reading.robot.bodies)
         resisting = columns.copy()
         resisting[:, :, :links] = 0.0
         for j in range(len(sample.joints)):  # inertia and offset are no friction
@@ -104,6 +103,26 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
         )
     more = [_started(e, seen).columns(seen)[:, rows] for e in other_effects(robot)]
     return np.concatenate([links, own, *more], axis=2)
+
+
+def effects_of(sample: Sample, reading: Reading) -> Array:
+    """Columns of what may be missing in a joint's own drive, (R, joints, k): what a fault has to do better than.
+
+    Springs and gravity compensators (q, sin q, cos q), friction quadratic in velocity, and the neighbours' motion, with which a
+    coupled motor or a cable goes.
+    """
+    q, v, a, dry = sample.seen(reading)
+    n = q.shape[1]
+    blocks = []
+    for j in range(n):
+        own = [q[:, j], np.sin(q[:, j]), np.cos(q[:, j]), v[:, j] * np.abs(v[:, j])]
+        for k in (j - 1, j + 1):
+            if 0 <= k < n:
+                own += [q[:, k], v[:, k], a[:, k], dry[:, k]]
+        block = np.zeros((len(q), n, len(own)))
+        block[:, j] = np.stack(own, axis=1)
+        blocks.append(block)
+    return np.concatenate(blocks, axis=2)
 
 
 def _under(reading: Reading, seen: Motion) -> Array:

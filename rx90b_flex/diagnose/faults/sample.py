@@ -15,14 +15,12 @@ from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, motion
+from rx90b_flex.signals.facts import sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
 
 ROWS = 900  # of all recordings together: enough to tell hypotheses apart that change torques by tens of per cent
 FOLDS = 4  # each is held out once
 BLOCKS = 12  # contiguous stretches of which a fold gets every fourth
-MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
-OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
-LOWEST_HZ = 1.0
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
 
@@ -215,29 +213,6 @@ def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array,
     edge = min(minimum_samples(cutoff, rate) // 3, recording.samples // 20)
     rows = np.arange(edge, recording.samples - edge, every)
     return tuple(x[rows] for x in (q, v, a, dry)), Track(torque, rows, rate)
-
-
-def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
-    """A low-pass that keeps the motion and leaves out what lies far above it, Hz.
-
-    Four times the frequency below which 99.9 % of the velocity's power lies, over all moving joints; between 1 Hz and a fifth
-    of the sample rate.
-    """
-    highest = LOWEST_HZ
-    for recording in recordings:
-        rate = recording.sample_rate_hz
-        speed = np.diff(recording.position, axis=0)
-        speed = (speed - speed.mean(axis=0)) * np.hanning(len(speed))[:, None]
-        power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
-        hz = np.fft.rfftfreq(len(speed), 1.0 / rate)
-        # white noise of the position counter rises with frequency in its differences: its share is taken out
-        slope = np.median(power[len(hz) // 2 :] / hz[len(hz) // 2 :, None] ** 2, axis=0)
-        power = np.maximum(power - 3.0 * slope * hz[:, None] ** 2, 0.0)
-        power = power / np.maximum(power.sum(axis=0), 1e-300)
-        reached = (np.cumsum(power, axis=0) < MOTION_POWER).sum(axis=0)
-        highest = max(highest, float(hz[np.minimum(reached, len(hz) - 1)].max()))
-    rate = min(r.sample_rate_hz for r in recordings)
-    return float(np.clip(OVER_MOTION * highest, LOWEST_HZ, 0.2 * rate))
 
 
 def other_effects(robot: Robot) -> tuple[Effect, ...]:

@@ -1,0 +1,212 @@
+"""Torque constants of motors whose current was logged: from a payload, links or a torque sensor that is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.coloured import residual_spectrum
+from rx90b_flex.identify.least_squares import (
+    CORRELATION_S,
+    Identification,
+    NormalEquations,
+    Solution,
+    absorbed_each,
+    coloured_covariance,
+    fit_weighted,
+    identify,
+)
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import Campaign, Recording, lowpass, motion
+from rx90b_flex.signals.filters import noise_cutoff_hz
+
+ROUNDS = 30  # of Gauss-Newton steps
+SETTLED = 1.0e-9  # relative change of the constants below which they end
+
+
+@dataclass(frozen=True)
+class TorqueConstant:
+    """A motor's torque constant at the joint.
+
+    Attributes
+    ----------
+    joint : str
+    value : N m/A; None where nothing known fixes the scale.
+    std : its standard deviation; zero for one that was stated.
+    source : "stated", "torque sensor", "model" or "not determined".
+    message : in a sentence.
+    """
+
+    joint: str
+    value: float | None
+    std: float | None
+    source: str
+    message: str
+
+
+def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueConstant, ...]]:
+    """A campaign whose torques are in N m, and the constants that made them so.
+
+    Constants that the campaign leaves out are identified: a joint's own torque sensor tells its constant directly; else the
+    model does where something known fixes the scale (links that are known, a payload that is stated, joints whose torque is
+    known). Where nothing does, the constants of the joints are right among each other at most, and said to be not determined.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    robot : Robot
+        As declared.
+    """
+    stated = campaign.torque_constants
+    if stated is None:
+        return campaign, ()
+    found: dict[str, TorqueConstant] = {}
+    for joint, value in zip(campaign.joints, stated, strict=True):
+        if value is not None:
+            found[joint] = TorqueConstant(
+                joint, value, 0.0, "stated", f"Torque constant of {joint}: {value:g} N m/A, as stated."
+            )
+        elif (told := _from_sensor(campaign.identification, joint)) is not None:
+            found[joint] = told
+    known = _scaled(campaign, {j: c.value for j, c in found.items() if c.source == "torque sensor" and c.value})
+    scales = {j: c.value for j, c in found.items() if c.value is not None}
+    missing = [j for j in campaign.joints if j not in found]
+    if missing:
+        for constant, scale in _from_model(known, robot, missing):
+            found[constant.joint], scales[constant.joint] = constant, scale
+    units = {j: scales[j] for j in missing}
+    done = dataclasses.replace(_scaled(known, units), torque_constants=tuple(scales[j] for j in campaign.joints))
+    return done, tuple(found[j] for j in campaign.joints)
+
+
+def _scaled(campaign: Campaign, factors: dict[str, float]) -> Campaign:
+    """With the torques of some joints multiplied."""
+    by = np.array([factors.get(j, 1.0) for j in campaign.joints])
+    runs = tuple(dataclasses.replace(r, torque=r.torque * by) for r in campaign.recordings)
+    return dataclasses.replace(campaign, recordings=runs)
+
+
+# ---- a torque sensor behind the gear --------------------------------------------------------------------------------
+
+
+def _from_sensor(recordings: Sequence[Recording], joint: str) -> TorqueConstant | None:
+    """``sensor = constant * current - J a - friction``: the constant is the current's coefficient; None without a sensor."""
+    rows, target, spans, at = [], [], [], 0
+    for r in recordings:
+        place = r.joints.index(joint)
+        if r.joint_torque is None or not np.ptp(r.joint_torque[:, place]) > 0.0:
+            return None
+        cutoff = min(noise_cutoff_hz(r.position, r.sample_rate_hz) or np.inf, r.sample_rate_hz / 10.0)
+        moved = motion(r.position[:, place], r.sample_rate_hz, cutoff)
+        both = lowpass(np.column_stack([r.torque[:, place], r.joint_torque[:, place]]), cutoff, r.sample_rate_hz)
+        v = moved.velocity
+        moving = np.abs(v) > 0.03 * np.abs(v).max()
+        rows.append(np.column_stack([both[:, 0], moved.acceleration, v, np.sign(v), np.ones(len(v))])[moving])
+        target.append(both[moving, 1])
+        spans.append(slice(at, at + int(moving.sum())))
+        at += int(moving.sum())
+    x, y = np.concatenate(rows), np.concatenate(target)
+    scale = np.linalg.norm(x, axis=0)
+    inverse = np.linalg.pinv((x / scale).T @ (x / scale), rcond=1e-12) / np.outer(scale, scale)
+    theta = inverse @ (x.T @ y)
+    longest = int(CORRELATION_S * recordings[0].sample_rate_hz)
+    spectrum = residual_spectrum(y - x @ theta, spans, np.zeros(1), longest)
+    covariance = inverse @ np.asarray(sum(spectrum.product(x[s]) for s in spans)) @ inverse
+    value, std = float(theta[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
+    words = f"Torque constant of {joint}: {value:.4g} ± {std:.2g} N m/A, told by its torque sensor."
+    return TorqueConstant(joint, value, std, "torque sensor", words)
+
+
+# ---- the model ------------------------------------------------------------------------------------------------------
+
+
+def _from_model(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> list[tuple[TorqueConstant, float]]:
+    """Constants that make one model fit all joints, and the scales to go on with where they are not determined."""
+    regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz)
+    model = identify(
+        regression, regression.robot.effects, fit_links=robot.inertial_parameters == "fitted", with_covariance=False
+    )
+    places = [campaign.joints.index(j) for j in joints]
+    fit = _Bilinear(regression, model, places)
+    gains, solution, columns, rest = fit.solved()
+    sure = solution.determined[-len(joints) :] & (np.abs(gains) > 0.0)
+    std = np.sqrt(np.maximum(np.diag(fit.covariance(solution, columns, rest))[-len(joints) :], 0.0))
+    out = []
+    for joint, gain, spread, known in zip(joints, gains, std, sure, strict=True):
+        value = 1.0 / gain
+        if known and abs(gain) > 2.0 * spread:
+            error = float(spread / gain**2)
+            words = f"Torque constant of {joint}: {value:.4g} ± {error:.2g} N m/A, told by what is known of the load."
+            out.append((TorqueConstant(joint, float(value), error, "model", words), float(value)))
+            continue
+        words = (
+            f"The torque constant of {joint} is not determined: nothing known fixes the scale of its torque. A payload of known "
+            "mass in one of two recordings, links that are known or a torque sensor would; masses and torques hold up to that factor."
+        )
+        out.append((TorqueConstant(joint, None, None, "not determined", words), float(value)))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Bilinear:
+    """Currents as gains (A per N m) times the model's torque: ``i_j = g_j (known_j + X_j theta)``, linear in each of the two."""
+
+    regression: Regression
+    model: Identification
+    places: Sequence[int]
+
+    def solved(self) -> tuple[Array, Solution, Array, Array]:
+        """Gains, the last linear solution, its columns and the residual."""
+        logged = np.concatenate([s.torque for s in self.regression.stretches])
+        known = logged - self.regression.torque  # what stated payloads take
+        if not self.model.links_fitted:
+            known = known + self.regression.link_columns @ self.model.link_parameters
+        x = self.model.columns
+        gains, theta = self._start(x, logged, known)
+        p = x.shape[2]
+        whole = (slice(0, len(logged)),)
+        for _ in range(ROUNDS):
+            all_gains = np.ones(logged.shape[1])
+            all_gains[list(self.places)] = gains
+            torque = known + x @ theta
+            columns = np.zeros((*logged.shape, p + len(self.places)))
+            columns[:, :, :p] = x * all_gains[:, None]
+            for k, j in enumerate(self.places):
+                columns[:, j, p + k] = torque[:, j]
+            at = np.concatenate([theta, gains])
+            rest = logged - torque * all_gains
+            solution = fit_weighted(NormalEquations.of(columns, rest + columns @ at, whole), at)
+            step = solution.theta - at
+            theta, gains = theta + step[:p], gains + step[p:]
+            if np.abs(step[p:] / gains).max() < SETTLED:
+                break
+        return gains, solution, columns, rest
+
+    def _start(self, x: Array, logged: Array, known: Array) -> tuple[Array, Array]:
+        """From ``0 = known + X theta - constant * current``, linear in the constants, one of them held where nothing is known."""
+        p = x.shape[2]
+        columns = np.concatenate([x, np.zeros((*logged.shape, len(self.places)))], axis=2)
+        target = logged - known
+        for k, j in enumerate(self.places):
+            columns[:, j, p + k] = -logged[:, j]
+            target[:, j] = -known[:, j]
+        prior = np.concatenate([np.zeros(p), np.ones(len(self.places))])
+        found = fit_weighted(NormalEquations.of(columns, target, (slice(0, len(logged)),)), prior, self._sizes(logged))
+        constants = np.where(np.abs(found.theta[p:]) > 1e-9, found.theta[p:], 1.0)
+        return 1.0 / constants, found.theta[:p]
+
+    def _sizes(self, logged: Array) -> Array:
+        return np.maximum(np.sqrt((logged**2).mean(axis=0)), 1e-12)
+
+    def covariance(self, solution: Solution, columns: Array, rest: Array) -> Array:
+        """Of theta and gains, allowing for coloured residuals."""
+        spans = self.regression.spans
+        longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
+        absorbed = absorbed_each(columns, solution.sigma**-2.0, spans, longest)
+        spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(rest.T, absorbed, strict=True)]
+        return coloured_covariance(columns, solution.sigma, spectra, spans)

@@ -1,0 +1,66 @@
+"""What a recording tells of its own motion: whether it repeats, and up to which frequency it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rx90b_flex.signals.recording import Recording
+
+MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
+OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
+LOWEST_HZ = 1.0
+SHORTEST_PERIOD_S = 0.5
+REPEATS = 2e-5  # squared difference of a motion to itself a period later, over twice its variance
+
+
+def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
+    """A low-pass that keeps the motion and leaves out what lies far above it, Hz.
+
+    Four times the frequency below which 99.9 % of the velocity's power lies, over all moving joints; between 1 Hz and a fifth
+    of the sample rate.
+    """
+    highest = LOWEST_HZ
+    for recording in recordings:
+        rate = recording.sample_rate_hz
+        speed = np.diff(recording.position, axis=0)
+        speed = (speed - speed.mean(axis=0)) * np.hanning(len(speed))[:, None]
+        power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
+        hz = np.fft.rfftfreq(len(speed), 1.0 / rate)
+        # white noise of the position counter rises with frequency in its differences: its share is taken out
+        slope = np.median(power[len(hz) // 2 :] / hz[len(hz) // 2 :, None] ** 2, axis=0)
+        power = np.maximum(power - 3.0 * slope * hz[:, None] ** 2, 0.0)
+        power = power / np.maximum(power.sum(axis=0), 1e-300)
+        reached = (np.cumsum(power, axis=0) < MOTION_POWER).sum(axis=0)
+        highest = max(highest, float(hz[np.minimum(reached, len(hz) - 1)].max()))
+    rate = min(r.sample_rate_hz for r in recordings)
+    return float(np.clip(OVER_MOTION * highest, LOWEST_HZ, 0.2 * rate))
+
+
+def found_period_s(recording: Recording) -> float | None:
+    """Period of a motion that repeats at least twice, a whole number of samples, s; None where it does not."""
+    q = recording.position - recording.position.mean(axis=0)
+    n, rate = len(q), recording.sample_rate_hz
+    power = (q**2).sum(axis=1)
+    if not power.any():
+        return None
+    size = 2 ** int(np.ceil(np.log2(2 * n)))
+    spectrum = (np.abs(np.fft.rfft(q, size, axis=0)) ** 2).sum(axis=1)
+    product = np.fft.irfft(spectrum, size)[: n // 2 + 1]
+    square = np.concatenate([[0.0], np.cumsum(power)])
+    lags = np.arange(n // 2 + 1)
+    squares = (square[n] - square[lags]) + square[n - lags]
+    unlike = np.maximum(squares - 2 * product, 0.0) / np.maximum(squares, 1e-300)
+    first = max(2, round(SHORTEST_PERIOD_S * rate))
+    # the start of every curve is alike: a period comes after a time at which the motion was somewhere else
+    elsewhere = np.flatnonzero(unlike[:] > 0.1)
+    first = max(first, int(elsewhere[0]) if len(elsewhere) else len(unlike))
+    below = np.flatnonzero(unlike[first:] < REPEATS)
+    if len(below) == 0:
+        return None
+    begin = first + int(below[0])
+    end = begin
+    while end + 1 < len(unlike) and unlike[end + 1] < REPEATS:
+        end += 1
+    return float((begin + int(np.argmin(unlike[begin : end + 1]))) / rate)

@@ -1,0 +1,102 @@
+"""Torque constants that a campaign leaves out: known loads and torque sensors tell them, nothing else does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import independent as plain
+import numpy as np
+import pytest
+
+import rx90b_flex as rf
+from rx90b_flex.identify.torque_scale import TorqueConstant, resolved
+from rx90b_flex.signals import Campaign, load_campaign
+
+CONSTANTS = np.array([3.7, 0.9])
+LOAD = (1.9, (0.05, -0.02, 0.11))
+
+
+def logged(folder: Path, *, payload: bool, known: bool = False, constants: str = "", sensor: bool = False) -> Path:
+    """An arm of two joints, its currents logged; the second and third recording with a payload on, stated or not there."""
+    rng = np.random.default_rng(11)
+    arm = plain.two_joints(folder)
+    rubbing = plain.friction([1.0, 0.6], [2.0, 1.1])
+    runs = []
+    for role, loaded in (("identification", False), ("identification", payload), ("validation", payload)):
+        motion = plain.harmonics(rng, 2, period_s=8.0)
+        torques = [rubbing, plain.carrying(arm, "lower", *LOAD)] if loaded else [rubbing]
+        runs.append(plain.run(arm, role, motion, torques, plain.white(rng, len(motion.time), [0.05, 0.05])))
+    declared = [{"type": k, "joint": j} for j in arm.joints for k in ("coulomb_friction", "viscous_friction")]
+    path = plain.write_files(folder, arm, declared, runs, cutoff_hz=15.0, known=known)
+    for i, run in enumerate(runs):
+        file = folder / f"log_{i + 1}.csv"
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+        moving = plain.friction([1.0, 0.6], [2.0, 1.1])(run.motion, run.torque)
+        behind = run.torque - moving
+        table = np.column_stack([table[:, :3], table[:, 3:] / CONSTANTS, behind])
+        header = "time,angle_0,angle_1,moment_0,moment_1,sensor_0,sensor_1"
+        np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    text = path.read_text().replace("\ntorque = ", "\nmotor_current = ")
+    if sensor:
+        text = text.replace("[preprocessing]", 'joint_torque = ["sensor_0", "sensor_1"]\n[preprocessing]')
+    if constants:
+        text = text.replace("[preprocessing]", f"[motor]\ntorque_constant = {constants}\n[preprocessing]")
+    if payload:
+        parts = text.split("[[recording]]")
+        stated = f"payload = {{ mass = {LOAD[0]}, centre = {list(LOAD[1])} }}\n"
+        text = "[[recording]]".join([*parts[:2], *(p + stated for p in parts[2:])])
+    path.write_text(text)
+    return path
+
+
+def constants_of(path: Path) -> tuple[Campaign, tuple[TorqueConstant, ...]]:
+    campaign = load_campaign(path)
+    return resolved(campaign, rf.load_robot(campaign.robot_source))
+
+
+def close_to_truth(found: tuple[TorqueConstant, ...]) -> None:
+    for constant, true in zip(found, CONSTANTS, strict=False):
+        assert constant.value is not None and constant.std is not None
+        assert constant.std < 0.1 * true
+        assert abs(constant.value - true) < 4.0 * constant.std
+
+
+def test_a_payload_of_known_mass_tells_the_constants(tmp_path: Path) -> None:
+    _, found = constants_of(logged(tmp_path, payload=True))
+    close_to_truth(found)
+    assert {c.source for c in found} == {"model"}
+
+
+def test_known_links_tell_the_constants(tmp_path: Path) -> None:
+    _, found = constants_of(logged(tmp_path, payload=False, known=True))
+    close_to_truth(found)
+
+
+def test_one_constant_that_is_stated_tells_the_other(tmp_path: Path) -> None:
+    _, found = constants_of(logged(tmp_path, payload=False, constants="[nan, 0.9]"))
+    close_to_truth((found[0],))
+    assert found[1].source == "stated"
+
+
+def test_torque_sensors_tell_the_constants(tmp_path: Path) -> None:
+    campaign, found = constants_of(logged(tmp_path, payload=False, sensor=True))
+    for constant, true in zip(found, CONSTANTS, strict=True):
+        assert constant.source == "torque sensor"
+        assert constant.value == pytest.approx(true, rel=0.02)
+    measured = campaign.recordings[0]
+    assert measured.motor_current is not None
+    ratio = np.array([c.value for c in found], dtype=float)
+    np.testing.assert_allclose(measured.torque, measured.motor_current * ratio)
+
+
+def test_without_anything_known_the_constants_are_not_determined_and_that_is_said(tmp_path: Path) -> None:
+    _, found = constants_of(logged(tmp_path, payload=False))
+    assert [c.value for c in found] == [None, None]
+    assert all("not determined" in c.message for c in found)
+
+
+def test_closing_the_loop_on_currents_goes_by_the_constants_that_it_finds(tmp_path: Path) -> None:
+    result = rf.close_loop(logged(tmp_path, payload=True))
+    assert max(result.after.validation.torque_rms) < 0.2  # N m, of torques of several
+    assert sum(bool(re.search(r"told by what is known", c)) for c in result.cautions) == 2
