@@ -370,7 +370,9 @@ def with_starts(effects: Sequence[Effect], regression: Regression) -> tuple[Effe
     known = shared_values(effects)
     out = []
     for effect in effects:
-        shape = np.array([known.get(key, x) for key, x in zip(effect.shape_keys, effect.shape, strict=True)])
+        shape = np.array(
+            [x if key is None else known.get(key, x) for key, x in zip(effect.shape_keys, effect.shape, strict=True)]
+        )
         if np.isnan(shape).any():
             starts = effect.shape_starts(regression.longest)
             shape = np.where(np.isnan(shape), starts[len(starts) // 2], shape)
