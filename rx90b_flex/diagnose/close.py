@@ -661,7 +661,7 @@ class _Rounds:
             effect = _find(model.effects, step.trial.effect)
             search = Search(model, self.sites)
             worth = search.without(effect)
-            if (newest and worth.belongs(search.tests)) or worth.accepted or (effect.replaces and not newest):
+            if worth.accepted or (newest and worth.belongs(search.tests)):
                 continue
             self.tell(f"taking out {effect.label}", 0.1 + 0.8 * (1.0 - 0.8 ** len(outcome.steps)))
             kept = [s for s in outcome.steps if s is not step]

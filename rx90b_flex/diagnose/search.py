@@ -487,9 +487,11 @@ class Search:
         return kept
 
     def without(self, effect: Effect) -> Trial:
-        """What an effect of the present model is worth: the trial of adding it to the model without it."""
+        """What an effect of the present model is worth: the trial of adding it to the model without it, what it replaces restored."""
         base = self.base(effect)
-        return self.trial(effect, base, base, self.tests)
+        restored = [e for e in self.present_without(effect) if e not in self.model.effects]
+        present = self.base(effect, [self._sharing(e) for e in restored]) if restored else base
+        return self.trial(effect, base, present, self.tests)
 
     @property
     def longest(self) -> Motion:
@@ -723,8 +725,9 @@ class Search:
         low, high = effect.shape_range(self.longest)[:, shapes]
         at = effect.shape[shapes]
         names = [effect.shape_names()[i] for i in shapes]
-        for name, x, a, b in zip(names, at, low, high, strict=True):
-            if x <= 1.01 * a:
+        keys = [effect.shape_keys[i] for i in shapes]
+        for name, key, x, a, b in zip(names, keys, at, low, high, strict=True):
+            if x <= 1.01 * a and key is None:  # what effects share is as sharp as can be, and no reason against one of them
                 return f"at its bound: this log does not resolve a {name} below {a:.3g}"
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"
