@@ -29,7 +29,7 @@ SMALLEST_FACTOR = 0.02  # of a torque gain during a fit
 ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
 LARGEST_DAMPING = 1.0e7
-SETTLED = 1.0e-6  # part of the squares below which another step is not worth while
+SETTLED = 1.0e-5  # part of the squares below which another step is not worth while
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
 
 
@@ -361,7 +361,9 @@ def identify(
     for _ in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
         fit = fit.refined()
         if circular:
-            fit = fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
+            before, fit = fit, fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
+            if abs(fit.misfit - before.misfit) < SAME_MISFIT:
+                break
     return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
 
 
