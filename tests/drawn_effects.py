@@ -37,7 +37,7 @@ def draw_effect(kind: str, robot: Robot, rng: np.random.Generator) -> tuple[Effe
 
 def _with_values(effect: Effect, rng: np.random.Generator) -> Effect:
     given = {
-        name: tuple(rng.uniform(-0.5, 0.5, parameter.size))
+        name: tuple(rng.uniform(-0.5, 0.5, parameter.size) if parameter.size else np.sort(rng.uniform(-2.0, 2.0, 5)))
         for name, parameter in effect.parameters().items()
         if parameter.kind == "given"
     }

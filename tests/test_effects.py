@@ -62,7 +62,8 @@ def test_analytic_derivatives_of_every_effect_are_finite_differences_of_its_forc
 
 
 @pytest.mark.parametrize("source", ROBOTS)
-@pytest.mark.parametrize("kind", [k for k in TYPES if k != "cable_torque"])  # whose reaction acts outside the robot
+# a cable reacts outside the robot; a drawn curve over velocity is not zero at rest
+@pytest.mark.parametrize("kind", [k for k in TYPES if k not in ("cable_torque", "friction_curve")])
 def test_the_force_of_every_effect_at_rest_is_the_gradient_of_its_potential(kind, source):
     rng = np.random.default_rng(3)
     robot = with_drawn_effects(tree(source), [kind], rng)

@@ -90,6 +90,8 @@ VALUES: dict[str, dict[str, object]] = {
     "position_friction": {"joint": "elbow", "order": 5.0, "amplitude": 0.6, "phase": 0.3},
     "cable_torque": {"joints": ["elbow", "shoulder"], "coefficients": [0.5, 0.3]},
     "torque_gain": {"joint": "elbow", "gain": 1.2},
+    "friction_curve": {"joint": "elbow", "velocities": [-4.0, -1.0, 1.0, 4.0], "torques": [-0.9, -0.6, 0.5, 0.8]},
+    "angle_curve": {"joint": "elbow", "angles": [0.3, 0.7, 1.1, 1.5], "torques": [0.5, -0.3, 0.2, 0.6]},
 }
 UNSEEN = (
     "resolver_error",

@@ -394,7 +394,10 @@ class Search:
         for cls in catalogue().values():
             if cls.last_resort is not self.last_resort:
                 continue
-            for effect in cls.over_time(self.sites):
+            for site in cls.over_time(self.sites):
+                effect = site.placed(self.longest)
+                if not len(effect.coefficients):
+                    continue  # this motion leaves nothing to place
                 here = [e for e in self.model.effects if e.place == effect.place]
                 if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
                     continue
@@ -727,7 +730,9 @@ class Search:
         names = [effect.shape_names()[i] for i in shapes]
         keys = [effect.shape_keys[i] for i in shapes]
         for name, key, x, a, b in zip(names, keys, at, low, high, strict=True):
-            if x <= 1.01 * a and key is None:  # what effects share is as sharp as can be, and no reason against one of them
+            if (
+                x <= 1.01 * a and key is None
+            ):  # what effects share is as sharp as can be, and no reason against one of them
                 return f"at its bound: this log does not resolve a {name} below {a:.3g}"
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"

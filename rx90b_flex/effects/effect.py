@@ -441,6 +441,10 @@ class Effect(ABC):
                 raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
         return values
 
+    def placed(self, motion: Motion) -> Self:
+        """Prepared for a search on a motion: with what of its geometry this motion suggests."""
+        return self
+
     @property
     def known(self) -> bool:
         """Whether all that its force needs has a value."""

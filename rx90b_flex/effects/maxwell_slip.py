@@ -9,7 +9,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
+from rx90b_flex.effects.curves import ManyCoefficients
+from rx90b_flex.effects.effect import FRICTION, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.presliding import deflection_range, monotone_runs
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
@@ -18,7 +19,7 @@ ELEMENTS = 2  # where none are stated
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaxwellSlipFriction(JointEffect):
+class MaxwellSlipFriction(ManyCoefficients):
     """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
 
     An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its
@@ -58,39 +59,19 @@ class MaxwellSlipFriction(JointEffect):
         return float(self.known_coefficients().sum())
 
     @property
-    def _count(self) -> int:
+    def count(self) -> int:
         known = [x for x in (self.deflections, self.torques, self.stiffnesses) if x is not None]
         return len(known[0]) if known else ELEMENTS
 
-    @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return tuple(f"torques_{i + 1}" for i in range(self._count))
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return ("N m",) * self._count
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (FRICTION,) * self._count
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.zeros(self._count)
-
-    @property
-    def coefficients(self) -> Array:
-        return np.full(self._count, np.nan) if self.torques is None else np.array(self.torques)
-
     def shape_names(self) -> tuple[str, ...]:  # type: ignore[override]  # as many as there are elements
-        return tuple(f"deflections_{i + 1}" for i in range(self._count))
+        return tuple(f"deflections_{i + 1}" for i in range(self.count))
 
     def shape_bounds(self) -> Array:  # type: ignore[override]
-        return np.tile([[1e-9], [1e3]], self._count)
+        return np.tile([[1e-9], [1e3]], self.count)
 
     @property
     def shape(self) -> Array:
-        return np.full(self._count, np.nan) if self.deflections is None else np.array(self.deflections)
+        return np.full(self.count, np.nan) if self.deflections is None else np.array(self.deflections)
 
     def with_shape(self, values: Sequence[float] | Array) -> Self:
         return self._consistent(self.coefficients, np.asarray(values, dtype=float))
@@ -107,13 +88,13 @@ class MaxwellSlipFriction(JointEffect):
         )
 
     def shape_range(self, motion: Motion) -> Array:
-        return np.tile(np.array(deflection_range(motion.joint(self.joint)))[:, None], self._count)
+        return np.tile(np.array(deflection_range(motion.joint(self.joint)))[:, None], self.count)
 
     def shape_starts(self, motion: Motion) -> Array:
         low, high = deflection_range(motion.joint(self.joint))
         grid = np.geomspace(1.5 * low, 0.5 * high, 6)
-        step = max(1, len(grid) // (self._count + 1))
-        return np.array([grid[i : i + step * self._count : step] for i in range(len(grid) - step * (self._count - 1))])
+        step = max(1, len(grid) // (self.count + 1))
+        return np.array([grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))])
 
     def shape_spread(self, motion: Motion) -> Array:
         return 0.5 * self.shape
@@ -123,15 +104,15 @@ class MaxwellSlipFriction(JointEffect):
 
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:
-            return np.repeat(reversal(at.v, SHARP)[:, None], self._count, axis=1)
+            return np.repeat(reversal(at.v, SHARP)[:, None], self.count, axis=1)
         return np.stack([slipping(at.q, d) for d in self.known_shape()], axis=1)
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        zero = np.zeros((len(at.q), self._count))
-        return zero, np.repeat(reversal_slope(at.v, SHARP)[:, None], self._count, axis=1), zero
+        zero = np.zeros((len(at.q), self.count))
+        return zero, np.repeat(reversal_slope(at.v, SHARP)[:, None], self.count, axis=1), zero
 
     def memory(self, motion: Motion) -> Array:
-        return np.concatenate([motion.joint(self.joint).q[:, None], np.zeros((len(motion), self._count))], axis=1)
+        return np.concatenate([motion.joint(self.joint).q[:, None], np.zeros((len(motion), self.count))], axis=1)
 
     def onward(self, memory: Array, motion: Motion) -> Array:
         q = motion.joint(self.joint).q[:, None]

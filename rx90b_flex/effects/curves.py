@@ -1,0 +1,170 @@
+"""Curves of no known law: friction over velocity, torque over the joint's own angle. Last resorts, and named as such."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from rx90b_flex.effects.effect import FRICTION, SPRING, JointEffect, given, linear
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+
+KNOTS = 9  # of a curve that a search places: two for each of its bends
+OUTERMOST = 0.02  # part of the samples beyond the last knot on either side, where the curve goes on level
+
+
+class ManyCoefficients(JointEffect):
+    """An effect on a joint with as many coefficients of one kind, its `torques`, as are stated or as it has knots or elements."""
+
+    torques: tuple[float, ...] | None
+
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """How many coefficients it has."""
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return tuple(f"torques_{i + 1}" for i in range(self.count))
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return (self.parameters()["torques"].unit,) * self.count
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (self.parameters()["torques"].rank,) * self.count
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.full(self.count, self.parameters()["torques"].lower)
+
+    @property
+    def coefficients(self) -> Array:
+        return np.full(self.count, np.nan) if self.torques is None else np.array(self.torques)
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        known = not np.isnan(values).any()
+        change: dict[str, Any] = {"torques": tuple(float(x) for x in values) if known else None}
+        return dataclasses.replace(self, **change)
+
+
+class _Curve(ManyCoefficients):
+    """A natural cubic spline through a torque at each knot, level beyond the last ones."""
+
+    last_resort: ClassVar[bool] = True
+    knots_name: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        if len(self.knots) and (len(self.knots) < 3 or (np.diff(self.knots) <= 0).any()):
+            raise ValueError(
+                f"{self.label}: {self.knots_name} is {list(self.knots)}; expected three or more, ascending"
+            )
+        if self.torques is not None and len(self.torques) != len(self.knots):
+            raise ValueError(f"{self.label}: {len(self.torques)} torques for {len(self.knots)} {self.knots_name}")
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Where its torques are stated."""
+        return tuple(getattr(self, self.knots_name) or ())
+
+    @property
+    def count(self) -> int:
+        return len(self.knots)
+
+    def placed(self, motion: Motion) -> Self:
+        """With knots where this motion has its samples, each between as many as the others; without any where it does not move."""
+        x = self.abscissa(motion.joint(self.joint))
+        knots = np.quantile(x, np.linspace(OUTERMOST, 1.0 - OUTERMOST, KNOTS))
+        apart = np.diff(knots) > 1e-6 * max(float(np.ptp(x)), 1e-12)
+        change: dict[str, Any] = {self.knots_name: tuple(knots.tolist()) if apart.all() else ()}
+        return dataclasses.replace(self, **change)
+
+    @abstractmethod
+    def abscissa(self, at: JointMotion) -> Array:
+        """What the torque is a curve of, shape (N,)."""
+
+    def _spline(self, x: Array, order: int) -> Array:
+        """Torque, or its derivative, per unit of each knot's; shape (N, k)."""
+        if not self.count:
+            return np.zeros((len(x), 0))
+        inside = np.clip(x, self.knots[0], self.knots[-1])
+        values = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")(inside, order)
+        return np.asarray(values if order == 0 else values * (inside == x)[:, None])
+
+    def basis(self, at: JointMotion) -> Array:
+        return self._spline(self.abscissa(at), 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionCurve(_Curve):
+    """Friction of no known form: a smooth curve over velocity through `torques` at `velocities`.
+
+    Signature
+    ---------
+    A residual that follows the joint's own velocity in a way that no law of the catalogue has, and does so on other recordings too.
+
+    Neighbours
+    ----------
+    Every friction law: it is tried only where none of them is significant. It says how large friction is, and nothing of why.
+
+    Source
+    ------
+    Not in Hardeman 2008; a natural cubic spline.
+    """
+
+    knots_name: ClassVar[str] = "velocities"
+
+    velocities: tuple[float, ...] = given("rad/s", size=0)
+    torques: tuple[float, ...] | None = linear("N m", rank=FRICTION, size=0)
+
+    def abscissa(self, at: JointMotion) -> Array:
+        return at.v
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        slope = self._spline(at.v, 1)
+        return np.zeros_like(slope), slope, np.zeros_like(slope)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngleCurve(_Curve):
+    """A torque of no known form over the joint's own angle: a smooth curve through `torques` at `angles`.
+
+    Signature
+    ---------
+    A residual that follows the joint's own angle, at rest and in motion, whatever the other joints do.
+
+    Neighbours
+    ----------
+    `joint_spring`, `gravity_spring` and `gear_ripple` are curves with a law; it is tried only where none of them is significant.
+
+    Source
+    ------
+    Not in Hardeman 2008; a natural cubic spline.
+    """
+
+    part: ClassVar[str] = "spring"
+    knots_name: ClassVar[str] = "angles"
+
+    angles: tuple[float, ...] = given("rad", size=0)
+    torques: tuple[float, ...] | None = linear("N m", rank=SPRING, size=0)
+
+    def abscissa(self, at: JointMotion) -> Array:
+        return at.q
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        slope = self._spline(at.q, 1)
+        return slope, np.zeros_like(slope), np.zeros_like(slope)
+
+    def potential(self, motion: Motion) -> Array:
+        q = motion.joint(self.joint).q
+        spline = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")
+        stored, ends = spline.antiderivative(), np.array([self.knots[0], self.knots[-1]])
+        inside = np.clip(q, *ends)
+        beyond = (q - inside)[:, None] * spline(inside)
+        return np.asarray((stored(inside) + beyond) @ self.known_coefficients())
