@@ -33,6 +33,8 @@ FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
 MEMBER = 0.01  # p-value, not corrected, of a member
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
+SHAPES_KNOWN = 1.0  # standard deviation of a shape's logarithm before the data: what they leave open must not run away
+CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
 LEAK = 0.02  # of a recording that is left out as a whole
 LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
 LOST_PART = 0.005  # of its squared error, and this much: less is no reason
@@ -74,6 +76,8 @@ class Trial:
         Why its values are not lawful; empty where they are.
     worst : float
         Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
+    carried : float
+        Part of the gain on held-out blocks that is left where whole recordings are held out.
     members : tuple of Trial
         Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
     """
@@ -88,6 +92,7 @@ class Trial:
     colour: float = 1.0
     objection: str = ""
     worst: float = 0.0
+    carried: float = 1.0
     members: tuple[Trial, ...] = ()
 
     @property
@@ -144,6 +149,8 @@ class Trial:
             return "parts of the data that were held out disagree on it"
         if self.worst > 1.0:
             return "it raises the error of a recording that was left out"
+        if self.carried < CARRIED:
+            return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
         return ""
 
     def belongs(self, tests: int) -> bool:
@@ -173,6 +180,7 @@ class _Shared:
     target: Array  # (joints, N)
     weight: Array
     blocks: tuple[slice, ...]
+    precision: Array  # (p,) inverse variance of coefficients before the data: of shapes, which may change by their size
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -202,6 +210,7 @@ class Base:
     def grams(self) -> Array:
         """Weighted Gram matrices, shape (blocks, p, p)."""
         whole = np.einsum("j,bjpq->bpq", self.weight, self.shared.normal.gram)
+        whole = whole + np.diag(self.shared.precision) / len(whole)
         return whole[:, self.kept[:, None], self.kept]
 
     @cached_property
@@ -361,7 +370,11 @@ class Search:
     def shared(self) -> _Shared:
         """Columns and target in the form that trials use."""
         columns = np.ascontiguousarray(self.model.all_columns.transpose(1, 0, 2))
-        return _Shared(columns, np.ascontiguousarray(self.target.T), self.model.solution.sigma**-2.0, self.blocks)
+        shapes = self.model.shapes
+        sizes = shapes.per_step(shapes.values(self.model.effects))
+        precision = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
+        target = np.ascontiguousarray(self.target.T)
+        return _Shared(columns, target, self.model.solution.sigma**-2.0, self.blocks, precision)
 
     @cached_property
     def present(self) -> Base:
@@ -384,7 +397,8 @@ class Search:
             return Base(self.shared, kept, theta[kept])
         more = [self.regression.columns(e).transpose(1, 0, 2) for e in restored]
         columns = np.concatenate([self.shared.columns[:, :, kept], *more], axis=2)
-        shared = dataclasses.replace(self.shared, columns=np.ascontiguousarray(columns))
+        precision = np.concatenate([self.shared.precision[kept], np.zeros(columns.shape[2] - len(kept))])
+        shared = dataclasses.replace(self.shared, columns=np.ascontiguousarray(columns), precision=precision)
         prior = np.concatenate([theta[kept], np.zeros(columns.shape[2] - len(kept))])
         return Base(shared, np.arange(columns.shape[2]), prior)
 
@@ -604,20 +618,22 @@ class Search:
             not objection,
             colour,
             objection,
-            self._worst(base, present, (b, y, d), len(beta) * colour),
+            *self._left_out(base, present, (b, y, d), len(beta) * colour, gain),
         )
 
-    def _worst(self, base: Base, present: Base, products: tuple[Array, ...], chance: float) -> float:
-        """Largest loss on a whole recording that is left out, over what chance explains; zero where there are too few."""
-        if len(self.by_recording) < FEWEST_RECORDINGS:
-            return 0.0
+    def _left_out(
+        self, base: Base, present: Base, products: tuple[Array, ...], chance: float, gain: float
+    ) -> tuple[float, float]:
+        """`worst` and `carried` where whole recordings are left out; nothing against it where there are too few."""
+        if len(self.by_recording) < FEWEST_RECORDINGS or gain <= 0:
+            return 0.0, 1.0
         b, y, d = (np.array([part[at].sum(axis=0) for at in self.by_recording]) for part in products)
         before = present.grouped(self.by_recording)
         lost = self._held_out(base.grouped(self.by_recording), b, y, d) - before.held_out
         parts = np.array([len(at) for at in self.by_recording]) / len(self.blocks)
         # what a fit to the others costs a recording by chance: as much as it is longer than they are together
         spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
-        return float((lost / np.maximum(spread, 1e-300)).max())
+        return float((lost / np.maximum(spread, 1e-300)).max()), float(-lost.sum() / gain)
 
     def _follows_motion(self, residual: Array, effect: Effect) -> bool:
         """Whether a line sits among the harmonics of a motion that repeats, and does not stand out of those beside it.
@@ -813,6 +829,7 @@ def family(members: Sequence[Trial], kinds: int) -> Trial:
         share=gain / touched_squares,
         colour=max(m.colour for m in members),
         worst=max(m.worst for m in members),
+        carried=sum(m.carried * m.gain for m in members) / gain,
         members=tuple(members),
     )
 
