@@ -251,6 +251,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
         "after": roles,
         "noise_floor": {"torque_rms": [float, 6]},
         "verdict": str,
+        "data_faults": [dict, 0],
         "explainable": {"validation": {"relative_error": float}, "share": float},
         "moving": {"before": {"relative_error": float}, "after": {"relative_error": float}, "at_rest": float},
         "fitted": {"before": roles, "after": roles},

@@ -127,7 +127,9 @@ def test_without_validation_recordings_the_fit_itself_is_shown_and_said_to_be(tm
 def test_known_links_are_kept(tmp_path: Path) -> None:
     found = identify_campaign(campaign(tmp_path / "data", known=True))
     np.testing.assert_array_equal(found.robot.link_parameters, found.source.link_parameters)
-    assert [e.name.split(".")[0] for e in found.parameters] == ["shoulder", "shoulder", "elbow", "elbow"]
+    # of each joint's dry friction the torque and the velocity within which it turns over; of viscous friction the slope
+    own = ["coulomb_friction.torque", "coulomb_friction.turnover", "viscous_friction.coefficient"]
+    assert sorted(e.name for e in found.parameters) == sorted(f"{j}.{p}" for j in ("shoulder", "elbow") for p in own)
 
 
 def test_the_command_writes_a_report_that_opens_offline_and_json_without_nan(

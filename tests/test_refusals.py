@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+import independent as ind
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,8 +19,8 @@ import rx90b_flex as rf
 __all__ = ["campaign", "command"]  # fixtures
 
 
-def change_logs(folder: Path, **columns: float) -> None:
-    for name in ("log_1.csv", "log_2.csv"):
+def change_logs(folder: Path, logs: Sequence[str] = ("log_1.csv", "log_2.csv"), **columns: float | np.ndarray) -> None:
+    for name in logs:
         table = pd.read_csv(folder / name)
         table.assign(**columns).to_csv(folder / name, index=False)
 
@@ -27,6 +29,19 @@ def scale_logs(folder: Path, column: str, factor: float) -> None:
     for name in ("log_1.csv", "log_2.csv"):
         table = pd.read_csv(folder / name)
         table.assign(**{column: table[column] * factor}).to_csv(folder / name, index=False)
+
+
+def hold_the_shoulder(folder: Path) -> None:
+    """The same runs of the elbow with the shoulder at rest, from the arm's own dynamics."""
+    arm, rng = ind.two_joints(folder), np.random.default_rng(4)
+    for name in ("log_1.csv", "log_2.csv"):
+        moving = ind.harmonics(rng, 2, period_s=6.0, rate_hz=100.0)
+        still = np.array([0.0, 1.0])
+        held = ind.Motion(moving.time, moving.q * still + [0.3, 0.0], moving.v * still, moving.a * still)
+        torque = arm.torque(held) + ind.friction((2.0, 1.0), (3.0, 1.5))(held, np.zeros_like(held.q))
+        torque += ind.white(rng, len(held.time), (0.2, 0.08))
+        columns = {f"angle_{j}": held.q[:, j] for j in range(2)} | {f"moment_{j}": torque[:, j] for j in range(2)}
+        change_logs(folder, (name,), **columns)
 
 
 def refused(command: Command, folder: Path, *arguments: object) -> str:
@@ -137,12 +152,21 @@ def test_a_mass_beyond_measure_is_named_with_file_and_joint(campaign: Path, comm
 
 
 def test_a_joint_that_never_moves_is_no_reason_to_fail(campaign: Path, command: Command, tmp_path: Path) -> None:
-    change_logs(campaign.parent, angle_0=0.3)
+    """The shoulder stands on its brake: its log has the torque that holds it, and no friction."""
+    hold_the_shoulder(campaign.parent)
     assert command("identify", campaign, "--out", tmp_path / "out").status == 0
-    assert command("close-loop", campaign, "--out", tmp_path / "closed").status in (
-        0,
-        1,
-    )  # 1: the check says that it is stuck
+    assert command("close-loop", campaign, "--out", tmp_path / "closed").status == 0
+
+
+def test_a_position_that_stands_while_its_torque_is_that_of_a_motion_is_a_fault_of_the_data(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    change_logs(campaign.parent, angle_0=0.3)
+    for name in ("identify", "close-loop"):
+        found = command(name, campaign, "--out", tmp_path / name)
+        assert (found.status, found.err) == (1, "")
+        assert "stuck" in found.out and "shoulder" in found.out
+    assert command("identify", campaign, "--out", tmp_path / "all the same", "--despite-faults").status == 0
 
 
 def test_a_robot_whose_drives_weigh_nothing_is_named(command: Command, tmp_path: Path) -> None:

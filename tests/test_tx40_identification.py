@@ -27,8 +27,9 @@ def result() -> tuple[Identification, Regression]:
     return fitted()
 
 
-def columns_of(regression: Regression) -> np.ndarray:
-    parts = [regression.link_columns, *(regression.columns(e) for e in regression.robot.effects)]
+def columns_of(regression: Regression, fit: Identification) -> np.ndarray:
+    """Of all linear parameters, at the velocities within which the fit found that dry friction turns over."""
+    parts = [regression.link_columns, *(regression.columns(e) for e in fit.effects)]
     return np.concatenate(parts, axis=2)
 
 
@@ -53,13 +54,13 @@ def test_the_held_out_error_of_the_declared_model_is_a_fifth(result: tuple[Ident
 def test_the_fit_is_that_of_plain_weighted_least_squares(result: tuple[Identification, Regression]) -> None:
     """NumPy's solution of the same weighted rows predicts the same torque: rounding, through a condition number of 1e6 at most."""
     fit, held_out = result
-    columns, sigma = columns_of(fit.regression), fit.solution.sigma
+    columns, sigma = columns_of(fit.regression, fit), fit.solution.sigma
     scale = scale_of(columns)
     rows = (columns * scale / sigma[:, None]).reshape(-1, len(scale))
     target = (fit.regression.torque / sigma).ravel()
     plain = np.linalg.lstsq(rows, target, rcond=1e-6)[0] * scale
     for regression in (fit.regression, held_out):
-        own, other = columns_of(regression) @ fit.theta, columns_of(regression) @ plain
+        own, other = columns_of(regression, fit) @ fit.theta, columns_of(regression, fit) @ plain
         assert np.linalg.norm(own - other) < 1e-3 * np.linalg.norm(regression.torque)
 
 
@@ -68,9 +69,9 @@ def test_held_out_prediction_is_no_worse_than_that_of_ordinary_least_squares(
 ) -> None:
     """Ordinary least squares on the same columns is what figaroh's QR and `lstsq` come to."""
     fit, held_out = result
-    columns = columns_of(fit.regression)
+    columns = columns_of(fit.regression, fit)
     scale = scale_of(columns)
     rows = (columns * scale).reshape(-1, len(scale))
     ordinary = np.linalg.lstsq(rows, fit.regression.torque.ravel(), rcond=1e-6)[0] * scale
-    theirs = np.linalg.norm(held_out.torque - columns_of(held_out) @ ordinary)
+    theirs = np.linalg.norm(held_out.torque - columns_of(held_out, fit) @ ordinary)
     assert np.linalg.norm(fit.residual_on(held_out)) <= theirs

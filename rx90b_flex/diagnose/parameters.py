@@ -67,12 +67,14 @@ def statuses(look: Look, robot: Robot, moving: Mask) -> tuple[ParameterStatus, .
             places.append(at)
             still.append(False)
             at += 1
-    fitted = np.array(places[links:] if known else places)
+    fitted = np.array(places[links:] if known else places, dtype=np.intp)
     variance = look.sample.torque_of(look.reading)[0][:, list(look.reading.torque_order)].var(axis=0) + 1e-300
     weight = 1.0 / (variance * (fit.error + FLOOR))
     x = columns[:, :, fitted] * np.sqrt(weight)[:, None]
     status = _status(
-        x.reshape(-1, len(fitted)), fit.theta.mean(axis=0)[fitted], look.products(look.reading).prior[fitted]
+        x.reshape(x.shape[0] * x.shape[1], len(fitted)),
+        fit.theta.mean(axis=0)[fitted],
+        look.products(look.reading).prior[fitted],
     )
     if known:
         status = ["known"] * links + status

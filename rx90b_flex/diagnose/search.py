@@ -839,9 +839,10 @@ def choose(trials: Sequence[Trial]) -> Trial | None:
     accepted = [t for t in trials if t.accepted]
     if not accepted:
         return None
-    best = max(accepted, key=lambda t: t.sure_gain)
-    as_good = [t for t in accepted if t is best or (t.size < best.size and best.no_better_than(t))]
-    return min(as_good, key=lambda t: (t.size, -t.sure_gain))
+    best = max(accepted, key=lambda t: (t.sure_gain, t.gain))
+    as_good = [t for t in accepted if t is best or (t.size <= best.size and best.no_better_than(t))]
+    # where one block outweighs the others no gain is sure: of those that explain it alike, the one that they show too
+    return min(as_good, key=lambda t: (t.size, -t.sure_gain, -t.gain_t))
 
 
 def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:

@@ -97,6 +97,8 @@ def _resolution(q: Array, v: Array, time: Array) -> Array:
 def turnover_range(at: JointMotion) -> tuple[float, float]:
     """Smallest and largest turn-over that a log can tell, rad/s: below the first it is a step, above the second no dry friction."""
     known = Resolution.of(at)
+    if known.speed < SHARP:  # what is left of a joint that stands is rounding, which tells no velocity
+        return SHARP, 4.0 * SHARP
     low = FINEST * known.velocity
     return low, max(FASTEST_PART * known.speed, 4.0 * low)
 

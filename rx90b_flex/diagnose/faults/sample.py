@@ -203,8 +203,8 @@ def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array,
     cutoff = min(cutoff, 0.4 * rate)
     wide = POSITION_CUTOFF_RATIO * cutoff
     try:
+        torque = lowpass(recording.torque, cutoff, rate)  # first: a cutoff that is too low is named as it was given
         q, v, a = motion(recording.position, rate, wide if wide < 0.4 * rate else None)
-        torque = lowpass(recording.torque, cutoff, rate)
         # friction that turns over within a hundredth of the fastest motion: finer is the loop's business
         turn = 1e-2 * np.abs(v).max(axis=0) + 1e-9
         dry = lowpass((2.0 / np.pi) * np.arctan(v / turn), cutoff, rate)
