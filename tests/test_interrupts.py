@@ -136,7 +136,7 @@ def killed(arguments: list[str], after_s: float, how: signal.Signals) -> int:
         return run.wait(300)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["identify", "close-loop", "import", "simulate", "excite", "check-path"])
 def test_killed_at_random_instants_no_half_of_a_result_is_taken_for_one_and_the_next_run_tidies_up(
     tmp_path: Path, name: str
@@ -172,7 +172,7 @@ def test_killed_at_random_instants_no_half_of_a_result_is_taken_for_one_and_the_
     assert sorted(p.name for p in out.iterdir()) == sorted(p.name for p in first.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["identify", "simulate", "excite"])
 def test_interrupted_at_random_instants_it_ends_with_130_and_leaves_nothing(tmp_path: Path, name: str) -> None:
     arguments, out = commands(tmp_path)[name], tmp_path / "results" / "out"
@@ -238,7 +238,7 @@ main()
 
 @pytest.mark.parametrize(
     "name",
-    ["import", pytest.param("identify", marks=pytest.mark.slow), pytest.param("simulate", marks=pytest.mark.slow)],
+    ["import", pytest.param("identify", marks=pytest.mark.long), pytest.param("simulate", marks=pytest.mark.long)],
 )
 def test_a_disk_that_is_full_at_any_size_of_file_is_one_line_and_leaves_nothing(tmp_path: Path, name: str) -> None:
     arguments, out = commands(tmp_path)[name], tmp_path / "results" / "out"

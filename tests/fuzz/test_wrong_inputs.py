@@ -101,7 +101,7 @@ def judged(case: Case, inputs: Path) -> None:
         shutil.rmtree(home)
 
 
-@pytest.mark.parametrize("examples", [40, *(pytest.param(n, marks=pytest.mark.slow) for n in (300, 3000))])
+@pytest.mark.parametrize("examples", [40, *(pytest.param(n, marks=pytest.mark.long) for n in (300, 3000))])
 def test_a_wrong_input_is_refused_in_a_line_or_gives_a_result(inputs: Path, examples: int) -> None:
     @settings(
         max_examples=examples,
