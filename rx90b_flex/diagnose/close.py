@@ -652,7 +652,12 @@ class _Rounds:
         return dataclasses.replace(outcome, steps=tuple(steps))
 
     def _pruned(self, outcome: _Outcome, latest: int = 1) -> _Outcome:
-        """Take out what the latest effects made needless, and those of a family that turn out not to belong to it."""
+        """Take out what the latest effects made needless, and those of a family that turn out not to belong to it.
+
+        A curve of no known law makes nothing needless that has a name.
+        """
+        if any(s.trial.effect.last_resort for s in outcome.steps[-latest:]):
+            return outcome
         for i, step in enumerate(outcome.steps):
             newest = i >= len(outcome.steps) - latest
             if newest and latest == 1:

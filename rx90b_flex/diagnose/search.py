@@ -725,7 +725,7 @@ class Search:
         if len(wrong):
             i = wrong[0]
             unit = effect.coefficient_units[i]
-            far = abs(beta[i] / std[i])
+            far = abs(beta[i]) / max(std[i], 1e-300)
             objection = (
                 f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {far:.0f} std of the wrong sign"
             )

@@ -33,6 +33,7 @@ class PositionFriction(PeriodicEffect, DryFriction):
     C. Canudas de Wit, Automatica 30(7), 1994.
     """
 
+    repeats: ClassVar[bool] = False
     PEAKS: ClassVar[int] = 4
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=PeriodicEffect.HIGHEST_ORDER)
