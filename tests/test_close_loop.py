@@ -480,7 +480,7 @@ def test_a_campaign_may_log_fewer_joints_than_the_robot_has(tmp_path):
 def test_a_campaign_without_low_pass_is_fitted_as_logged(tmp_path):
     result = rf.close_loop(arm_campaign(tmp_path / "raw", cutoff_hz=None))
     assert [e.effect.label for e in result.effects] == ["elbow.joint_spring"]
-    # 1200 white samples tell their own size to 1 / sqrt(2 * 1200); between the two samples of a reversal nobody knows when friction turns
+    # 1200 white samples tell their own size to 1 / sqrt(2 * 1200); when friction turns between two samples, nobody knows
     (p,) = result.predictions
     turns = np.diff(np.sign(p.velocity), axis=0) != 0
     beside = np.vstack([turns, turns[-1:]]) | np.vstack([turns[:1], turns])
