@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ from scipy import signal
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.output import closed_loop_json, write_result
+from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import catalogue
 
 RATE_HZ, CUTOFF_HZ, PERIOD_S = 100.0, 15.0, 8.0
@@ -243,6 +245,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
     roles = {"validation": role, "identification": role}
     content = dict(written.content)
     effects, left = content.pop("effects"), content["unexplained"]["where"]
+    refused = content["unexplained"]["refused"]
     form = {
         "schema": int,
         "robot": str,
@@ -260,6 +263,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
             "where": [{"joint": str, "signal": str, "score": float}, len(left)],
             "bands": [dict, 0],
             "cautions": [str, 0],
+            "refused": [dict, len(refused)],
         },
     }
     assert_form(content, form)
@@ -281,10 +285,34 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
     assert pair["joints"] == ["wrist_2_joint", "wrist_3_joint"]
 
 
+def test_what_was_refused_though_it_would_explain_much_is_said_with_its_reason(nothing):
+    """A trial of known numbers each: it explains a tenth but chance would do as well; it explains too little to be told of."""
+    likely = Trial(catalogue()["torque_offset"](joint=JOINTS[2]), 5.0, np.ones(6), 0.5, 1, 0.1, True)
+    little = dataclasses.replace(likely, share=0.03)
+    forbidden = dataclasses.replace(
+        likely, effect=catalogue()["viscous_friction"](joint=JOINTS[1]), lawful=False, objection="wrong sign"
+    )
+    family = dataclasses.replace(
+        likely, members=(likely, dataclasses.replace(likely, effect=catalogue()["torque_offset"](joint=JOINTS[4])))
+    )
+    rounds = dataclasses.replace(nothing.result.last_round, trials=(likely, little, forbidden, family))
+    found = closed_loop_json(dataclasses.replace(nothing.result, last_round=rounds))["unexplained"]["refused"]
+    chance = "chance would do as well (p = 0.5)"
+    assert found == [
+        {"type": "torque_offset", "joint": JOINTS[2], "share": 0.1, "reason": chance},
+        {"type": "viscous_friction", "joint": JOINTS[1], "share": 0.1, "reason": "wrong sign"},
+        {"type": "torque_offset", "joint": None, "joints": [JOINTS[2], JOINTS[4]], "share": 0.1, "reason": chance},
+    ]
+
+
 def test_an_empty_result_has_the_form_of_the_interface_too(nothing):
     content = closed_loop_json(nothing.result)
     assert (content["effects"], content["noise_floor"], content["verdict"]) == ([], None, "nothing_missing")
-    assert content["unexplained"] == {
+    left = dict(content["unexplained"])
+    assert all(
+        r["reason"].startswith("chance would do as well") for r in left.pop("refused")
+    )  # nothing but noise is left
+    assert left == {
         "relative_error": content["after"]["validation"]["relative_error"],
         "where": [],
         "bands": [],

@@ -16,6 +16,7 @@ from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Predictio
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.residual import RoleErrors
+from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
@@ -24,6 +25,8 @@ from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.motion import MotionErrors
+
+REFUSED_SHARE = 0.05  # of its joints' squared error that a refused candidate would explain, to be told of
 
 
 def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
@@ -53,6 +56,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
                 for b in result.unexplained.bands
             ],
             "cautions": list(result.cautions),
+            "refused": [_refused(t) for t in result.last_round.trials if t.refusal and t.share > REFUSED_SHARE],
         },
     } | ({"deflection": deflection_json(result.deflection)} if result.deflection else {})
 
@@ -90,6 +94,14 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "p_value": found.p_value,
         "alternatives": [_alternative(a) for a in found.alternatives],
     }
+
+
+def _refused(trial: Trial) -> dict[str, Any]:
+    """A candidate of the last round that would explain much, and why it is not believed; of a family all its joints."""
+    named = _named(trial.effect)
+    if trial.members:
+        named |= {"joint": None, "joints": [j for e in trial.effects for j in e.joints]}
+    return named | {"share": float(trial.share), "reason": trial.refusal}
 
 
 def _named(effect: Effect) -> dict[str, Any]:

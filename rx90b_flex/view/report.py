@@ -355,17 +355,8 @@ def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
     for i, later in enumerate(effects):
         if i > at and type(later.effect) is type(trial.effect) and later.effect.place == trial.effect.place:
             return f"added later, as no. {i + 1}"
-    reasons = []
-    if trial.p_value >= search.SIGNIFICANCE:
-        reasons.append(f"not significant (p = {p_value(trial.p_value)})")
-    if trial.gain_t <= search.GAIN_T and not trial.replicated:
-        reasons.append("gain not sure from block to block")
-    if trial.share <= search.SMALLEST_GAIN:
-        reasons.append(f"gains only {percent(max(trial.share, 0.0))} of its joints' squared error")
-    if not trial.lawful:
-        reasons.append("values that its physics forbids, at the end of their range, or none of them certain")
-    if reasons:
-        return "; ".join(reasons)
+    if trial.refusal:
+        return trial.refusal
     return "significant, but less sure than the winner" if effects else "no better once all is fitted again"
 
 
