@@ -102,7 +102,9 @@ class Comparison:
     def undecided(self) -> bool:
         """Whether both are lawful, explain much the same, and neither does so better than chance allows."""
         mostly = self.rival.gain >= MOST_OF_IT * self.named.gain
-        return mostly and self.rival.accepted and abs(self.behind) <= APART
+        # a freer form of the same law, which holds it as a special case, is no other explanation
+        other = self.named.effect.type_name() not in self.rival.effect.replaces
+        return mostly and other and self.rival.accepted and abs(self.behind) <= APART
 
     @property
     def rival_wins(self) -> bool:

@@ -569,7 +569,9 @@ class _Rounds:
                 continue  # it helps where rows count, and spoils more where they do not
             singles = best.members or (best,)
             rivals = tuple(t for t in trials if not t.members and t not in singles)
-            steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in singles)
+            # what was asked of a family was asked of all its members together
+            told = (dataclasses.replace(t, p_value=min(t.p_value, best.p_value)) for t in singles)
+            steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in told)
             more = self._pruned(_Outcome(candidate, errors, outcome.with_steps(*steps), ()), len(steps))
             if _signature(more.model.effects) not in visited:
                 return more
