@@ -275,7 +275,7 @@ def test_what_no_joint_shows_is_left_out_and_named():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["transmission_error", "backlash", "motor_saturation", "torque_delay"])
+@pytest.mark.parametrize("name", ["transmission_error", "motor_saturation", "torque_delay"])
 def test_an_effect_that_acts_in_bursts_is_found(name):
     """What acts much in one block and little in others differs between held-out blocks without being less sure."""
     found = study.run_case(study.Case("hidden", name, 10.0, 0, "ur10", "sign"))

@@ -21,6 +21,7 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.ripple import PeriodicEffect
 
 STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
+WIDEST_GAP = 0.1  # rad, up to which the first order says what lost motion does
 LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other
 
 
@@ -236,6 +237,9 @@ class Backlash(JointEffect):
     needs_model: ClassVar[bool] = True
 
     gap: float | None = linear("rad", lower=0.0)
+
+    def possible(self) -> bool:
+        return bool(self.known_coefficients()[0] <= WIDEST_GAP)
 
     def columns(self, motion: Motion) -> Array:
         place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
