@@ -13,8 +13,8 @@ from rx90b_flex.diagnose.identified import identified_robot, with_possible_value
 from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.diagnose.residual import Errors, Replay
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
-from rx90b_flex.export import save_robot
 from rx90b_flex.effects.reversal import SHARP
+from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.robot import Robot, load_robot
