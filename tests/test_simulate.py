@@ -230,8 +230,9 @@ def test_tip_agrees_with_radau_to_a_micrometre_on_the_whole_line() -> None:
 
 
 def test_halving_the_step_quarters_the_error() -> None:
-    # up to the reversal of joints 2 and 3, where long steps are divided and the error then falls by less
-    controller, part = load_cs8().ideal(), line().part(0.0, 0.5)
+    # while the drives slide: at rest and at the reversal of joints 2 and 3 friction turns over within 0.2 mrad/s, which they cross
+    # in less than a step, so that the error of long steps is no power of their length there
+    controller, part = load_cs8().ideal(), line().part(0.1, 0.5)
     exact = simulate(robot(), controller, part, substeps=16).tip[:, :3, 3]
     errors = [largest(simulate(robot(), controller, part, substeps=s).tip[:, :3, 3] - exact) for s in (1, 2, 4)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))

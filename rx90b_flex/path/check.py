@@ -350,13 +350,12 @@ def across_axes(tangent: Array) -> tuple[Array, Array]:
 def sticking(planned: Plan, run: Simulation) -> tuple[Sticking, ...]:
     """Joints whose drives stop `OFTEN` or more times while the plan has them turn on the same way."""
     wanted = rates(planned.position, planned.rate_hz)[: len(run.v)]
-    turns = np.abs(wanted) > SLOWEST
-    sticks = turns & (np.abs(run.v[: len(wanted), drive_places(planned.robot)]) < STICKS * np.abs(wanted))
-    way = np.sign(wanted) * turns
-    # each way begins with a drive that sticks; the other stops are on the way
-    stops = (np.diff(sticks.astype(int), axis=0) == 1).sum(axis=0) - ((np.diff(way, axis=0) != 0) & turns[1:]).sum(
-        axis=0
-    )
+    way = np.sign(wanted) * (np.abs(wanted) > SLOWEST)
+    forward = run.v[: len(wanted), drive_places(planned.robot)] * way
+    sticks = (way != 0) & (np.abs(forward) < STICKS * np.abs(wanted))
+    # a drive that has not broken away yet, or still moves the other way, does not stop
+    moves = (way != 0) & (forward >= STICKS * np.abs(wanted))
+    stops = (moves[:-1] & sticks[1:] & (way[1:] == way[:-1])).sum(axis=0)
     return tuple(Sticking(j, int(n)) for j, n in zip(planned.robot.joints, stops, strict=True) if n >= OFTEN)
 
 
