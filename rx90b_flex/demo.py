@@ -166,7 +166,9 @@ def _with_values(
         "viscous_power_friction": lambda: [float(rng.uniform(0.4, 0.65))],
     }
     if effect.type_name() in shapes:
-        effect = effect.with_shape(shapes[effect.type_name()]())
+        own = shapes[effect.type_name()]()
+        # a turn-over, declared last, is the joint's: as sharp as that of its other friction
+        effect = effect.with_shape([*own, *[np.nan] * (len(effect.shape_names()) - len(own))])
     mix: dict[str, Callable[[], Array]] = {
         "gear_ripple": lambda: rng.normal(size=2),
         "joint_coupling": lambda: np.array([0.1, 1.0, 0.5]) * rng.uniform(0.5, 1.5, 3),

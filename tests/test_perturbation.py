@@ -45,8 +45,15 @@ def test_the_line_agrees_with_the_nonlinear_simulation_within_5_percent_of_its_d
     assert np.linalg.norm(found - true) < 0.05 * np.linalg.norm(true)
     if friction == "exact":  # what is left is of second order in deformations of some mrad
         assert error.max() < 0.01 * largest
-    else:  # a chord of friction says little while the joints start from rest and the rate of the vibration is the larger one
-        assert error[25:].max() < 0.05 * largest
+    else:
+        # a chord damps a vibration by friction's torque over the nominal rate, while dry friction does not damp a drive that slides:
+        # it says little for 0.1 s after the nominal rate of a joint was zero, at the start from rest and at the reversal
+        way = np.sign(line.velocity[:, :3])
+        still = (way == 0).any(axis=1)
+        still[1:] |= (np.diff(way, axis=0) != 0).any(axis=1)
+        calm = np.convolve(still, np.ones(25))[: len(still)] == 0
+        assert calm.mean() > 0.8
+        assert error[calm].max() < 0.05 * largest
 
 
 def test_the_nominal_motion_may_be_a_rigid_simulation() -> None:
