@@ -674,7 +674,7 @@ class _Fit:
     def refined(self, rounds: int = 100) -> _Fit:
         """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).
 
-        An effect that ends with a coefficient beyond its physical bound lies in a valley of no physics: another start is tried for it.
+        An effect that ends with a coefficient beyond its physical bound lies in no valley of physics: another start is tried for it.
         """
         fit = self._in_valley(rounds)
         for i, effect in enumerate(fit.valued):
