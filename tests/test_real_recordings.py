@@ -69,7 +69,9 @@ def test_a_free_form_reaches_what_an_independent_search_did(declared, explainabl
     assert explainable.validation.relative_error < declared.errors.relative_error
 
 
-def test_the_declared_model_itself_has_no_share(explainable):
+def test_the_declared_model_itself_has_no_share(declared, explainable):
+    if declared.name not in FREE_FORM:
+        pytest.skip("20 s hold too little for a free form: there is nothing to have a share of")
     assert explainable.share == pytest.approx(0.0, abs=1e-9)
 
 

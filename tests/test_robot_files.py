@@ -144,7 +144,7 @@ REFUSED = {
     ),
     "an effect type that is no text": (
         "[[effects]]\ntype = 3\n",
-        "effect 1: unknown effect type 3; expected one of: asymmetric_friction",
+        "effect 1: unknown effect type 3; expected one of: angle_curve",
     ),
     "an effect type that is a list": (
         '[[effects]]\ntype = ["coulomb_friction"]\n',

@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Predictio
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.residual import RoleErrors
-from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.diagnose.search import SIGNIFICANCE, Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
@@ -56,7 +56,7 @@ def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
                 for b in result.unexplained.bands
             ],
             "cautions": list(result.cautions),
-            "refused": [_refused(t) for t in result.last_round.trials if t.refusal and t.share > REFUSED_SHARE],
+            "refused": [_refused(t) for t in result.last_round.trials if _large(t)],
         },
     } | ({"deflection": deflection_json(result.deflection)} if result.deflection else {})
 
@@ -94,6 +94,11 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
         "p_value": found.p_value,
         "alternatives": [_alternative(a) for a in found.alternatives],
     }
+
+
+def _large(trial: Trial) -> bool:
+    """Whether a refused candidate would explain much, and no chance does as well."""
+    return bool(trial.refusal) and trial.share > REFUSED_SHARE and trial.p_value < SIGNIFICANCE
 
 
 def _refused(trial: Trial) -> dict[str, Any]:

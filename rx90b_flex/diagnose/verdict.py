@@ -15,6 +15,7 @@ from rx90b_flex.effects.motion import Array, Mask
 
 NEAR_FLOOR = 1.2  # residual over noise floor above which something is called unexplained, if it depends on a signal
 FAR_FROM_FLOOR = 1.5  # and above which it is, even if no signal is found that it depends on
+STRONG = 0.2  # part of a joint's squared residual that depends on one signal: too much for noise
 ENOUGH = 0.8  # share of what a free form explains from which a residual counts as explained
 NEAR_FREE = 1.1  # a joint's error over that of its free form that is no sign of anything missing
 DEPENDS_FREE = 1.05  # and that is none either where the joint's residual still depends on a signal
@@ -63,6 +64,8 @@ class Remains:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
         if self.floor is not None:
             return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor)).any())
+        if any(d.score > STRONG for d in self.where):
+            return True  # whatever a free form makes of it
         if self.explainable is not None:
             return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
         return True  # neither measure is known, so nobody can say that nothing is left

@@ -111,7 +111,8 @@ class FrictionCurve(_Curve):
 
     Neighbours
     ----------
-    Every friction law: it is tried only where none of them is significant. It says how large friction is, and nothing of why.
+    `stribeck_friction`, `viscous_power_friction` and every other law of friction: it is tried only where none of them is
+    significant. It says how large friction is, and nothing of why.
 
     Source
     ------

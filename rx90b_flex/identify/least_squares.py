@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array, Indices, Mask
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter, widening
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
@@ -674,38 +674,7 @@ class _Fit:
     def refined(self, rounds: int = 100) -> _Fit:
         """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).
 
-        An effect that ends with a coefficient beyond its physical bound lies in no valley of physics: another start is tried for it.
-        """
-        fit = self._in_valley(rounds)
-        for i, effect in enumerate(fit.valued):
-            own = fit._own_places(i)
-            if effect.coefficients_follow or not len(own) or (effect.coefficients >= effect.coefficient_bounds).all():
-                continue
-            other = fit._best_start(i, own)._in_valley(rounds)
-            fit = min(fit, other, key=lambda f: f.misfit)
-        return fit
-
-    def _own_places(self, i: int) -> Indices:
-        """Where those shape parameters of an effect stand that no other has."""
-        places = self.shapes.places[i]
-        return places[[self.shapes.keys[place] is None for place in places]]
-
-    def _best_start(self, i: int, own: Indices) -> _Fit:
-        """With the start of an effect that leaves least among those that its physical bounds allow; this fit where none does."""
-        effect = self.effects[i]
-        starts = effect.shape_starts(self.regression.longest)[:, np.isin(self.shapes.places[i], own)]
-        tried = []
-        for start in np.unique(starts, axis=0):
-            shape = self.shape.copy()
-            shape[own] = np.clip(start, self.shapes.low[own], self.shapes.high[own])
-            tried.append(self.with_shape(shape))
-        allowed = [f for f in tried if (f.valued[i].coefficients >= effect.coefficient_bounds).all()]
-        return min(allowed, key=lambda f: f.misfit, default=self)
-
-    def _in_valley(self, rounds: int) -> _Fit:
-        """Steps from here to the bottom of this valley.
-
-        Shapes that effects share wait until the others have settled: a turn-over must not grow in place of what stands beside it.
+        Those that effects share wait until the others have settled: a turn-over must not grow in place of what stands beside it.
         """
         shared = np.array([key is not None for key in self.shapes.keys], dtype=bool)
         if shared.all() or not shared.any():
@@ -722,7 +691,7 @@ class _Fit:
             gram, score = gram * np.outer(moving, moving), score * moving
             won = False
             while damping < LARGEST_DAMPING:
-                moved = fit.shapes.moved(fit.shape, fit._step_within(gram, score, damping))
+                moved = fit.shapes.moved(fit.shape, _damped_step(gram, score, damping))
                 trial = fit.with_shape(moved)
                 after = trial.cost(sigma)
                 won = after < before
@@ -735,17 +704,6 @@ class _Fit:
             if before - after < SETTLED * before:
                 break
         return fit
-
-    def _step_within(self, gram: Array, score: Array, damping: float) -> Array:
-        """Levenberg's step (s,) of the shapes that it leaves in their range: one held at an end must not bend the others' steps."""
-        free = np.ones(len(score), dtype=bool)
-        while True:
-            step = _damped_step(gram * np.outer(free, free), score * free, damping)
-            low, high = self.shapes.low, self.shapes.high
-            outward = free & (((self.shape <= low) & (step < 0)) | ((self.shape >= high) & (step > 0)))
-            if not outward.any():
-                return step
-            free &= ~outward
 
     def _shape_equations(self, sigma: Array) -> tuple[Array, Array]:
         """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
