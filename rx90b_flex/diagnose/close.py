@@ -563,6 +563,8 @@ class _Rounds:
             candidate = self._identified(effects, model)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 continue
+            if not all(_physical(_find(candidate.effects, e)) for e in best.effects):
+                continue  # fitted with all the rest, it has values that it cannot have
             candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
             if errors.identification.relative_error > WORSE * outcome.errors.identification.relative_error:
@@ -709,6 +711,12 @@ def _trusting(regression: Regression, model: Identification) -> Identification:
 def _weighted_better(new: Identification, old: Identification) -> bool:
     """Whether the log-likelihood of white residuals grew: one joint may gain what another does not lose."""
     return bool(np.log(new.solution.sigma).sum() < np.log(old.solution.sigma).sum() - 1e-6)
+
+
+def _physical(effect: Effect) -> bool:
+    """Whether every single value that a robot file would hold lies above its lower bound."""
+    values = ((getattr(effect, p.attribute), p.lower) for p in effect.parameters().values())
+    return all(x is None or bool((np.atleast_1d(x) >= low).all()) for x, low in values)
 
 
 def _find(effects: Sequence[Effect], like: Effect) -> Effect:

@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Predictio
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.residual import RoleErrors
-from rx90b_flex.diagnose.search import SIGNIFICANCE, Trial
+from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
@@ -97,8 +97,8 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
 
 
 def _large(trial: Trial) -> bool:
-    """Whether a refused candidate would explain much, and no chance does as well."""
-    return bool(trial.refusal) and trial.share > REFUSED_SHARE and trial.p_value < SIGNIFICANCE
+    """Whether a refused candidate would explain much."""
+    return bool(trial.refusal) and trial.share > REFUSED_SHARE
 
 
 def _refused(trial: Trial) -> dict[str, Any]:

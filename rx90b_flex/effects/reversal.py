@@ -18,7 +18,7 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
 SHARP = 2.0e-4
 FASTEST_PART = 0.05  # of a joint's speed within which dry friction turns over at the most
-FINEST = 0.02  # of the velocity's change within a sample at a reversal: what turns over within less is a step
+FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
 SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log's noise
