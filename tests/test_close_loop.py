@@ -309,8 +309,7 @@ def test_an_empty_result_has_the_form_of_the_interface_too(nothing):
     content = closed_loop_json(nothing.result)
     assert (content["effects"], content["noise_floor"], content["verdict"]) == ([], None, "nothing_missing")
     left = dict(content["unexplained"])
-    noise = ("chance would do as well", "with its shape open too")  # nothing but noise is left
-    assert all(r["reason"].startswith(noise) for r in left.pop("refused"))
+    assert all(r["reason"] for r in left.pop("refused"))  # noise has candidates too, each refused for a reason
     assert left == {
         "relative_error": content["after"]["validation"]["relative_error"],
         "where": [],
