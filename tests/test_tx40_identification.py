@@ -45,10 +45,10 @@ def test_the_estimate_is_reproducible(result: tuple[Identification, Regression])
 
 
 def test_the_held_out_error_of_the_declared_model_is_a_fifth(result: tuple[Identification, Regression]) -> None:
-    """0.2136 on all samples (`test_tx40`); on those that a fit keeps, away from the filter's ends, within a hundredth of it."""
+    """0.2136 with friction as a sign of the velocity; its turn-over, fitted on the other recordings, takes some hundredths of that away."""
     fit, held_out = result
     error = np.linalg.norm(fit.residual_on(held_out)) / np.linalg.norm(held_out.torque)
-    assert error == pytest.approx(0.2136, rel=0.01)
+    assert 0.95 * 0.2136 < error < 0.2136
 
 
 def test_the_fit_is_that_of_plain_weighted_least_squares(result: tuple[Identification, Regression]) -> None:
