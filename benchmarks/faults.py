@@ -447,13 +447,14 @@ def table(outcomes: list[Outcome]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def wanted(robots: list[str], faults: list[str], seeds: int) -> Iterator[tuple[str, str, int]]:
-    yield from ((r, f, s) for f in faults for r in robots for s in range(seeds))
+def wanted(robots: list[str], faults: list[str], seeds: range) -> Iterator[tuple[str, str, int]]:
+    yield from ((r, f, s) for f in faults for r in robots for s in seeds)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--robots", nargs="*", default=list(ROBOTS))
     parser.add_argument("--faults", nargs="*", default=["sound", *FAULTS])
     parser.add_argument("--out", type=Path)
@@ -462,8 +463,9 @@ def main() -> None:
     done: list[Outcome] = []
     if options.out and options.out.exists():
         done = [Outcome(**json.loads(line)) for line in options.out.read_text().splitlines()]
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
     have = {(o.robot, o.fault, o.seed) for o in done}
-    for robot, name, seed in wanted(options.robots, options.faults, options.seeds):
+    for robot, name, seed in wanted(options.robots, options.faults, seeds):
         if (robot, name, seed) in have:
             continue
         outcome = run(robot, name, seed)

@@ -74,6 +74,8 @@ class Trial:
         Variance of its torque's product with the residual, over what white noise would give.
     objection : str
         Why its values are not lawful; empty where they are.
+    small : str
+        Why it is not worth a name by its own rule (`Effect.too_small`); empty where it is.
     worst : float
         Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
     carried : float
@@ -94,6 +96,7 @@ class Trial:
     worst: float = 0.0
     carried: float = 1.0
     members: tuple[Trial, ...] = ()
+    small: str = ""
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -145,6 +148,8 @@ class Trial:
             return f"chance would do as well (p = {self.p_value:.2g})"
         if self.share <= SMALLEST_GAIN:
             return f"it explains {max(self.share, 0.0):.1%} of the squared error, too little for a name"
+        if self.small:
+            return self.small
         if not (self.gain_t > GAIN_T or self.replicated):
             return "parts of the data that were held out disagree on it"
         if self.worst > 1.0:
@@ -159,6 +164,7 @@ class Trial:
             self.lawful
             and self.gain > 0
             and self.share > SMALLEST_GAIN
+            and not self.small
             and self.p_value < MEMBER * tests
             and self.worst <= 1.0
         )
@@ -511,6 +517,11 @@ class Search:
         return self.trial(effect, base, present, self.tests)
 
     @property
+    def sample_s(self) -> float:
+        """Time between two samples of the log, s."""
+        return 1.0 / self.regression.stretches[0].recording.sample_rate_hz
+
+    @property
     def longest(self) -> Motion:
         """Motion of the longest recording, from which starts and ranges of shapes are taken."""
         return self.regression.longest
@@ -600,7 +611,7 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
-        p_value, objection, colour = self._evidence(effect, base, rows, beside, beta)
+        p_value, objection, colour, left_over = self._evidence(effect, base, rows, beside, beta)
         if effect.by_clock and self._follows_motion(base.residual[rows], effect):
             objection = "its line lies among those of the motion itself"
         found = effect.with_coefficients(beta)
@@ -619,6 +630,7 @@ class Search:
             colour,
             objection,
             *self._left_out(base, present, (b, y, d), len(beta) * colour, gain),
+            small=found.too_small(_off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s),
         )
 
     def _left_out(
@@ -696,8 +708,9 @@ class Search:
 
     def _evidence(
         self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array
-    ) -> tuple[float, str, float]:
-        """Wald test of the coefficients under coloured residuals, why they cannot be what they claim to be, and `colour`.
+    ) -> tuple[float, str, float, Array]:
+        """Wald test of the coefficients under coloured residuals, why they cannot be what they claim to be, `colour`, and
+        the weighted squared error (joints,) that is left.
 
         They cannot if one lies beyond its physical bound, if a shape parameter ran into the end of its range (the
         effect then plays another one's part), or if with the shapes estimated too nothing of them is certain.
@@ -707,7 +720,9 @@ class Search:
         together = np.concatenate([columns, self._by_shape(effect, beside[:, :, k:], beta)], axis=2)
         own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
         apart = base.apart(rows, together)
-        residual = (base.residual - apart[:, :, :k] @ beta) / np.sqrt(self.regression.share)[:, None]
+        residual = base.residual - apart[:, :, :k] @ beta
+        left_over = base.weight * np.einsum("jn,jn->j", residual, residual)
+        residual = residual / np.sqrt(self.regression.share)[:, None]
         apart = apart.transpose(1, 0, 2)
         spans = self.regression.spans
         longest = self.longest_lag
@@ -736,7 +751,7 @@ class Search:
                 objection = "with its shape open too, nothing of it is certain"
         objection = self._at_bound(effect) or objection
         white = float(beta @ bread[:k, :k] @ beta)
-        return p_value, objection, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0
+        return p_value, objection, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0, left_over
 
     def _at_bound(self, effect: Effect) -> str:
         """Which shape ran into an end of what this log can tell, in words; empty where none did."""
@@ -753,6 +768,22 @@ class Search:
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"
         return ""
+
+
+def _off_a_joint(before: Array, after: Array, gain: float) -> float:
+    """Part of the root mean square error that an effect takes off the joint for which it does most.
+
+    Parameters
+    ----------
+    before, after : array, shape (joints,)
+        Weighted squared errors on all rows, of the joints that it touches.
+    gain : float
+        On held-out blocks, over all of them: joints share in it as they do in the drop on all rows.
+    """
+    drop = before - after
+    whole = float(drop.sum())
+    shares = gain * drop / (whole * np.maximum(before, 1e-300)) if whole > 0 else np.zeros(1)
+    return float(1.0 - np.sqrt(np.clip(1.0 - shares.max(), 0.0, 1.0)))
 
 
 def _shuts_out(present: Effect, new: Effect) -> bool:

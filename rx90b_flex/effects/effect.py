@@ -22,6 +22,8 @@ from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
 
+SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
+
 
 @dataclass(frozen=True)
 class Sites:
@@ -302,6 +304,20 @@ class Effect(ABC):
     def possible(self) -> bool:
         """Whether its values go together, and with what its force assumes; bounds of single values are no part of it."""
         return True
+
+    def too_small(self, part: float, sample_s: float) -> str:
+        """Why it is not worth a name, however certain it is, in words; empty where it is.
+
+        Parameters
+        ----------
+        part : float
+            Of the root mean square error of the joint for which it does most, that it takes off on held-out data.
+        sample_s : float
+            Time between two samples of the log, s.
+        """
+        return (
+            "" if part >= SMALLEST_PART else f"it takes {max(part, 0.0):.1%} off a joint's error, too little for a name"
+        )
 
     def public_values(self) -> list[tuple[str, str, float]]:
         """Name, unit and value (NaN where not known) of each parameter that can be estimated."""

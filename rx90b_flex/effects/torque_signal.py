@@ -45,6 +45,7 @@ class TorqueDelay(Effect):
     in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
     SHORTEST: ClassVar[float] = 1e-4  # s
+    SMALLEST_SAMPLES: ClassVar[float] = 0.2  # of the log's clock: less is within what two clocks or a filter differ by
 
     joint: str | None = None
     delay: float | None = linear("s")
@@ -78,6 +79,11 @@ class TorqueDelay(Effect):
             else:
                 out += effect.force(ago) - now
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
+
+    def too_small(self, part: float, sample_s: float) -> str:
+        # a torque that changes fast shows any delay: its size in time counts, not what it explains
+        samples = abs(self._delay) / sample_s
+        return "" if samples >= self.SMALLEST_SAMPLES else f"it is {samples:.2g} of a sample, too little for a name"
 
     @property
     def _delay(self) -> float:

@@ -17,6 +17,7 @@ from rx90b_flex.diagnose.motion import MotionErrors
 from rx90b_flex.diagnose.search import Trial
 from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.effect import SMALLEST_PART
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 from rx90b_flex.signals.tables import write_whole
@@ -460,7 +461,8 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
         (
             "Also asked of an effect",
             f"held-out gain above {search.GAIN_T:g} standard errors and above {100 * search.SMALLEST_GAIN:g} % of the "
-            "squared error of its joints; values that its physics allows",
+            f"squared error of its joints; {100 * SMALLEST_PART:g} % off the error of one of them (of a delay: a part of a "
+            "sample); values that its physics allows",
         ),
         ("Noise floor", floor),
         ("Seed", f"{result.seed} (of the permutation test for what remains)"),

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rx90b_flex.diagnose.faults.compare import CREDIBLE
 from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.units import outside
 from rx90b_flex.effects.motion import Array
 
 TOO_SMALL = 0.04  # of the torque that the URDF's links alone ask for: no links are so much lighter than their CAD model
+TOO_SMALL_ALONE = 0.25  # the same for one joint, where the URDF's links fit every other joint
 TOO_LARGE = 3.0  # times the URDF's effort limit
 DEGREES = 180.0 / np.pi
 
@@ -56,6 +58,10 @@ def _torques(look: Look) -> tuple[list[int], list[int]]:
     stated = np.isfinite(effort) & (effort > np.abs(expected).max(axis=0))
     size = np.sqrt((expected**2).mean(axis=0))
     heavy = size > 1e-3 * size.max()
-    small = heavy & (np.sqrt((torque**2).mean(axis=0)) < TOO_SMALL * size)
+    part = np.sqrt((torque**2).mean(axis=0)) / np.maximum(size, 1e-300)
+    # one joint's links cannot be far lighter than the file says while those that carry them are not
+    unfit = look.fit_of_known_links().error >= CREDIBLE
+    alone = (part < TOO_SMALL_ALONE) & unfit & (unfit.sum() == 1) & (len(part) > 1)
+    small = heavy & ((part < TOO_SMALL) | alone)
     large = stated & (largest > TOO_LARGE * effort)
     return [int(k) for k in np.flatnonzero(large)], [int(k) for k in np.flatnonzero(small)]

@@ -15,6 +15,7 @@ ANGLES = {"degrees": np.pi / 180, "mrad": 1e-3, "turns": 2 * np.pi}
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m where the URDF has mm": 1e3}
 GEARS = (5.0, 500.0)  # motor turns a joint turn that are looked at
 BEYOND = 1.1  # times the range of a joint that no joint moves through
+TURNS = 12 * np.pi  # range of a joint that has no limits; wider ones in a URDF stand for none
 
 
 def other_units(look: Look) -> Iterator[Hypothesis]:
@@ -42,7 +43,7 @@ def outside(look: Look, scale: float) -> Mask:
     q, _, _, _ = look.sample.seen(look.reading)
     reach = np.ptp(q, axis=0) * scale
     room = look.limits[1] - look.limits[0]
-    return np.asarray(reach > BEYOND * np.where((room > 0) & np.isfinite(room), room, 12 * np.pi))
+    return np.asarray(reach > BEYOND * np.where((room > 0) & (room < TURNS), room, TURNS))
 
 
 def _motor_side(look: Look, k: int) -> Iterator[Hypothesis]:

@@ -1,0 +1,72 @@
+"""Claims about what is worth a name: however certain, an effect has to matter to a joint, and a delay to the log's clock."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import independent as ind
+import numpy as np
+import pytest
+
+import rx90b_flex as rf
+from rx90b_flex.diagnose.search import Search, Trial
+from rx90b_flex.effects import Sites
+from rx90b_flex.identify.least_squares import identify
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.signals import load_campaign
+
+RATE_HZ, SECONDS = 100.0, 10.0
+COULOMB, VISCOUS = (0.0, 0.0), (3.0, 1.5)  # no step: between samples a step of dry friction has its own instant
+DECLARED = [{"type": "viscous_friction", "joint": j} for j in ("shoulder", "elbow")]
+
+
+def logs(folder: Path, noise: Sequence[float], late_s: float = 0.0, more: Sequence[ind.Torque] = ()) -> Path:
+    """Three runs whose torques are logged `late_s` after the positions."""
+    rng, arm = np.random.default_rng(0), ind.two_joints(folder)
+    runs = []
+    for role in ("identification", "identification", "validation"):
+        m = ind.harmonics(rng, 2, period_s=SECONDS, rate_hz=RATE_HZ, lines=10)
+        whole = ind.run(arm, role, m, [ind.friction(COULOMB, VISCOUS), *more], np.zeros_like(m.q))
+        # the motion repeats, so that a shift in time is a turn of each of its harmonics
+        turn = np.exp(-2j * np.pi * np.fft.rfftfreq(len(m.time), 1 / RATE_HZ) * late_s)
+        torque = np.fft.irfft(np.fft.rfft(whole.torque, axis=0) * turn[:, None], len(m.time), axis=0)
+        runs.append(dataclasses.replace(whole, torque=torque + ind.white(rng, len(m.time), noise)))
+    return ind.write_files(folder, arm, DECLARED, runs)
+
+
+def best(campaign: Path, kind: str) -> Trial:
+    """The largest gain of one type, in all its places, beside the declared model."""
+    read = load_campaign(campaign)
+    robot = rf.load_robot(read.robot_source)
+    regression = Regression.of(robot, read.identification, read.cutoff_hz)
+    model = identify(regression, regression.robot.effects, fit_links=True)
+    search = Search(model, Sites(regression.robot.joints, robot.tip_frame))
+    tried = [t for t in search.run() if t.effect.type_name() == kind]
+    return max(tried, key=lambda t: t.gain)
+
+
+@pytest.mark.parametrize(("samples", "named"), [(0.003, False), (0.1, False), (0.5, True)])
+def test_a_delay_far_below_a_sample_is_not_named_however_certain(tmp_path: Path, samples: float, named: bool) -> None:
+    delay = samples / RATE_HZ
+    # a torque of some 10 N m that goes through its range in a quarter of a second changes by 1e-3 N m in 30 us
+    found = best(logs(tmp_path, (20 * delay, 10 * delay), delay), "torque_delay")
+    assert found.p_value < 1e-10
+    assert found.effect.coefficients[0] == pytest.approx(delay, rel=0.1)
+    assert found.accepted is named
+    assert ("of a sample" in found.refusal) is not named
+
+
+@pytest.mark.parametrize(("part", "named"), [(0.015, False), (0.05, True)])
+def test_what_takes_less_than_a_fiftieth_off_a_joints_error_is_not_named(
+    tmp_path: Path, part: float, named: bool
+) -> None:
+    noise = (0.5, 0.2)
+    # (1 - part)^2 = noise^2 / (noise^2 + amplitude^2 / 2)
+    amplitude = noise[0] * np.sqrt(2.0 * ((1.0 - part) ** -2 - 1.0))
+    ripple = ind.hidden("gear_ripple", 0, {"order": 24.0, "amplitude": amplitude, "phase": 0.4})
+    found = best(logs(tmp_path, noise, more=[ripple]), "gear_ripple")
+    assert found.effect.joints == ("shoulder",)
+    assert found.p_value < 1e-3
+    assert found.accepted is named, found.refusal
