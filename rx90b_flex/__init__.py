@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rx90b_flex.diagnose.replayed import replay_errors
     from rx90b_flex.identify.inverse_eigenvalue import DriveParameters, drive_parameters
     from rx90b_flex.robot import Robot, load_robot
+    from rx90b_flex.simulators import Exported, export_robot
 
     __version__: str
 
@@ -18,11 +19,13 @@ __all__ = [
     "Checked",
     "ClosedLoop",
     "DriveParameters",
+    "Exported",
     "Robot",
     "__version__",
     "check",
     "close_loop",
     "drive_parameters",
+    "export_robot",
     "load_robot",
     "replay_errors",
 ]
@@ -32,10 +35,12 @@ _HOME = {
     "Checked": "rx90b_flex.diagnose.check",
     "ClosedLoop": "rx90b_flex.diagnose.close",
     "DriveParameters": "rx90b_flex.identify.inverse_eigenvalue",
+    "Exported": "rx90b_flex.simulators",
     "Robot": "rx90b_flex.robot",
     "check": "rx90b_flex.diagnose.check",
     "close_loop": "rx90b_flex.diagnose.close",
     "drive_parameters": "rx90b_flex.identify.inverse_eigenvalue",
+    "export_robot": "rx90b_flex.simulators",
     "load_robot": "rx90b_flex.robot",
     "replay_errors": "rx90b_flex.diagnose.replayed",
 }

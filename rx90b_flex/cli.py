@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 import typer.core
+
+from rx90b_flex.commands import export
+from rx90b_flex.commands.shared import Basics, Despite, Out, Overwrite, progress, say, show_table
 
 if TYPE_CHECKING:
     from rx90b_flex.robot import Robot
@@ -21,64 +22,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-
-Out = Annotated[
-    Path,
-    typer.Option(
-        "--out", help="Folder for the results; made if it does not exist, an earlier result in it is replaced."
-    ),
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
-]
-
-
-Despite = Annotated[bool, typer.Option("--despite-faults", help="Go on where the data were found not usable.")]
-Basics = Annotated[
-    bool, typer.Option("--basics", help="Declare drive inertia, dry and viscous friction and an offset on every joint.")
-]
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error, with the present step as its text."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    bar = Progress(
-        TextColumn("{task.description:<36}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,  # in a pipe it would leave an empty line
-    )
-    with bar:
-        task = bar.add_task("reading", total=1.0)
-        yield lambda text, part: bar.update(task, description=text, completed=part)
-
-
-def _say(text: str) -> None:
-    """A line on standard output, as it is: names may hold what rich takes for markup."""
-    from rich.console import Console
-
-    Console().print(text, soft_wrap=True, markup=False, highlight=False)
-
-
-def _show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], right: Sequence[str] = ()) -> None:
-    """A table on standard output; columns of the names in `right` stand to the right."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title), title_justify="left")
-    for name in head:
-        table.add_column(name, justify="right" if name in right else "left")
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
-    Console().print(table)
 
 
 @app.command("close-loop")
@@ -114,7 +57,7 @@ def close_loop_command(
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder, fill_folder
 
     check_folder(out, CLOSED_LOOP, overwrite, [campaign])
-    with _progress() as tell:
+    with progress() as tell:
         tell("reading", 0.0)
         read = read_campaign(campaign)
         from rx90b_flex.diagnose.close import close_loop
@@ -135,7 +78,7 @@ def close_loop_command(
             result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)], motion, overwrite
         )
     _print_result(result)
-    _say(f"Report: {out / 'report.html'}")
+    say(f"Report: {out / 'report.html'}")
 
 
 def _with_basics(campaign: object) -> Robot:
@@ -161,8 +104,8 @@ def _write_refused(result: object, folder: Path) -> None:
 def _end_refused(checked: object, out: Path) -> NoReturn:
     """Say what was found and end with status 1."""
     _print_checked(checked)
-    _say("Nothing was fitted; --despite-faults goes on all the same.")
-    _say(f"Report: {out}")
+    say("Nothing was fitted; --despite-faults goes on all the same.")
+    say(f"Report: {out}")
     raise typer.Exit(1)
 
 
@@ -182,7 +125,7 @@ def check_command(
     from rx90b_flex.signals.folders import CHECKED, check_folder, fill_folder
 
     check_folder(out, CHECKED, overwrite, [campaign])
-    with _progress() as tell:
+    with progress() as tell:
         tell("reading", 0.0)
         from rx90b_flex.diagnose.check import check
         from rx90b_flex.view.check_report import write_check_report
@@ -191,7 +134,7 @@ def check_command(
         tell("writing the report", 0.95)
         fill_folder(out, lambda folder: write_check_report(checked, folder, plots), CHECKED, overwrite)
     _print_checked(checked)
-    _say(f"Report: {out / 'check.html'}")
+    say(f"Report: {out / 'check.html'}")
     if not checked.usable:
         raise typer.Exit(1)
 
@@ -212,11 +155,11 @@ def _print_checked(checked: object) -> None:
         for f in checked.data_faults
     ]
     if rows:
-        _show_table(checked.verdict, rows, ("found", "where", "factor", "what to do"), ("factor",))
+        show_table(checked.verdict, rows, ("found", "where", "factor", "what to do"), ("factor",))
     else:
-        _say(checked.verdict)
+        say(checked.verdict)
     for text in (*told_words(checked), *basics_words(checked)):
-        _say(text)
+        say(text)
 
 
 def _close_over_frequency(
@@ -227,14 +170,14 @@ def _close_over_frequency(
     from rx90b_flex.view.flexible_report import headline, write_flexible_report
 
     check_folder(out, CLOSED_LOOP, overwrite, [source])
-    with _progress() as tell:
+    with progress() as tell:
         loop = close_over_frequency(source, robot, model_error, tell)
         tell("writing the report", 0.98)
         write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")], overwrite)
-    _say(f"{loop.source.name}: {loop.verdict.replace('_', ' ')}")
+    say(f"{loop.source.name}: {loop.verdict.replace('_', ' ')}")
     for text in (*(change_words(f) for f in loop.found), headline(loop), *loop.doubts()):
-        _say(text)
-    _say(f"Report: {out / 'report.html'}")
+        say(text)
+    say(f"Report: {out / 'report.html'}")
 
 
 @app.command()
@@ -262,7 +205,7 @@ def demo(
     from rx90b_flex.diagnose.refused import RefusedLoop
     from rx90b_flex.view.report import write_report
 
-    with _progress() as tell:
+    with progress() as tell:
         tell("making recordings", 0.0)
         demonstration = make_demonstration(seed, hidden)
 
@@ -280,8 +223,8 @@ def demo(
         fill_folder(out, fill, DEMONSTRATION, overwrite)
     _print_result(results[0])
     what = "nothing" if demonstration.hidden is None else _describe(demonstration.hidden)
-    _say(f"What had been hidden: {what}")
-    _say(f"Recordings, model and report: {out}")
+    say(f"What had been hidden: {what}")
+    say(f"Recordings, model and report: {out}")
 
 
 @app.command()
@@ -338,7 +281,7 @@ def frf(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
         mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
-    with _progress() as tell:
+    with progress() as tell:
         result = identify_from_motors(read, options, tell)
         tell("writing the report", 0.97)
         write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")], overwrite)
@@ -350,12 +293,12 @@ def frf(
             said = f"{e.value:.4g}" if e.determined else "not determined"
             rows.append((e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit))
         head = ("parameter", "value", "95 % interval", "unit")
-        _show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
+        show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
     for remark in result.remarks:
-        _say(f"Note: {remark}")
+        say(f"Note: {remark}")
     for left in result.left_out:
-        _say(f"Left out: {left.stage}: {left.why}")
-    _say(f"Report: {out / 'report.html'}")
+        say(f"Left out: {left.stage}: {left.why}")
+    say(f"Report: {out / 'report.html'}")
 
 
 @app.command()
@@ -407,11 +350,11 @@ def excite(
         _numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
         not one_sign, white, controller, seed,
     )  # fmt: skip
-    with _progress() as tell:
+    with progress() as tell:
         said = excite_into(request, out, simulate, tell, overwrite)
     for text in said:
-        _say(text)
-    _say(f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}")
+        say(text)
+    say(f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}")
 
 
 def _numbers(name: str, text: str) -> tuple[float, ...]:
@@ -446,7 +389,7 @@ def flexify(
     flexible = virtual.flexify(virtual.read_xml(loaded.urdf), *places)
     virtual.write_urdf(flexible, out)
     added = 2 * places[2] + len(places[0]) + 2 * len(places[1])
-    _say(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones")
+    say(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones")
 
 
 @app.command("simulate")
@@ -496,11 +439,11 @@ def simulate_command(
 
     noise = Noise(torque_noise, position_noise, velocity_noise)
     request = Request(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
-    with _progress() as tell:
+    with progress() as tell:
         result = simulate_into(request, out, tell, overwrite)
     for text in summary(result):
-        _say(text)
-    _say(f"Recording, tip.csv and figure: {out}")
+        say(text)
+    say(f"Recording, tip.csv and figure: {out}")
 
 
 @app.command("check-path")
@@ -554,23 +497,23 @@ def check_path_command(
 
     if save_example is not None:
         write_example(path, save_example)
-        _say(f"Path file: {save_example}")
+        say(f"Path file: {save_example}")
         return
     options = Options(tolerance_mm, correct, contributions, iterations, jobs)
-    with _progress() as tell:
+    with progress() as tell:
         result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
         tell("writing the report", 0.98)
         from rx90b_flex.view.path_report import write_path_report
 
         write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),), overwrite)
-    _say(result.sentence)
+    say(result.sentence)
     causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
     if causes:
         said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
-        _say(f"Largest contributions across, RMS, mm: {said}")
-    _say(f"Report: {out / 'report.html'}")
+        say(f"Largest contributions across, RMS, mm: {said}")
+    say(f"Report: {out / 'report.html'}")
     beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
-    _say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
+    say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
     if result.verdict == "outside_tolerance":
         raise typer.Exit(1)
 
@@ -603,17 +546,17 @@ def view(
     from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
 
     wanted = Wanted(source, beside, recording, magnify, modes, pose, count)
-    with _progress() as tell:
+    with progress() as tell:
         tell("reading", 0.1)
         made = view_of(wanted)
     if out is not None:
         write_view(made, out)
     for line in (made.title, *made.notes):
-        _say(line)
+        say(line)
     if out is not None:
-        _say(f"View: {out}")
+        say(f"View: {out}")
         return
-    serve_until_interrupted(made, lambda url: _say(f"{url} shows it until Ctrl-C"))
+    serve_until_interrupted(made, lambda url: say(f"{url} shows it until Ctrl-C"))
 
 
 @app.command("import")
@@ -651,15 +594,15 @@ def import_command(
         file_format,
         basics,
     )
-    with _progress() as tell:
+    with progress() as tell:
         tell("reading", 0.1)
         imported = import_into(request, out, overwrite)
     files_of: dict[str, list[str]] = {}
     for where, finding in imported.findings:
         files_of.setdefault(str(finding), []).append(where)
     for said, where_all in files_of.items():
-        _say(f"{', '.join(where_all)}: {said}")
-    _say(f"Campaign: {out / 'campaign.toml'}")
+        say(f"{', '.join(where_all)}: {said}")
+    say(f"Campaign: {out / 'campaign.toml'}")
 
 
 @app.command("identify")
@@ -678,7 +621,7 @@ def identify_command(
     from rx90b_flex.signals.folders import CHECKED, IDENTIFIED, check_folder, fill_folder
 
     check_folder(out, IDENTIFIED, overwrite, [campaign])
-    with _progress() as tell:
+    with progress() as tell:
         tell("reading", 0.0)
         read = read_campaign(campaign)
         from rx90b_flex.diagnose.check import check
@@ -701,10 +644,10 @@ def identify_command(
         fill_folder(out, fill, IDENTIFIED, overwrite)
     known = [e for e in result.parameters if e.value is not None]
     rows = [(e.name, _value("", e.value, e.std, e.unit).strip()) for e in known]
-    _show_table(result.source.name, rows, ("parameter", "value"))
+    show_table(result.source.name, rows, ("parameter", "value"))
     for text in (*headline(result), *(f.message for f in checked.data_faults), *basics_words(checked)):
-        _say(text)
-    _say(f"Report: {out / 'report.html'}")
+        say(text)
+    say(f"Report: {out / 'report.html'}")
 
 
 def _print_result(result: object) -> None:
@@ -719,22 +662,22 @@ def _print_result(result: object) -> None:
         before, after = (f"{x.relative_error:.4f}" for x in (e.before, e.after))
         rows.append((e.effect.type_name(), where, values, before, after))
     head = ("found", "where", "values", "error before", "after")
-    _show_table(
+    show_table(
         f"{result.robot}: {result.verdict.replace('_', ' ')}", rows or [("nothing", "", "", "", "")], head, head[3:]
     )
     for role in ("validation", "identification"):
         first, last = getattr(result.before, role), getattr(result.after, role)
         held = " (held out)" if role == "validation" else ""
-        _say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}")
+        say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}")
     if result.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
-        _say(f"Noise floor: {rms} N m a joint")
+        say(f"Noise floor: {rms} N m a joint")
     for d in result.unexplained.where[:3]:
-        _say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+        say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
     for caution in result.cautions:
-        _say(f"Beware: {caution}")
+        say(f"Beware: {caution}")
     for text in (*(f.message for f in result.data_faults), *basics_offer(result.undeclared_basics)):
-        _say(text)
+        say(text)
 
 
 def _value(name: str, value: float | None, std: float | None, unit: str) -> str:
@@ -766,12 +709,14 @@ class _Command(typer.core.TyperCommand):
         return super().invoke(ctx)
 
 
+export.add(app)
+
 for _info in app.registered_commands:
     _info.cls = _Command
 
 # in the order in which a user meets them
 _ORDER = (
-    "demo", "import", "check", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify"
+    "demo", "import", "check", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify", "export"
 )  # fmt: skip
 app.registered_commands.sort(key=lambda c: _ORDER.index(c.name or getattr(c.callback, "__name__", "")))
 

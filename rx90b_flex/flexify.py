@@ -47,6 +47,7 @@ __all__ = [
     "normalise",
     "read_urdf",
     "read_xml",
+    "roll_pitch_yaw",
     "to_xml",
     "urdf_path",
     "virtual_joint_names",
@@ -609,7 +610,7 @@ def to_xml(urdf: yourdfpy.URDF) -> str:
     """The URDF as text, as `pinocchio.buildModelFromXML` takes it. Every number reads back as the same double.
 
     yourdfpy writes it, except what it would change: it resolves mesh names on this disk (here they stay as in the
-    source), leaves out mimic, calibration and safety tags, and rounds the angles of origins (see `_rpy`).
+    source), leaves out mimic, calibration and safety tags, and rounds the angles of origins (see `roll_pitch_yaw`).
     """
     import yourdfpy
 
@@ -657,10 +658,10 @@ def write_urdf(urdf: yourdfpy.URDF, path: str | Path) -> None:
 
 def _write_angles(element: Any, origin: Vector | None) -> None:
     if origin is not None:
-        element.find("origin").set("rpy", _text(_rpy(origin[:3, :3])))
+        element.find("origin").set("rpy", _text(roll_pitch_yaw(origin[:3, :3])))
 
 
-def _rpy(rotation: Vector) -> Vector:
+def roll_pitch_yaw(rotation: Vector) -> Vector:
     """Roll, pitch, yaw (rad) with R = Rz(yaw) Ry(pitch) Rx(roll), so that they give R back to the last bit if they can.
 
     yourdfpy keeps rotations as matrices. An angle read from a matrix by atan2 is off by a rounding error, and at

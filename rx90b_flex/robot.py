@@ -362,8 +362,8 @@ class Robot:
         ValueError
             A wrong shape; a flexible drive without inertia; load friction that no acceleration agrees with.
         """
-        if self._weightless_drives:
-            names = ", ".join(self._weightless_drives)
+        if self.weightless_drives:
+            names = ", ".join(self.weightless_drives)
             raise ValueError(f"{self.name}: a flexible drive needs a drive_inertia to move; none at {names}")
         torque = np.asarray(drive_torque, dtype=float)
         if torque.shape != (len(self.joints),):
@@ -388,7 +388,7 @@ class Robot:
         raise ValueError(f"{self.name}: forward dynamics found no acceleration consistent with the load friction")
 
     @cached_property
-    def _weightless_drives(self) -> tuple[str, ...]:
+    def weightless_drives(self) -> tuple[str, ...]:
         """Joints whose drive turns apart from its link but has no inertia of its own."""
         transform, _ = joint_angle_transform(self.coordinates)
         mass = np.diag(transform.T @ self.mass_matrix(np.zeros(self.model.nv)) @ transform)

@@ -438,6 +438,14 @@ class Effect(ABC):
         """
         return None
 
+    def line_spring(self) -> tuple[Array, Array, float, float] | None:
+        """Anchors (3,) on the link before the joint and on the one behind it, stiffness (N/m) and prestress (N).
+
+        Of a spring between two points that is the whole effect, both in the joint's own frame at zero angle, m, its prestress the
+        pull at zero angle. For simulators; optional, like `laws`.
+        """
+        return None
+
     def known_coefficients(self) -> Array:
         """Coefficients, with an error that names the first one without a value."""
         values = self.coefficients

@@ -108,6 +108,13 @@ class GravitySpring(JointEffect):
         port = motion.coordinates.port(self.joint, self.side)
         return (Law(port, function=self.law, parameters=values, stores=True),)
 
+    def line_spring(self) -> tuple[Array, Array, float, float]:
+        if self.anchors is None:
+            raise ValueError(f"{self.label}: anchors have no value; they cannot be identified")
+        fixed, moving = np.asarray(self.anchors, dtype=float).reshape(2, 3)
+        stiffness, prestress = (float(x) for x in self.known_coefficients())
+        return fixed, moving, stiffness, prestress
+
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         return []

@@ -1,0 +1,1 @@
+"""Commands of the command line, one file each; `rx90b_flex.cli` puts them together."""

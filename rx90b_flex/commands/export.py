@@ -1,0 +1,32 @@
+"""``rx90b-flex export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import say
+
+
+def add(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command("export")(export_command)
+
+
+def export_command(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    file_format: Annotated[str, typer.Option("--format", help="urdf, mjcf (MuJoCo) or sdf (Gazebo).")],
+    out: Annotated[Path, typer.Option("--out", help="File to write.")],
+) -> None:
+    """Write an identified robot for a simulator.
+
+    With what the format holds; what it does not hold is printed, one line an effect.
+    """
+    from rx90b_flex.simulators import export_robot
+
+    done = export_robot(robot, out, file_format)  # type: ignore[arg-type]  # what it is not, it says
+    for lost in done.lost:
+        say(f"Not held: {lost}")
+    say(f"{done.format.upper()}: {out}")

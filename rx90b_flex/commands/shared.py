@@ -1,0 +1,66 @@
+"""What commands share: options, a progress bar, lines and tables on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Out = Annotated[
+    Path,
+    typer.Option(
+        "--out", help="Folder for the results; made if it does not exist, an earlier result in it is replaced."
+    ),
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
+]
+Despite = Annotated[bool, typer.Option("--despite-faults", help="Go on where the data were found not usable.")]
+Basics = Annotated[
+    bool, typer.Option("--basics", help="Declare drive inertia, dry and viscous friction and an offset on every joint.")
+]
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error, with the present step as its text."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    bar = Progress(
+        TextColumn("{task.description:<36}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,  # in a pipe it would leave an empty line
+    )
+    with bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda text, part: bar.update(task, description=text, completed=part)
+
+
+def say(text: str) -> None:
+    """A line on standard output, as it is: names may hold what rich takes for markup."""
+    from rich.console import Console
+
+    Console().print(text, soft_wrap=True, markup=False, highlight=False)
+
+
+def show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], right: Sequence[str] = ()) -> None:
+    """A table on standard output; columns of the names in `right` stand to the right."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left")
+    for name in head:
+        table.add_column(name, justify="right" if name in right else "left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)

@@ -1,0 +1,99 @@
+"""A robot into a simulator's file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rx90b_flex.effects import close_match
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals.tables import write_whole
+from rx90b_flex.simulators.held import Lost, held_by
+from rx90b_flex.simulators.mjcf import MJCF, mjcf_text
+from rx90b_flex.simulators.sdf import SDF, sdf_text
+from rx90b_flex.simulators.urdf import URDF, urdf_text
+
+FORMATS = {"urdf": (URDF, urdf_text), "mjcf": (MJCF, mjcf_text), "sdf": (SDF, sdf_text)}
+FormatName = Literal["urdf", "mjcf", "sdf"]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What `export_robot` wrote.
+
+    Attributes
+    ----------
+    path : Path
+    format : str
+    lost : tuple of Lost
+        What the format does not hold, or not as it is; one entry an effect or link. As text: one line each.
+    """
+
+    path: Path
+    format: str
+    lost: tuple[Lost, ...]
+
+
+def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[str], format: FormatName) -> Exported:
+    """Write a robot for a simulator, with what its format holds.
+
+    Loaded back, mass matrix and gravity are the robot's own, less what `Exported.lost` names.
+
+    Parameters
+    ----------
+    robot : Robot, or what `load_robot` takes
+    path : path
+        File to write; it is replaced as a whole or not at all.
+    format : ``urdf``, ``mjcf`` or ``sdf``
+
+    Raises
+    ------
+    ValueError
+        An unknown format; an effect without a value; a link that no body is; a path that cannot be written, or that is
+        the robot's own.
+
+    Examples
+    --------
+    >>> import rx90b_flex as rf
+    >>> exported = rf.export_robot("rx90b_rigid", "rx90b.urdf", "urdf")
+    >>> print(exported.lost[0])
+    joint_1.drive_inertia: a URDF has no inertia of a rotor behind its gear
+    """
+    if format not in FORMATS:
+        raise ValueError(f"format is {format!r}; {close_match(str(format), list(FORMATS))}")
+    path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; expected a file to write")
+    if not isinstance(robot, Robot):
+        _refuse_own(robot, path)
+        robot = load_robot(robot)
+    how, text_of = FORMATS[format]
+    held = held_by(robot, how)
+    text, more = text_of(held)
+
+    def write(temporary: Path) -> None:
+        temporary.write_text(text, encoding="utf-8")
+
+    try:
+        write_whole(path, write)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
+    return Exported(path, format, (*held.lost, *more))
+
+
+def _refuse_own(source: str | os.PathLike[str], path: Path) -> None:
+    """Not over the robot's own file, nor over the URDF that it names."""
+    given = Path(source)
+    if not given.is_file():
+        return
+    own = [given]
+    if given.suffix == ".toml":
+        from rx90b_flex.files.toml import read_toml
+
+        urdf = read_toml(given, "robot file").get("urdf")
+        own += [given.parent / urdf] if isinstance(urdf, str) else []
+    for file in own:
+        if path.resolve() == file.resolve():
+            raise ValueError(f"{path}: is the robot's own file; expected another one to write")
