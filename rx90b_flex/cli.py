@@ -10,18 +10,52 @@ import typer
 import typer.core
 
 from rx90b_flex.commands import export
-from rx90b_flex.commands.shared import Basics, Despite, Out, Overwrite, progress, say, show_table
+from rx90b_flex.commands.shared import (
+    Basics,
+    Despite,
+    Out,
+    Overwrite,
+    progress,
+    say,
+    show_table,
+    without_types_of_flags,
+)
 
 if TYPE_CHECKING:
     from rx90b_flex.robot import Robot
 
+
+class _Commands(typer.core.TyperGroup):
+    """All commands."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return without_types_of_flags(super().get_params(ctx))
+
+
 app = typer.Typer(
     name="rx90b-flex",
-    help="Industrial robots whose drives and joints bend: model, identify, and find what a model lacks.",
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        from rx90b_flex import __version__
+
+        say(f"rx90b-flex {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Industrial robots whose drives and joints bend: model, identify, and find what a model lacks."""
 
 
 @app.command("close-loop")
@@ -696,6 +730,9 @@ def _describe(effect: object) -> str:
 
 class _Command(typer.core.TyperCommand):
     """A command whose numbers are finite, and whose seeds a generator takes."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return without_types_of_flags(super().get_params(ctx))
 
     def invoke(self, ctx: Any) -> Any:
         for parameter in self.params:

@@ -39,6 +39,7 @@ __all__ = [
     "VIRTUAL_LIMIT",
     "bending_axes",
     "coordinate_name",
+    "example_robots",
     "flexify",
     "lock",
     "moving_joints",
@@ -193,6 +194,17 @@ def urdf_path(source: str | Path) -> Path:
         return Path(loader.model_path or getModelPath(relative), relative)
     except OSError as error:
         raise ValueError(f"{source}: its file {relative} is not installed (package example-robot-data)") from error
+
+
+def example_robots() -> tuple[str, ...]:
+    """Names of the robots that example-robot-data has as URDF; none where it is not installed."""
+    try:
+        from example_robot_data.robots_loader import (  # type: ignore[import-not-found, import-untyped, unused-ignore]
+            ROBOTS,
+        )
+    except ImportError:
+        return ()
+    return tuple(sorted(name for name, loader in ROBOTS.items() if loader.urdf_filename))
 
 
 def read_urdf(source: str | Path) -> yourdfpy.URDF:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -604,7 +605,18 @@ def load_robot(source: str | os.PathLike[str]) -> Robot:
         raise ValueError(f"{path} is a folder; expected a robot file or a URDF")
     if path.suffix or path.exists():
         return _from_urdf(path, path.stem, None, "fitted")
-    raise ValueError(f"unknown robot {text!r}: no such file, and {close_match(text, robot_names())}")
+    raise ValueError(f"unknown robot {text!r}: no such file, and {_near_robots(text)}")
+
+
+def _near_robots(name: str) -> str:
+    """What somebody may have meant: robots of the package, and those of example-robot-data that have the name in theirs."""
+    own, prefix, others = robot_names(), virtual.EXAMPLE_ROBOT_PREFIX, virtual.example_robots()
+    if not others or difflib.get_close_matches(name, own, n=1):
+        return close_match(name, own)
+    near = [x for x in others if name.lower() in x.lower()] or difflib.get_close_matches(name.lower(), others, n=3)
+    if near:
+        return f"did you mean {' or '.join(prefix + x for x in near[:5])}?"
+    return f"{close_match(name, own)}; or the path of a URDF, or {prefix}NAME with a name of that package: {', '.join(others)}"
 
 
 def _from_urdf(source: str | Path, name: str, tip_frame: str | None, inertial_parameters: str) -> Robot:

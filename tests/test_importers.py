@@ -110,6 +110,28 @@ def parquet(folder: Path) -> Path:
     return path
 
 
+def lerobot(folder: Path, episodes: int = 1) -> Path:
+    """As version 2 has it, a file an episode; or version 3, several in a file, of which the longest is wanted."""
+    path = folder / "data" / "chunk-000" / "episode_000000.parquet"
+    path.parent.mkdir(parents=True)
+    names = {"motors": [f"{j}.pos" for j in JOINTS]}
+    features = {key: {"dtype": "float32", "shape": [3], "names": names} for key in ("observation.state", "action")}
+    (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": RATE, "features": features}))
+    blocks = {"observation.state": Q, "observation.velocity": V, "observation.effort": TAU, "action": Q + 0.01}
+    rows = [np.arange(40)] * (episodes - 1) + [np.arange(SAMPLES)]
+    data = pd.DataFrame({key: [list(block[k]) for r in rows for k in r] for key, block in blocks.items()})
+    data["timestamp"] = np.concatenate([TIME[r] for r in rows])
+    data["episode_index"] = np.repeat(np.arange(episodes), [len(r) for r in rows])
+    data["index"] = data["frame_index"] = data["task_index"] = np.arange(len(data))
+    data.to_parquet(path)
+    return path
+
+
+def lerobot_episodes(folder: Path) -> Path:
+    return lerobot(folder, episodes=3)
+
+
 def matlab(folder: Path) -> Path:
     path = folder / "run.mat"
     log = {"t": TIME[:, None], "q": Q, "qd": V, "tau": TAU.T}  # a row a joint, as much a habit as a column
@@ -170,7 +192,22 @@ def mcap_file(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "write", [comma, zipped, german, tabbed, blanks, parquet, matlab, matlab_73, bag, mcap_folder, mcap_file]
+    "write",
+    [
+        comma,
+        zipped,
+        german,
+        tabbed,
+        blanks,
+        parquet,
+        lerobot,
+        lerobot_episodes,
+        matlab,
+        matlab_73,
+        bag,
+        mcap_folder,
+        mcap_file,
+    ],
 )
 def test_every_format_gives_the_same_recording(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     imported = import_logs([write(tmp_path)], AXES)

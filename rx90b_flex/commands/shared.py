@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -64,3 +64,11 @@ def show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], r
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     Console().print(table)
+
+
+def without_types_of_flags(options: list[Any]) -> list[Any]:
+    """Options whose flags say no type in the help: there is nothing to write after them."""
+    for option in options:
+        if getattr(option, "is_flag", False):
+            option.metavar = ""
+    return options

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import gzip
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90b_flex.signals import lerobot
 from rx90b_flex.signals.matlab import read_arrays
 from rx90b_flex.signals.tables import number_of, one_line
 
@@ -197,6 +198,8 @@ def _read_parquet(path: Path) -> Log:
     import pyarrow.parquet as pa_parquet
 
     table = pa_parquet.read_table(path)
+    if lerobot.is_episode(table):
+        return _log(path, *lerobot.columns_of(path, table))
     names, columns = [], []
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pa.types.is_timestamp(column.type):
@@ -211,10 +214,10 @@ def _read_parquet(path: Path) -> Log:
     return _log(path, names, np.stack(columns, axis=1), [])
 
 
-def _log(path: Path, names: list[str], values: Array, notes: list[str]) -> Log:
+def _log(path: Path, names: Sequence[str], values: Array, notes: Sequence[str]) -> Log:
     for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"{path}: column {name!r} is there {names.count(name)} times")
+        if list(names).count(name) > 1:
+            raise ValueError(f"{path}: column {name!r} is there {list(names).count(name)} times")
     if len(values) < 2:
         raise ValueError(f"{path}: {len(values)} rows of numbers; expected more")
     return Log(path, tuple(names), values, tuple(notes))
