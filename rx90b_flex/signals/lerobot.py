@@ -1,7 +1,7 @@
 """Episodes of LeRobot data sets: Parquet with a list a sample, whose names stand in ``meta/info.json``.
 
 ``observation.state`` is taken for positions, ``action`` for their references; ``observation.velocity``, ``observation.effort``
-and the like for what their names say. A file may hold several episodes: the longest is read. Format: versions 2 and 3 of the data sets.
+and the like for what their names say. A file may hold several episodes: the longest is read. Versions 2 and 3.
 """
 
 from __future__ import annotations
