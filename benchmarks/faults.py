@@ -1,4 +1,4 @@
-"""Faults put into sound data, and which of them `check` names: python benchmarks/faults.py [--seeds 5] [--out FILE] [--table FILE]
+"""Faults put into sound data, and which of them `check` names: python benchmarks/faults.py [--seeds 5] [--first-seed 0] [--out FILE] [--table FILE]
 
 Five robots: UR10, Panda, Kinova (example-robot-data), the RX90B, and an arm of five joints written here. Links are up to 15 % off
 what the file says; dry friction is `numpy.tanh`, with some that grows with the load and some that differs by direction, none of it
@@ -448,7 +448,7 @@ def table(outcomes: list[Outcome]) -> str:
 
 
 def wanted(robots: list[str], faults: list[str], seeds: range) -> Iterator[tuple[str, str, int]]:
-    yield from ((r, f, s) for f in faults for r in robots for s in seeds)
+    yield from ((r, f, s) for s in seeds for f in faults for r in robots)
 
 
 def main() -> None:
