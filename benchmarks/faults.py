@@ -1,4 +1,6 @@
-"""Faults put into sound data, and which of them `check` names: python benchmarks/faults.py [--seeds 5] [--first-seed 0] [--out FILE] [--table FILE]
+"""Faults put into sound data, and which of them `check` names:
+
+    python benchmarks/faults.py [--seeds 5] [--first-seed 0] [--faults NAME ...] [--out FILE] [--table FILE]
 
 Five robots: UR10, Panda, Kinova (example-robot-data), the RX90B, and an arm of five joints written here. Links are up to 15 % off
 what the file says; dry friction is `numpy.tanh`, with some that grows with the load and some that differs by direction, none of it

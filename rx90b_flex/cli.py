@@ -679,6 +679,8 @@ def identify_command(
     known = [e for e in result.parameters if e.value is not None]
     rows = [(e.name, _value("", e.value, e.std, e.unit).strip()) for e in known]
     show_table(result.source.name, rows, ("parameter", "value"))
+    if checked.never_move:
+        say(f"Not told, for they never move: the parameters of {', '.join(checked.never_move)}.")
     for text in (*headline(result), *(f.message for f in checked.data_faults), *basics_words(checked)):
         say(text)
     say(f"Report: {out / 'report.html'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -101,6 +102,50 @@ def test_friction_below_zero_is_held_at_zero_and_said(tmp_path: Path) -> None:
     assert by_name["elbow.viscous_friction.coefficient"] == 0.0
     (tmp_path / "out").mkdir()
     write_identified(held, tmp_path / "out")  # a robot file with a negative coefficient would not load
+
+
+def test_values_that_are_told_are_possible_and_a_wrong_sign_is_named_as_the_cause(tmp_path: Path) -> None:
+    source = campaign(tmp_path / "data")
+    for log in (tmp_path / "data").glob("log_*.csv"):
+        table = pd.read_csv(log)
+        table[["moment_0", "moment_1"]] *= -1.0
+        table.to_csv(log, index=False)
+    found = identify_campaign(source)
+    named = {e.name: e.value for e in found.parameters}
+    fitted = {e.name: e.value for e in found.fitted}
+    for joint, coulomb in zip(("shoulder", "elbow"), COULOMB, strict=True):
+        name = f"{joint}.coulomb_friction.torque"
+        assert fitted[name] == pytest.approx(-coulomb, rel=0.1)
+        assert named[name] is not None and named[name] >= 0.0
+        assert name in found.consistency.wrong_sign
+    lead = " ".join(headline(found))
+    assert "wrong sign of a torque or position column is the likely cause" in lead
+    assert "shoulder.coulomb_friction.torque" in lead
+    (tmp_path / "out").mkdir()
+    write_identified(found, tmp_path / "out")
+    written = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert all(p["value"] >= 0.0 for p in written["parameters"] if p["name"].endswith(("torque", "coefficient")))
+    assert written["physical_consistency"]["wrong_sign"]
+
+
+def test_nothing_is_said_of_wrong_signs_where_there_are_none(result: Identified) -> None:
+    assert result.consistency.wrong_sign == ()
+    assert "wrong sign" not in " ".join(headline(result))
+
+
+def test_nothing_is_told_of_a_joint_that_never_moves(tmp_path: Path) -> None:
+    arm, rng, runs = ind.two_joints(tmp_path), np.random.default_rng(0), []
+    for role in ("identification", "validation"):
+        m = ind.harmonics(rng, 2, period_s=6.0, rate_hz=RATE_HZ)
+        still = np.array([1.0, 0.0])  # the elbow is held, its encoder counts noise
+        m = ind.Motion(m.time, m.q * still + [0.0, 0.4], m.v * still, m.a * still)
+        logged = ind.run(arm, role, m, [ind.friction(COULOMB, VISCOUS)], ind.white(rng, len(m.time), NOISE))
+        noisy = dataclasses.replace(m, q=m.q + 1e-5 * rng.normal(size=m.q.shape))
+        runs.append(dataclasses.replace(logged, motion=noisy))
+    found = identify_campaign(ind.write_files(tmp_path, arm, DECLARED, runs, cutoff_hz=CUTOFF_HZ))
+    told = {e.name: e.value for e in found.parameters}
+    assert [value for name, value in told.items() if name.startswith("elbow.")] == [None, None, None]
+    assert told["shoulder.viscous_friction.coefficient"] == pytest.approx(VISCOUS[0], rel=0.1)
 
 
 def test_bounds_without_bodies_give_bounded_least_squares() -> None:

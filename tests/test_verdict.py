@@ -40,14 +40,15 @@ def verdict(
     forms: tuple[str, ...] = CURVES,
     where: tuple[Dependence, ...] = (),
     doubtful: bool = False,
+    spread: tuple[float, float] | None = None,
 ) -> str:
     known = None
     if free is not None:
         drop = np.hypot(*before) - np.hypot(*free)
         share = (np.hypot(*before) - np.hypot(*after)) / drop if drop > 0 else 1.0
         known = explained_to(*free, share=float(share), forms=forms)
-    noise = None if floor is None else np.array(floor)
-    return Remains(JOINTS, found, roles(*before), roles(*after), noise, known, where, doubtful).verdict
+    noise, sized = (None if x is None else np.array(x) for x in (floor, spread))
+    return Remains(JOINTS, found, roles(*before), roles(*after), noise, known, where, doubtful, sized).verdict
 
 
 def test_at_the_noise_floor_all_is_explained_whatever_a_free_form_says():
@@ -95,6 +96,16 @@ def test_where_the_free_form_finds_nothing_a_signal_that_the_residual_depends_on
     silent = ("none", "none")
     assert verdict(same, found=False, free=same, forms=silent) == "nothing_missing"
     assert verdict(same, found=False, free=same, forms=silent, where=(NAMED,)) == "unexplained"
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_a_joint_left_with_most_of_its_torque_is_not_explained_unless_that_is_known_to_be_noise(found):
+    """Torques of another motion: nothing predicts them, neither does a free form."""
+    left = {"before": (2.0, 2.5), "free": (1.0, 2.0), "forms": ("smooth curves", "none"), "found": found}
+    assert verdict((1.0, 2.0), spread=(3.0, 10.0), **left) == ("explained" if found else "nothing_missing")
+    assert verdict((1.0, 2.0), spread=(3.0, 2.1), **left) == ("partly_explained" if found else "unexplained")
+    known = verdict((1.0, 2.0), spread=(3.0, 2.1), floor=(1.0, 2.0), **left)
+    assert known == ("explained" if found else "nothing_missing")
 
 
 @pytest.mark.parametrize("found", [True, False])

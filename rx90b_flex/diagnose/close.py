@@ -409,7 +409,8 @@ def _closed(
     compared_with = [HeldOut(p.torque, p.before) for p in predictions]
     explainable = yardstick(shown, held_out.trusting(None), compared_with, after.validation)
     known = explainable if isinstance(explainable, Explainable) else None
-    remains = Remains(campaign.joints, bool(outcome.steps), before, after, floor, known, where, bool(cautions))
+    spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
+    remains = Remains(campaign.joints, bool(outcome.steps), before, after, floor, known, where, bool(cautions), spread)
     search = Search(model, sites)
     last_round = LastRound(outcome.refused, len(search.candidates()), search.tests)
     tell("done", 1.0)
@@ -420,7 +421,7 @@ def _closed(
         after,
         None if floor is None else tuple(float(x) for x in floor),
         _found(outcome.steps, search, before),
-        verdict_despite(remains.verdict, checked),
+        verdict_despite(remains.verdict, checked, {j for e in model.effects if e.multiplies for j in e.joints}),
         Unexplained(after.validation.relative_error, where, left, bands(left)),
         model,
         declared,

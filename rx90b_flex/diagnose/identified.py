@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 from rx90b_flex.export import with_link_parameters
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.physical import possible_coefficients
+from rx90b_flex.identify.physical import possible_coefficients, with_coefficients
 from rx90b_flex.robot import Robot
 
 
@@ -30,7 +29,5 @@ def with_possible_values(model: Identification) -> Identification:
     """
     if not model.links_fitted:
         return model
-    links = len(model.link_parameters)
     theta, _ = possible_coefficients(model)
-    effects = model.with_rest(theta[links:] - model.theta[links:])
-    return dataclasses.replace(model, effects=effects, link_parameters=theta[:links], theta=theta)
+    return with_coefficients(model, theta)

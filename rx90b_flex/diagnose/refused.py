@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,8 +82,18 @@ def write_refused(result: RefusedLoop, folder: Path) -> None:
     (folder / "closed_loop.json").write_text(text + "\n", encoding="utf-8")
 
 
-def verdict_despite(verdict: str, checked: Checked) -> str:
-    """A verdict on data that should not have been used: nothing is explained for certain, nor is nothing missing."""
-    if checked.usable:
+def verdict_despite(verdict: str, checked: Checked, scaled: Collection[str]) -> str:
+    """A verdict on data with a fault that no model mends: nothing is explained for certain, nor is nothing missing.
+
+    Parameters
+    ----------
+    verdict : str
+        As the errors alone have it.
+    checked : Checked
+    scaled : collection of str
+        Joints whose torque the model scales: a wrong gain found there is in the model, one found elsewhere has become mass.
+    """
+    hidden = any(f.kind == "torque_gain" and not set(f.joints) <= set(scaled) for f in checked.data_faults)
+    if checked.usable and not hidden:
         return verdict
     return {"explained": "partly_explained", "nothing_missing": "unexplained"}.get(verdict, verdict)

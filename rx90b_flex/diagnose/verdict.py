@@ -18,6 +18,7 @@ FAR_FROM_FLOOR = 1.5  # and above which it is, even if no signal is found that i
 STRONG = 0.2  # part of a joint's squared residual that depends on one signal: too much for noise
 ENOUGH = 0.8  # share of what a free form explains from which a residual counts as explained
 NEAR_FREE = 1.1  # a joint's error over that of its free form that is no sign of anything missing
+MOST_LEFT = 0.5  # of a joint's torque: what no free form predicts and no noise is known to be is not explained either
 DEPENDS_FREE = 1.05  # and that is none either where the joint's residual still depends on a signal
 
 
@@ -39,6 +40,8 @@ class Remains:
         Signals that the residual still depends on.
     doubtful : bool
         Whether the data holds what a rigid tree cannot have.
+    spread : array, shape (joints,), or None
+        Standard deviation of the measured torque on validation, N m; None where errors have no size to go by.
     """
 
     joints: tuple[str, ...]
@@ -49,6 +52,7 @@ class Remains:
     explainable: Explainable | None
     where: Sequence[Dependence]
     doubtful: bool = False
+    spread: Array | None = None
 
     @property
     def verdict(self) -> str:
@@ -64,11 +68,18 @@ class Remains:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
         if self.floor is not None:
             return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor)).any())
-        if any(d.score > STRONG for d in self.where):
+        if any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
             return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
         return True  # neither measure is known, so nobody can say that nothing is left
+
+    @property
+    def _mostly_left(self) -> bool:
+        """Whether a joint is left with so much that torques of other motions, or of another clock, would look the same."""
+        if self.spread is None:
+            return False
+        return bool((np.array(self.after.validation.torque_rms) > MOST_LEFT * self.spread).any())
 
     def _above_free_form(self, explainable: Explainable) -> Mask:
         """Joints left with more than their free form leaves, part of its drop allowed for, shape (joints,)."""

@@ -24,14 +24,16 @@ from rx90b_flex.identify.physical import (
     inconsistencies,
     information_root,
     possible_coefficients,
+    with_coefficients,
 )
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
-from rx90b_flex.robot import LINK_UNITS, Robot, load_robot
+from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 SCHEMA = 1
 NEGLIGIBLE = 1e-4  # part of a base parameter below which a term is left out of its name
+SURE = 3.0  # standard deviations beyond a bound that noise does not explain
 READ_BACK = 1e-9  # largest relative change of a parameter on its way through the files
 
 Progress = Callable[[str, float], None]
@@ -89,6 +91,8 @@ class Consistency:
     ----------
     found : tuple of Inconsistency
         Of the least-squares estimate; none if its links can exist, or were not identified.
+    wrong_sign : tuple of str
+        Masses, inertias and friction that come out negative by more than three standard deviations: what noise does not do.
     relative_error_before, relative_error_after : float
         Of the least-squares estimate and of the exported robot, on the data of the fit.
     largest_shift_std : float
@@ -102,6 +106,7 @@ class Consistency:
     relative_error_after: float
     largest_shift_std: float
     held: tuple[str, ...]
+    wrong_sign: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +129,8 @@ class Identified:
     campaign : Campaign
     model : Identification
         The least-squares estimate.
+    possible : Identification
+        The same with the nearest values that a robot can have.
     robot : Robot
         With the identified values, made possible: what is exported.
     base : tuple of BaseParameter
@@ -138,6 +145,7 @@ class Identified:
     source: Robot
     campaign: Campaign
     model: Identification
+    possible: Identification
     robot: Robot
     base: tuple[BaseParameter, ...]
     consistency: Consistency
@@ -147,11 +155,23 @@ class Identified:
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
-        """Every parameter by itself: links, then effects; value None where only combinations are determined."""
-        effects = []
-        for i, effect in enumerate(self.model.effects):
-            effects += [dataclasses.replace(e, name=f"{effect.label}.{e.name}") for e in self.model.estimates(i)]
-        return (*(self.model.link_estimates() if self.model.links_fitted else ()), *effects)
+        """Every parameter of the robot that is written: links, then effects; value None where only combinations are determined.
+
+        Standard deviations are those of the fit.
+        """
+        return _estimates(self.possible)
+
+    @property
+    def fitted(self) -> tuple[Estimate, ...]:
+        """The same as least squares alone have them, whether a robot can have such values or not."""
+        return _estimates(self.model)
+
+
+def _estimates(model: Identification) -> tuple[Estimate, ...]:
+    effects = []
+    for i, effect in enumerate(model.effects):
+        effects += [dataclasses.replace(e, name=f"{effect.label}.{e.name}") for e in model.estimates(i)]
+    return (*(model.link_estimates() if model.links_fitted else ()), *effects)
 
 
 def identify_campaign(
@@ -213,6 +233,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, tell: Progress) ->
         declared,
         campaign,
         model,
+        with_coefficients(model, theta),
         found,
         base,
         consistency,
@@ -261,7 +282,20 @@ def _consistency(
         float(np.linalg.norm(residual) / np.linalg.norm(model.regression.torque)),
         float(max(moves, default=0.0)),
         held,
+        _wrong_signs(model),
     )
+
+
+def _wrong_signs(model: Identification) -> tuple[str, ...]:
+    """Names of determined coefficients that lie surely below what bodies and friction can have."""
+    bounds = np.concatenate([e.coefficient_bounds for e in model.effects] or [np.zeros(0)])
+    if model.links_fitted:
+        positive = np.array([name in ("mass", "J_xx", "J_yy", "J_zz") for name in LINK_PARAMETERS])
+        of_links = np.tile(np.where(positive, 0.0, -np.inf), len(model.regression.robot.bodies))
+        bounds = np.concatenate([of_links, bounds])
+    std = np.sqrt(np.maximum(np.diag(model.covariance)[: len(bounds)], 0.0))
+    wrong = model.solution.determined[: len(bounds)] & (model.theta < bounds - SURE * std)
+    return tuple(name for name, w in zip(model.coefficient_names, wrong, strict=True) if w)
 
 
 # ---- base parameters --------------------------------------------------------------------------------------------
@@ -346,7 +380,9 @@ def identification_json(result: Identified) -> dict[str, Any]:
         "identification": dataclasses.asdict(result.identification),
         "validation": None if result.validation is None else dataclasses.asdict(result.validation),
         "rank": result.model.solution.rank,
-        "parameters": [dataclasses.asdict(e) for e in result.parameters],
+        "parameters": [
+            dataclasses.asdict(e) | {"fitted": f.value} for e, f in zip(result.parameters, result.fitted, strict=True)
+        ],
         "base_parameters": [
             {"terms": [list(t) for t in b.terms], "value": b.value, "std": b.std, "unit": b.unit} for b in result.base
         ],
@@ -355,6 +391,7 @@ def identification_json(result: Identified) -> dict[str, Any]:
             "consistent": not consistency.found,
             "links": [{"link": f.link, "eigenvalue": f.eigenvalue, "message": f.message} for f in consistency.found],
             "held_at_bounds": list(consistency.held),
+            "wrong_sign": list(consistency.wrong_sign),
             "relative_error_before": consistency.relative_error_before,
             "relative_error_after": consistency.relative_error_after,
             "largest_shift_std": consistency.largest_shift_std,

@@ -15,6 +15,7 @@ Parameters of a body stand in the order of `rx90b_flex.robot.LINK_PARAMETERS`, a
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import warnings
 from collections.abc import Sequence
@@ -361,6 +362,14 @@ def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]
     rest = np.where(held, lower, rest)  # the solver ends a little above
     labels = model.coefficient_names[len(links) :]
     return np.r_[theta[: len(links)], rest], tuple(label for label, h in zip(labels, held, strict=True) if h)
+
+
+def with_coefficients(model: Identification, theta: Array) -> Identification:
+    """The same model with other coefficients, such as possible ones; covariance and residual stay those of the fit."""
+    links = len(model.link_parameters) if model.links_fitted else 0
+    effects = model.with_rest(theta[links:] - model.theta[links:])
+    kept = theta[:links] if model.links_fitted else model.link_parameters
+    return dataclasses.replace(model, effects=effects, link_parameters=kept, theta=theta)
 
 
 def _declared(robot: Robot, effect: Effect) -> Effect:

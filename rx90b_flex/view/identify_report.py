@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex.identify.command import Identified, RoleError
+from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.view.identify_plots import relative_stds, torque_fit
 from rx90b_flex.view.page import Image, Section, Table, image, write_page
 from rx90b_flex.view.report import number, unit_text
@@ -30,8 +31,22 @@ def headline(result: Identified) -> list[str]:
         f"The data determine {len(result.base)} combinations of {len(result.model.theta)} parameters; "
         f"{len(told)} of {len(result.parameters)} values are told by themselves.",
     ]
-    lead.append(consistency_words(result))
+    lead += [consistency_words(result), *bound_words(result)]
     return lead
+
+
+def bound_words(result: Identified) -> list[str]:
+    """Which bounds hold, and what a wrong sign is likely to come from; empty where nothing was out of bounds."""
+    consistency = result.consistency
+    out = []
+    if consistency.held:
+        out.append(f"Held at their physical bounds: {', '.join(consistency.held)}.")
+    if consistency.wrong_sign:
+        out.append(
+            f"Fitted far below zero, which nothing can have: {', '.join(consistency.wrong_sign)}. A wrong sign of a torque or "
+            "position column is the likely cause, for some joints or for all."
+        )
+    return out
 
 
 def consistency_words(result: Identified) -> str:
@@ -75,16 +90,34 @@ def _errors(result: Identified) -> Section:
 
 def _parameters(result: Identified) -> Section:
     told = [e for e in result.parameters if e.value is not None]
-    rows = tuple((e.name, number(e.value), number(e.std), unit_text(e.unit)) for e in told)
-    table = Table(("parameter", "value", "std", "unit"), rows, "Parameters by themselves", numbers=(1, 2))
+    free = {f.name: f.value for f in result.fitted}
+    rows = tuple((e.name, number(e.value), number(e.std), unit_text(e.unit), _moved(e, free[e.name])) for e in told)
+    head = ("parameter", "value", "std", "unit", "fitted without bounds")
+    table = Table(head, rows, "Parameters by themselves", numbers=(1, 2, 4))
     images: tuple[Image, ...] = ()
     sized = [(e.name, abs(e.std / e.value)) for e in result.parameters if e.value and e.std]
     if sized:
         names, relative = zip(*sorted(sized, key=lambda pair: -pair[1])[:LARGEST_BARS], strict=True)
         caption = "Standard deviation over value, least certain first; dashed: 10 %"
         images = (image(relative_stds(names, np.array(relative)), "Relative standard deviations", caption),)
-    text = "Standard deviations allow for residuals that are correlated in time. They count noise, not what the model lacks."
-    return Section("Parameters", (text,), (table,), images)
+    text = (
+        "Values of the robot that is written, which can exist. Standard deviations are those of the fit and allow for residuals that "
+        "are correlated in time; they count noise, not what the model lacks."
+    )
+    silent = [e.name for e in result.parameters if e.value is None and not e.name.startswith(_bodies(result))]
+    untold = (f"Not told: {', '.join(silent)}.",) if silent else ()
+    return Section("Parameters", (text, *untold), (table,), images)
+
+
+def _bodies(result: Identified) -> tuple[str, ...]:
+    return tuple(f"{body}." for body, _ in result.model.regression.robot.bodies)
+
+
+def _moved(estimate: Estimate, fitted: float | None) -> str:
+    """The fitted value where a possible robot has another one."""
+    if fitted is None or estimate.value is None or abs(fitted - estimate.value) <= 1e-9 * abs(fitted):
+        return ""
+    return number(fitted)
 
 
 def _base(result: Identified) -> Section:
@@ -102,8 +135,7 @@ def _consistency(result: Identified) -> Section:
             f"Base parameters moved by {consistency.largest_shift_std:.3g} of their standard deviations at the most. "
             "More than about 3 says that the model lacks something."
         )
-    if consistency.held:
-        text.append(f"Held at their physical bounds: {', '.join(consistency.held)}.")
+    text += bound_words(result)
     rows = tuple((f.link, f"{f.eigenvalue:.4g}", f.message) for f in consistency.found)
     tables = (
         (Table(("link", "smallest eigenvalue", "reason"), rows, "Links as estimated", numbers=(1,)),) if rows else ()
