@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 import typer.core
 
-from rx90b_flex.commands import export
+from rx90b_flex.commands import check_path, export
 from rx90b_flex.commands.shared import (
     Basics,
     Despite,
@@ -480,78 +480,6 @@ def simulate_command(
     say(f"Recording, tip.csv and figure: {out}")
 
 
-@app.command("check-path")
-def check_path_command(
-    path: Annotated[
-        str,
-        typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
-    tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
-    robot: Annotated[
-        str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
-    ] = None,
-    speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
-    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
-    correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
-    contributions: Annotated[
-        bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
-    ] = True,
-    iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
-    jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
-    save_example: Annotated[
-        Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Check whether the tip keeps to a seam; correct the path.
-
-    Where it strays, which effect is why, and a corrected path.
-
-    Exit status: 0 within tolerance, as planned or corrected; 1 not within tolerance; 2 bad input, or a path that the robot cannot
-    follow (out of reach, outside limits, through a singularity, too fast), with nothing written.
-    """
-    from rx90b_flex.signals.folders import PATH_CHECK, check_folder
-
-    if save_example is None:
-        check_folder(
-            out, PATH_CHECK, overwrite, [path, *([robot] if robot else []), *([controller] if controller else [])]
-        )
-    from rx90b_flex.early import check_jobs, check_robot
-
-    check_jobs(jobs)
-    if save_example is None:
-        from rx90b_flex.path.seam import load_seam
-
-        named = load_seam(path, speed_mm_s).robot
-        if robot or named:
-            check_robot(robot or named or "")
-    from rx90b_flex.path.check import Options
-    from rx90b_flex.path.output import Request, run_request, write_check, write_example
-
-    if save_example is not None:
-        write_example(path, save_example)
-        say(f"Path file: {save_example}")
-        return
-    options = Options(tolerance_mm, correct, contributions, iterations, jobs)
-    with progress() as tell:
-        result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
-        tell("writing the report", 0.98)
-        from rx90b_flex.view.path_report import write_path_report
-
-        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),), overwrite)
-    say(result.sentence)
-    causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
-    if causes:
-        said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
-        say(f"Largest contributions across, RMS, mm: {said}")
-    say(f"Report: {out / 'report.html'}")
-    beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
-    say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
-    if result.verdict == "outside_tolerance":
-        raise typer.Exit(1)
-
-
 @app.command()
 def view(
     source: Annotated[
@@ -748,7 +676,8 @@ class _Command(typer.core.TyperCommand):
         return super().invoke(ctx)
 
 
-export.add(app)
+for _module in (check_path, export):
+    _module.add(app)
 
 for _info in app.registered_commands:
     _info.cls = _Command

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rx90b_flex.path.check import Contribution, Deviation, Options, PathCheck, check_path
+    from rx90b_flex.path.measured import Comparison, compare_measured
     from rx90b_flex.path.planning import Plan, plan
     from rx90b_flex.path.seam import EXAMPLES, Seam, load_seam
 
 __all__ = [
     "EXAMPLES",
+    "Comparison",
     "Contribution",
     "Deviation",
     "Options",
@@ -19,12 +21,14 @@ __all__ = [
     "Plan",
     "Seam",
     "check_path",
+    "compare_measured",
     "load_seam",
     "plan",
 ]
 
 # loaded when they are asked for, so that one name does not cost the libraries of all
 _HOME = {
+    "Comparison": "rx90b_flex.path.measured",
     "Contribution": "rx90b_flex.path.check",
     "Deviation": "rx90b_flex.path.check",
     "EXAMPLES": "rx90b_flex.path.seam",
@@ -33,6 +37,7 @@ _HOME = {
     "Plan": "rx90b_flex.path.planning",
     "Seam": "rx90b_flex.path.seam",
     "check_path": "rx90b_flex.path.check",
+    "compare_measured": "rx90b_flex.path.measured",
     "load_seam": "rx90b_flex.path.seam",
     "plan": "rx90b_flex.path.planning",
 }

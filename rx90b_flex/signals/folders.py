@@ -63,7 +63,16 @@ CHECKED = Output("check.json", ("check.html",))
 MOTOR_SIGNALS = Output("frf.json", _MODEL)
 PATH_CHECK = Output(
     "path_check.json",
-    ("report.html", "seam.csv", "corrected_path.csv", "corrected_joints.csv", "as_planned", "corrected"),
+    (
+        "report.html",
+        "seam.csv",
+        "corrected_path.csv",
+        "corrected_joints.csv",
+        "measured.json",
+        "measured.csv",
+        "as_planned",
+        "corrected",
+    ),
 )
 RUN = Output(
     "state.parquet", ("campaign.toml", "robot.toml", "robot.urdf", "tip.csv", "tip.png", "tip.svg"), recordings=True

@@ -7,17 +7,23 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex.path.check import MODEL_ERROR, Deviation, PathCheck
+from rx90b_flex.path.measured import Comparison
 from rx90b_flex.view import path_plots
+from rx90b_flex.view.measured_section import measured_section
 from rx90b_flex.view.page import Section, Table, image, write_page
 
 SHOWN_STRETCHES = 12
 
 
-def write_path_report(result: PathCheck, path: Path) -> None:
-    """Write the report; it appears whole or not at all."""
+def write_path_report(result: PathCheck, path: Path, measured: Comparison | None = None) -> None:
+    """Write the report, of a measured tip first where there is one; it appears whole or not at all."""
     sections = [_deviation(result), _why(result), _corrected(result), _how(result)]
+    lead = _lead(result)
+    if measured is not None:
+        sections = [measured_section(measured), *sections]
+        lead = [measured.sentence, *lead]
     title = f"{result.plan.seam.name} with {result.plan.robot.name}"
-    write_page(path, title, _lead(result), [s for s in sections if s is not None])
+    write_page(path, title, lead, [s for s in sections if s is not None])
 
 
 def _lead(result: PathCheck) -> list[str]:

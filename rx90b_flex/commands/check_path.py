@@ -1,0 +1,125 @@
+"""``rx90b-flex check-path``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from rx90b_flex.commands.shared import Overwrite, progress, say, show_table
+
+if TYPE_CHECKING:
+    from rx90b_flex.path.check import PathCheck
+
+
+def add(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command("check-path")(check_path_command)
+
+
+def check_path_command(
+    path: Annotated[
+        str,
+        typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
+    tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
+    ] = None,
+    speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
+    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
+    correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
+    contributions: Annotated[
+        bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
+    ] = True,
+    measured: Annotated[
+        Path | None,
+        typer.Option(
+            help="Measured places of the tip (CSV: x, y, z, time if known) to compare with the predicted ones, and nothing else."
+        ),
+    ] = None,
+    iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
+    jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
+    save_example: Annotated[
+        Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Check whether the tip keeps to a seam; correct the path.
+
+    Where it strays, which effect is why, and a corrected path. With --measured: whether the tip was where it was predicted.
+
+    Exit status: 0 within tolerance, as planned or corrected, or measured where predicted; 1 not within tolerance; 2 bad input, or a
+    path that the robot cannot follow (out of reach, outside limits, through a singularity, too fast), with nothing written.
+    """
+    from rx90b_flex.signals.folders import PATH_CHECK, check_folder
+
+    if save_example is None:
+        check_folder(out, PATH_CHECK, overwrite, [str(x) for x in (path, robot, controller, measured) if x])
+    from rx90b_flex.early import check_jobs, check_robot
+
+    check_jobs(jobs)
+    if save_example is None:
+        from rx90b_flex.path.seam import load_seam
+
+        named = load_seam(path, speed_mm_s).robot
+        if robot or named:
+            check_robot(robot or named or "")
+    from rx90b_flex.path.check import Options
+    from rx90b_flex.path.output import Request, run_request, write_check, write_example
+
+    if save_example is not None:
+        write_example(path, save_example)
+        say(f"Path file: {save_example}")
+        return
+    if measured is not None:
+        from rx90b_flex.path.measured import read_measured
+
+        read_measured(measured)  # before anything is simulated
+        correct = contributions = False
+    options = Options(tolerance_mm, correct, contributions, iterations, jobs)
+    with progress() as tell:
+        result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
+        if measured is not None:
+            _end_measured(result, measured, out, overwrite)
+        tell("writing the report", 0.98)
+        from rx90b_flex.view.path_report import write_path_report
+
+        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),), overwrite)
+    say(result.sentence)
+    causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
+    if causes:
+        said = ", ".join(f"{c.name} {c.rms_across:.3f}" for c in causes)
+        say(f"Largest contributions across, RMS, mm: {said}")
+    say(f"Report: {out / 'report.html'}")
+    beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
+    say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
+    if result.verdict == "outside_tolerance":
+        raise typer.Exit(1)
+
+
+def _end_measured(result: PathCheck, measured: Path, out: Path, overwrite: bool) -> NoReturn:
+    """Compare, write and end: 0 where the tip was within the tolerance of where it was predicted, else 1."""
+    from rx90b_flex.path.measured import compare_measured, write_measured
+    from rx90b_flex.path.output import write_check
+    from rx90b_flex.view.path_report import write_path_report
+
+    found = compare_measured(result, measured)
+    more = (
+        lambda _, at: write_measured(found, at),
+        lambda r, at: write_path_report(r, at / "report.html", found),
+    )
+    write_check(result, out, more, overwrite)
+    head = ("tip", "across, largest, mm", "RMS, mm", "at, mm")
+    parts = (
+        ("measured", found.measured),
+        ("predicted", found.predicted),
+        ("measured less predicted", found.difference),
+    )
+    rows = [(name, f"{p.max_across:.4f}", f"{p.rms_across:.4f}", f"{p.worst_at_mm:.0f}") for name, p in parts]
+    show_table(f"{result.plan.seam.name} with {result.plan.robot.name}", rows, head, head[1:])
+    say(found.sentence)
+    say(f"Report: {out / 'report.html'}")
+    raise typer.Exit(0 if found.agrees else 1)
