@@ -123,7 +123,8 @@ def _with_basics(campaign: object) -> Robot:
 
     assert isinstance(campaign, Campaign)
     robot = load_robot(campaign.robot_source)
-    return with_basics(robot, [j for j in campaign.joints if j in robot.joints])
+    joints = [j for j in campaign.joints if j in robot.joints]
+    return with_basics(robot, joints, campaign.torque_side == "behind_gear")
 
 
 def _write_refused(result: object, folder: Path) -> None:

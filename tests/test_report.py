@@ -29,7 +29,7 @@ from rx90b_flex.view.report import headline, measured, number, p_value, percent
 JOINTS = ("shoulder", 'elbow <b>"1" & $x_1$</b>')  # names that break HTML or mathematics if they are not escaped
 RATE_HZ, DURATION_S, NOISE = 100.0, 6.0, 0.02
 HIDDEN = CoulombFriction(joint=JOINTS[1], torque=1.5)
-SECTIONS = ("found", "errors", "residuals", "alternatives", "tried", "remains", "next", "parameters", "how")
+SECTIONS = ("data", "found", "errors", "residuals", "alternatives", "tried", "remains", "next", "parameters", "how")
 
 
 def arm_urdf() -> str:
@@ -154,6 +154,13 @@ def test_all_sections_stand_in_the_order_of_the_questions(page: Page) -> None:
     assert tuple(a["id"] for tag, a in page.tags if tag == "section") == SECTIONS
     links = {a["href"] for tag, a in page.tags if tag == "a"}
     assert links == {f"#{name}" for name in SECTIONS}
+
+
+def test_the_report_leads_with_the_look_at_the_data(found: ClosedLoop, page: Page) -> None:
+    assert found.checked is not None
+    assert page.text.index("The data, looked at first") < page.text.index("What was found, and how sure it is")
+    assert found.checked.verdict in page.text
+    assert all(r.file in page.text for r in found.checked.recordings)
 
 
 def test_what_was_found_appears_with_its_numbers(found: ClosedLoop, page: Page) -> None:

@@ -8,8 +8,10 @@ from rx90b_flex.diagnose.faults.sample import BASICS
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.robot import Robot
 
+BEHIND_GEARS = ("torque_offset",)  # what sensors there see of a drive: their own offset
 
-def with_basics(robot: Robot, joints: Sequence[str] | None = None) -> Robot:
+
+def with_basics(robot: Robot, joints: Sequence[str] | None = None, behind_gears: bool = False) -> Robot:
     """The robot with drive inertia, Coulomb and viscous friction and an offset declared on joints that lack them.
 
     Their values are left open, to be identified.
@@ -19,11 +21,13 @@ def with_basics(robot: Robot, joints: Sequence[str] | None = None) -> Robot:
     robot : Robot
     joints : sequence of str, optional
         All of the robot's, where not given.
+    behind_gears : bool
+        Whether torques are measured there, so that neither friction nor rotor inertia is in them.
     """
     known = catalogue()
     added: list[Effect] = []
     for joint in robot.joints if joints is None else joints:
         here = [e for e in robot.effects if e.joints == (joint,)]
         have = {e.type_name() for e in here} | {name for e in here for name in e.replaces}
-        added += [known[name](joint=joint) for name in BASICS if name not in have]  # type: ignore[call-arg]
+        added += [known[name](joint=joint) for name in (BEHIND_GEARS if behind_gears else BASICS) if name not in have]  # type: ignore[call-arg]
     return robot.with_effects([*robot.effects, *added])

@@ -23,9 +23,11 @@ from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
 from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
+from rx90b_flex.diagnose.residual import noise_between_periods
+from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.signals import Campaign, Recording, load_campaign
+from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.recording import DataFaultError
 
@@ -82,6 +84,11 @@ class Checked:
         was found mended.
     cutoff_hz : float or None
         A sensible low-pass for this motion.
+    noise_floor : tuple of float or None
+        Root mean square noise of each torque after the campaign's low-pass, N m: what differs from period to period, or as
+        stated; None where neither tells it.
+    torque_side : TorqueSide
+        On which side of the gears torques were measured.
     never_move : tuple of str
         Joints whose own parameters nothing tells.
     source : Path
@@ -99,6 +106,8 @@ class Checked:
     cutoff_hz: float | None
     never_move: tuple[str, ...]
     source: Path
+    noise_floor: tuple[float, ...] | None = None
+    torque_side: TorqueSide = NOT_LOOKED_AT
 
     @property
     def verdict(self) -> str:
@@ -161,6 +170,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
     parameters: tuple[ParameterStatus, ...] = ()
     basics: tuple[str, ...] = ()
     errors: tuple[float, ...] = ()
+    side = TorqueSide(campaign.torque_side, None, "")
     if all(f.usable for f in still) and not constant.all():
         tell("comparing what may be wrong with it", 0.3)
         look = _look(campaign, mended, rigid)
@@ -174,6 +184,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += unrelated(campaign.joints, least, moving, constant)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
+        side = torque_side(campaign.torque_side, look, faults, moving)
         parameters = statuses(look, rigid, moving)
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
@@ -191,6 +202,8 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         sensible_cutoff_hz(mended),
         tuple(j for j, m in zip(campaign.joints, moving, strict=True) if not m),
         campaign.path,
+        _noise_floor(campaign, mended),
+        side,
     )
 
 
@@ -243,6 +256,15 @@ def _facts(recording: Recording) -> RecordingFacts:
     )
 
 
+def _noise_floor(campaign: Campaign, recordings: Sequence[Recording]) -> tuple[float, ...] | None:
+    periods = [r.period_s or found_period_s(r) for r in recordings]
+    repeating = [dataclasses.replace(r, period_s=p) for r, p in zip(recordings, periods, strict=True) if p is not None]
+    cutoff = campaign.cutoff_hz
+    torques = [r.torque if cutoff is None else lowpass(r.torque, cutoff, r.sample_rate_hz) for r in repeating]
+    floor = noise_between_periods(repeating, torques, campaign)
+    return None if floor is None else tuple(float(x) for x in floor)
+
+
 def _step(position: Array) -> float | None:
     """Coarsest grid that a joint's positions lie on, rad; None where there is none."""
     coarsest = None
@@ -274,6 +296,8 @@ def check_json(checked: Checked) -> dict[str, Any]:
         "undeclared_basics": list(checked.undeclared_basics),
         "relative_error": list(checked.relative_error),
         "sensible_cutoff_hz": checked.cutoff_hz,
+        "noise_floor": None if checked.noise_floor is None else {"torque_rms": list(checked.noise_floor)},
+        "torque_side": dataclasses.asdict(checked.torque_side),
         "never_move": list(checked.never_move),
     }
 

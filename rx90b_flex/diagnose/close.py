@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
-from rx90b_flex.diagnose.check import check
+from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.faults.fault import DataFault
@@ -179,6 +179,8 @@ class ClosedLoop:
         What the look at the data found; with `despite_faults` also what makes them not usable.
     undeclared_basics : tuple of str
         Effect types that every drive has and no joint declares, although the torques show them.
+    checked : Checked or None
+        All that the look at the data says.
     moving : MovingErrors
         The validation errors over rows in which the joint moves.
     explainable : Explainable or None
@@ -214,6 +216,7 @@ class ClosedLoop:
     deflection: tuple[GearDeflection, ...] = ()
     data_faults: tuple[DataFault, ...] = ()
     undeclared_basics: tuple[str, ...] = ()
+    checked: Checked | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,6 +440,7 @@ def _closed(
         (*cautions, *(c.message for c in constants)),
         data_faults=checked.data_faults,
         undeclared_basics=checked.undeclared_basics,
+        checked=checked,
     )
 
 

@@ -120,7 +120,14 @@ class Replay:
 
 def noise_floor(replays: Sequence[Replay], residuals: Sequence[Array], campaign: Campaign) -> Array | None:
     """Noise of the torque after the low-pass, a joint; from repeated periods, else from a stated noise, else None."""
-    found = [period_noise(r, replay.recording) for replay, r in zip(replays, residuals, strict=True)]
+    return noise_between_periods([replay.recording for replay in replays], residuals, campaign)
+
+
+def noise_between_periods(
+    recordings: Sequence[Recording], residuals: Sequence[Array], campaign: Campaign
+) -> Array | None:
+    """The same from recordings, and what repeats in them with the motion or is left of it, each (N, joints), N m."""
+    found = [period_noise(r, recording) for recording, r in zip(recordings, residuals, strict=True)]
     known = [(f, len(r)) for f, r in zip(found, residuals, strict=True) if f is not None]
     if known:
         total = sum(n for _, n in known)

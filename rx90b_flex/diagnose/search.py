@@ -687,6 +687,8 @@ class Search:
     def left_with(self, effect: Effect, base: Base) -> Array:
         """What a base and an effect, its shape as it is, leave together; shape (joints, N)."""
         rows, columns = self.regression.compact([effect])
+        if len(rows) == 0:  # this motion does not show it
+            return base.residual
         left, own, score = base.projected(rows, columns)
         return base.residual - base.apart(rows, columns) @ _solve(left, own, score)
 

@@ -19,10 +19,12 @@ from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
+    JOINT_SIDES,
     FlangeLoad,
     flange_load_toml,
     read_flange_load,
     read_torque_constants,
+    read_torque_side,
 )
 
 Array = NDArray[np.float64]
@@ -187,6 +189,7 @@ class Campaign:
     cutoff_hz : Hz, zero-phase low-pass that the user asks for on every signal, or None. Not yet applied.
     noise_torque : n values, N m, joint side, 0 or more: stated RMS of the torque sensors' noise (`[noise] torque_rms`),
         or None.
+    torque_side : side of the gears that the torques are measured on as the file states it (`[torque] side`), or None.
     torque_constants : n values, N m/A at the joint, where torques come from currents, else None; None for one that is left out:
         the torque of that joint stands in A until the constant is identified.
     """
@@ -200,6 +203,7 @@ class Campaign:
     cutoff_hz: float | None = None
     noise_torque: tuple[float, ...] | None = None
     torque_constants: tuple[float | None, ...] | None = None
+    torque_side: str | None = None
 
     @property
     def identification(self) -> tuple[Recording, ...]:
@@ -216,9 +220,10 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     """Read a campaign file (TOML) and its recordings; angles and torques are brought to the joint side.
 
     With a `[motor]` table: motor angle = gear_matrix @ (joint angle - offset), joint torque = gear_matrix.T @ motor
-    torque; velocities likewise without the offset. References and feed-forward torque are motor side as well then;
-    `link_position`, `joint_torque` and `motor_current` never are; where there is a current and no torque, the torque is
-    ``torque_constant * motor_current``. A data file used by several recordings is read once, only the columns needed.
+    torque, unless `[torque] side` says that torques are not the motors'; velocities likewise without the offset. References
+    and feed-forward torque are motor side as well then; `link_position`, `joint_torque` and `motor_current` never are; where
+    there is a current and no torque, the torque is ``torque_constant * motor_current``. A data file used by several
+    recordings is read once, only the columns needed.
 
     Raises
     ------
@@ -263,6 +268,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         cutoff_hz=layout.cutoff_hz,
         noise_torque=layout.noise_torque,
         torque_constants=layout.torque_constants,
+        torque_side=layout.torque_side,
     )
 
 
@@ -361,6 +367,7 @@ class _Layout:
     cutoff_hz: float | None
     noise_torque: tuple[float, ...] | None
     torque_constants: tuple[float | None, ...] | None
+    torque_side: str | None
 
 
 @dataclass(frozen=True)
@@ -377,7 +384,7 @@ class _Entry:
 
 
 def _read_layout(root: CampaignSection) -> _Layout:
-    root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "recording")
+    root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "torque", "recording")
     rate = root.positive("sample_rate_hz")
     joints = root.texts("joints")
     _refuse_repeats(root, "joints", joints)
@@ -425,7 +432,8 @@ def _read_layout(root: CampaignSection) -> _Layout:
         if np.any(values < 0.0):
             raise section.problem("torque_rms", f"found {float(values.min()):g}, numbers of 0 or more are expected")
         noise = tuple(float(value) for value in values)
-    return _Layout(root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants)
+    side = read_torque_side(root, gear_matrix is not None, from_current) if root.has("torque") else None
+    return _Layout(root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants, side)
 
 
 def _read_motor(
@@ -557,7 +565,7 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
 
 def _to_joint_side(measured: Array, item: _Signal, layout: _Layout) -> Array:
     gear = layout.gear_matrix
-    if gear is None or item.always_joint_side:
+    if gear is None or item.always_joint_side or (item.key == "torque" and layout.torque_side in JOINT_SIDES):
         return measured
     if item.kind == "torque":
         return measured @ gear  # rows are samples: (gear.T @ torque).T

@@ -1,4 +1,4 @@
-"""What a campaign file states beside its signals: torque constants of the motors, and what was on the flange."""
+"""What a campaign file states beside its signals: torque constants, the torques' side of the gears, what was on the flange."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from rx90b_flex.signals.section import CampaignSection, shown
 
 # A list in a TOML file holds no gaps, but it may hold this.
 LEFT_OUT = "nan"
+SIDES = ("motor", "joint", "behind_gear")  # of the gears, on which torques are measured
+JOINT_SIDES = ("joint", "behind_gear")  # where a gear matrix does not touch them
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,30 @@ class FlangeLoad:
         c = np.array(self.centre)
         inertia = c @ c * np.eye(3) - np.outer(c, c)
         return self.mass * np.r_[1.0, c, inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+
+
+def read_torque_side(root: CampaignSection, has_gears: bool, from_current: bool) -> str:
+    """`side` of a [torque] table: the motors' torques, those seen at the joints, or those of sensors behind the gears.
+
+    Raises
+    ------
+    ValueError
+        One line that names file and key, what was found and what is expected.
+    """
+    torque = root.section("torque")
+    torque.allow("side")
+    side = torque.text("side")
+    if side not in SIDES:
+        raise torque.problem("side", f"found {side!r}{tables.suggestion(side, SIDES)}; expected {', '.join(SIDES)}")
+    if side == "motor" and not has_gears:
+        raise torque.problem(
+            "side", "found 'motor', but there is no [motor] gear_matrix to bring torques to the joints"
+        )
+    if side != "motor" and from_current:
+        raise torque.problem(
+            "side", f"found {side!r}, but torques come from [signals] motor_current; leave [torque] out"
+        )
+    return side
 
 
 def read_torque_constants(motor: CampaignSection, joints: Sequence[str]) -> tuple[float | None, ...]:

@@ -7,8 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+import markupsafe
+
 from rx90b_flex.diagnose.check import Checked, check_json
-from rx90b_flex.view.page import Image, Section, Table, write_page, write_text
+from rx90b_flex.view.page import Image, Section, Table, template, write_page, write_text
 
 STATUSES = ("identifiable", "weak", "not", "known")
 
@@ -28,6 +30,15 @@ def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> N
 def write_check_page(checked: Checked, path: Path, images: tuple[Image, ...] = ()) -> None:
     """Write the page alone."""
     write_page(path, f"A look at the data of {checked.robot}", lead(checked), sections(checked, images))
+
+
+def check_section(checked: Checked | None) -> markupsafe.Markup | None:
+    """What a look at the data said, as a part of another report: faults, recordings, and what the motion can tell."""
+    if checked is None:
+        return None
+    words = [*lead(checked), *facts_words(checked), *told_words(checked)]
+    tables = [*_faults(checked).tables, *_recordings(checked).tables]
+    return markupsafe.Markup(template("check_section.html").render(words=words, tables=tables))
 
 
 def lead(checked: Checked) -> list[str]:
@@ -60,6 +71,25 @@ def told_words(checked: Checked) -> tuple[str, ...]:
     ]
     if checked.never_move:
         out.append(f"Not told, for they never move: {', '.join(checked.never_move)}.")
+    return tuple(out)
+
+
+def facts_words(checked: Checked) -> tuple[str, ...]:
+    """What a campaign file may state: a sensible low-pass, the noise, and what is odd about the torques' side of the gears."""
+    out = []
+    if checked.cutoff_hz is not None:
+        out.append(f"A sensible low-pass for this motion: {checked.cutoff_hz:.3g} Hz (cutoff_hz).")
+    if checked.noise_floor is not None:
+        rms = ", ".join(f"{x:.3g}" for x in checked.noise_floor)
+        out.append(f"Noise of the torques, from what differs between periods or as stated: {rms} N m a joint.")
+    elif checked.recordings:
+        out.append("The noise of the torques is not known: no motion repeats (period_s), and none is stated.")
+    side = checked.torque_side
+    sides = {"motor": "of the motors", "joint": "of the motors, seen at the joints", "behind_gear": "behind the gears"}
+    if side.message:
+        out.append(side.message)
+    elif side.found is not None:
+        out.append(f"Torques are those {sides[side.stated or side.found]}{' (stated)' if side.stated else ''}.")
     return tuple(out)
 
 
@@ -103,8 +133,7 @@ def _recordings(checked: Checked) -> Section:
         for r in checked.recordings
     )  # fmt: skip
     head = ("file", "role", "duration, s", "rate, Hz", "at rest, %", "position step, rad", "period, s")
-    text = () if checked.cutoff_hz is None else (f"A sensible low-pass for this motion: {checked.cutoff_hz:.3g} Hz.",)
-    return Section("Recordings", text, (Table(head, rows, numbers=(2, 3, 4, 5, 6)),))
+    return Section("Recordings", facts_words(checked), (Table(head, rows, numbers=(2, 3, 4, 5, 6)),))
 
 
 def _joints(checked: Checked) -> Section:

@@ -32,6 +32,7 @@ from rx90b_flex.view.advice import (
     place_words,
     standstill,
 )
+from rx90b_flex.view.check_report import check_section
 from rx90b_flex.view.deflection_section import gear_section
 from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
 
@@ -94,6 +95,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         joint_figures=[_joint_figures(result, joint) for joint in result.joints],
         rounds=_rounds(result),
         gears=gear_section(result.deflection),
+        data=check_section(result.checked),
         dependence_figures=_dependence_figures(result),
         band_figures=_band_figures(result),
         advice=next_measurements(result),

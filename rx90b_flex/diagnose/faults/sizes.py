@@ -34,7 +34,7 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> list[DataFault]:
         said = ", ".join(joints[k] for k in other)
         text = f"The position of {said} moves through more than the URDF's range: the motor's side of the gear? State `gear_matrix`."
         out.append(DataFault("unit", "motor_position", tuple(joints[k] for k in other), None, None, text))
-    large, small = _torques(look)
+    large, small = torque_sizes(look)
     for chosen, what in (
         (large, "is far above the URDF's effort limit"),
         (small, "is far below what the URDF's links ask for"),
@@ -46,8 +46,8 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> list[DataFault]:
     return out
 
 
-def _torques(look: Look) -> tuple[list[int], list[int]]:
-    """Joints whose torque is too large, and too small."""
+def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
+    """Numbers of the joints whose torque is too large for the URDF's limits, and too small for its links."""
     reading, robot = look.reading, look.reading.robot
     at = np.array([robot.layout.index(j) for j in look.sample.joints])
     expected = robot.link_torque(look.sample.motion(reading))[:, at]

@@ -1,0 +1,87 @@
+"""On which side of the gears torques were measured: stated in the campaign file, or worked out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.diagnose.faults.look import Look
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, PER_JOINT, RigidFit
+from rx90b_flex.diagnose.faults.sizes import torque_sizes
+from rx90b_flex.effects.motion import Mask
+
+OFFSET = 3  # place of a joint's offset among its own columns: a sensor behind the gear has one, too
+REMOVED = 1e9  # ridge that takes a column out of a fit
+NO_WORSE = 1.1  # squared error without friction and rotor inertia, over that with them, at which they do not show
+
+
+@dataclass(frozen=True)
+class TorqueSide:
+    """What the torques are torques of.
+
+    Attributes
+    ----------
+    stated : str or None
+        ``motor``, ``joint`` or ``behind_gear``, as the campaign file has it.
+    found : str or None
+        What the torques themselves say: ``motor`` where one is far too small for the links, ``behind_gear`` where neither
+        friction nor rotor inertia shows in any, else ``joint``; None where nothing could be fitted.
+    message : str
+        In a sentence; empty where all is as it usually is.
+    """
+
+    stated: str | None
+    found: str | None
+    message: str
+
+
+NOT_LOOKED_AT = TorqueSide(None, None, "")
+
+
+def torque_side(stated: str | None, look: Look, faults: Sequence[DataFault], moving: Mask) -> TorqueSide:
+    """Work out the side from a look with every fault mended, and hold it against what is stated.
+
+    Parameters
+    ----------
+    moving : array of bool, shape (joints,)
+    """
+    small = [f for f in faults if f.kind == "unit" and f.signal == "torque" and (f.factor or 1.0) < 1.0]
+    if small or torque_sizes(look)[1]:
+        return TorqueSide(
+            stated,
+            "motor",
+            "Torques are far too small for the links: those of the motors, it seems. State gear_matrix.",
+        )
+    if not moving.any():
+        return TorqueSide(stated, None, "")
+    found = "joint" if _drives_show(look, moving) else "behind_gear"
+    return TorqueSide(stated, found, _words(stated, found))
+
+
+def _words(stated: str | None, found: str) -> str:
+    if found == "behind_gear" and stated != "behind_gear":
+        return (
+            "Neither friction nor rotor inertia shows in any torque, as with sensors behind the gears: if they are such, state "
+            '[torque] side = "behind_gear", and declare none of both.'
+        )
+    if found == "joint" and stated == "behind_gear":
+        return "Stated as measured behind the gears, yet friction or rotor inertia shows in the torques: are they the motors'?"
+    return ""
+
+
+def _drives_show(look: Look, moving: Mask) -> bool:
+    """Whether a moving joint's torque is predicted better with what sits in its drive than with links and offsets alone."""
+    reading = look.reading
+    products, whole = look.products(reading), look.fit()
+    links = 10 * len(reading.robot.bodies)
+    ridge = products.ridge.copy()
+    ridge[links:] = REMOVED
+    offsets = links + PER_JOINT * np.arange(len(look.sample.joints)) + OFFSET
+    ridge[offsets] = products.ridge[offsets]
+    without = RigidFit.of(dataclasses.replace(products, ridge=ridge), reading)
+    worse = without.error + FLOOR > NO_WORSE * (whole.error + FLOOR)
+    return bool((worse & moving).any())
