@@ -57,12 +57,12 @@ def _by_dimension(fit: Fit, what: str) -> tuple[Figure, Axes]:
     return figure, ax
 
 
-def torque_fit(time: Array, measured: Array, predicted: Array, joint: str) -> Figure:
+def torque_fit(time: Array, measured: Array, predicted: Array, joint: str, model: str = "identified model") -> Figure:
     """Torque of one joint, measured and predicted, and below it what is left; each (N,), s and N m."""
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     above.plot(*envelope(time, measured), color=MEASURED, linewidth=1.8, label="measured")
-    above.plot(*envelope(time, predicted), color=AFTER, linewidth=0.8, label="identified model")
+    above.plot(*envelope(time, predicted), color=AFTER, linewidth=0.8, label=model)
     below.plot(*envelope(time, measured - predicted), color=AFTER, linewidth=0.8)
     below.axhline(0.0, color=FLOOR, linewidth=0.6)
     above.set_ylabel(f"{joint}\ntorque, N m", fontsize=9)

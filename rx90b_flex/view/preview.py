@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from rx90b_flex.identify.regression import prepare
 from rx90b_flex.robot import load_robot
@@ -16,7 +18,7 @@ from rx90b_flex.view.page import Image, image
 MOST_SAMPLES = 4000  # of a figure
 
 
-def preview_images(source: Path | Campaign) -> tuple[Image, ...]:
+def preview(source: str | os.PathLike[str] | Campaign) -> dict[str, Figure]:
     """One figure a joint of the first recording; effects without a value are left out."""
     campaign = source if isinstance(source, Campaign) else load_campaign(source)
     robot = load_robot(campaign.robot_source).rigid().restricted(campaign.joints)
@@ -29,12 +31,20 @@ def preview_images(source: Path | Campaign) -> tuple[Image, ...]:
             force = force + effect.force(stretch.motion)
     rows = np.array([robot.layout.index(j) for j in campaign.joints])
     modelled = stretch.brought(force[:, rows])
-    every = max(1, len(modelled) // MOST_SAMPLES)
+    part = slice(None, None, max(1, len(modelled) // MOST_SAMPLES))
+    return {
+        joint: torque_fit(stretch.time[part], stretch.torque[part, k], modelled[part, k], joint, "declared model")
+        for k, joint in enumerate(campaign.joints)
+    }
+
+
+def preview_images(source: Path | Campaign) -> tuple[Image, ...]:
+    """The same as parts of a report."""
     return tuple(
         image(
-            torque_fit(stretch.time[::every], stretch.torque[::every, k], modelled[::every, k], joint),
+            figure,
             f"Torque of {joint}, measured and of the declared model",
-            f"{joint}: recording {recording.name}, nothing fitted",
+            f"{joint}: first recording, nothing fitted",
         )
-        for k, joint in enumerate(campaign.joints)
+        for joint, figure in preview(source).items()
     )
