@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rx90b_flex.diagnose.check import Checked
 from rx90b_flex.diagnose.evidence import Dependence
+from rx90b_flex.diagnose.faults.fault import DataFault
+from rx90b_flex.diagnose.refused import verdict_despite
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable
@@ -119,6 +123,34 @@ def test_what_does_not_carry_over_explains_nothing():
 
 def test_data_that_holds_what_a_rigid_tree_cannot_have_is_never_explained():
     assert verdict((1.0, 1.0), floor=(1.0, 1.0), doubtful=True) == "partly_explained"
+
+
+def look(*faults: DataFault) -> Checked:
+    usable = all(f.usable for f in faults)
+    return Checked(usable, (), faults, (), (), "arm", JOINTS, (), None, (), Path("campaign.toml"))
+
+
+@pytest.mark.parametrize(
+    ("errors_say", "at_most"), [("explained", "partly_explained"), ("nothing_missing", "unexplained")]
+)
+def test_on_faulty_data_nothing_is_explained_however_small_the_errors(errors_say, at_most):
+    fault = DataFault("reversed_sign", "torque", ("one",), None, None, "turn it round")
+    assert verdict_despite(errors_say, look(fault), ()) == at_most
+    assert verdict_despite(at_most, look(fault), ()) == at_most
+    assert verdict_despite(errors_say, look(), ()) == errors_say
+
+
+def test_a_wrong_torque_gain_is_explained_only_by_a_model_that_has_it():
+    """Left alone it becomes mass and friction, and errors are as small."""
+    gain = DataFault("torque_gain", "torque", ("two",), 3.0, 0.1, "check its motor constant", usable=True)
+    assert verdict_despite("nothing_missing", look(gain), ()) == "unexplained"
+    assert verdict_despite("explained", look(gain), {"one"}) == "partly_explained"
+    assert verdict_despite("explained", look(gain), {"two"}) == "explained"
+
+
+def test_a_joint_that_is_held_is_no_reason_to_doubt():
+    held = DataFault("stuck", "motor_position", ("two",), None, None, "taken as held", usable=True)
+    assert verdict_despite("nothing_missing", look(held), ()) == "nothing_missing"
 
 
 def test_nothing_is_called_explained_that_is_far_from_both_measures():
