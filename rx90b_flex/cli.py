@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 import typer.core
 
-from rx90b_flex.commands import check_path, export
+from rx90b_flex.commands import camera, check_path, export, static
 from rx90b_flex.commands.shared import (
     Basics,
     Despite,
@@ -677,7 +677,7 @@ class _Command(typer.core.TyperCommand):
         return super().invoke(ctx)
 
 
-for _module in (check_path, export):
+for _module in (camera, check_path, export, static):
     _module.add(app)
 
 for _info in app.registered_commands:
@@ -685,7 +685,8 @@ for _info in app.registered_commands:
 
 # in the order in which a user meets them
 _ORDER = (
-    "demo", "import", "check", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "flexify", "export"
+    "demo", "import", "check", "identify", "close-loop", "simulate", "view", "check-path", "excite", "frf", "static", "camera",
+    "flexify", "export",
 )  # fmt: skip
 app.registered_commands.sort(key=lambda c: _ORDER.index(c.name or getattr(c.callback, "__name__", "")))
 

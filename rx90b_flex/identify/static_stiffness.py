@@ -84,6 +84,19 @@ class StaticStiffness:
     hysteresis_area: float
     hysteresis_std: float
 
+    @property
+    def stiffness_std(self) -> float:
+        """Of `stiffness`, N m/rad, to first order of the slope's."""
+        reach = float(special.stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * self.confidence))
+        low, high = self.interval
+        if self.response == "moment":
+            return (high - self.stiffness) / reach
+        return (
+            self.stiffness**2
+            * (1.0 / self.stiffness - 1.0 / high if np.isfinite(high) else 1.0 / low - 1.0 / self.stiffness)
+            / reach
+        )
+
 
 def fit_static_stiffness(
     test: StaticTest, *, response: Response | None = None, skip: int = 0, confidence: float = 0.95

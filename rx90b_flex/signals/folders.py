@@ -77,7 +77,9 @@ PATH_CHECK = Output(
 RUN = Output(
     "state.parquet", ("campaign.toml", "robot.toml", "robot.urdf", "tip.csv", "tip.png", "tip.svg"), recordings=True
 )
-RESULTS = (CHECKED, CLOSED_LOOP, IDENTIFIED, MOTOR_SIGNALS, PATH_CHECK, RUN)
+STATIC = Output("static.json", _MODEL)
+CAMERA = Output("camera.json", _MODEL)
+RESULTS = (CHECKED, CLOSED_LOOP, IDENTIFIED, MOTOR_SIGNALS, PATH_CHECK, RUN, STATIC, CAMERA)
 DEMONSTRATION = Output(
     "declared.toml", (CLOSED_LOOP.mark, *CLOSED_LOOP.names, "campaign.toml", "*.urdf", "run_?.csv.gz")
 )

@@ -84,14 +84,14 @@ def read_static_test(path: str | os.PathLike[str]) -> StaticTest:
     """
     path = Path(path)
     if path.suffix.lower() != ".toml":
-        return _read_table(path, stem_of(path), None, None, None)
+        return read_static_table(path, stem_of(path), None, None, None)
     keys = _read_keys(path)
     file = keys["file"]
     lever, moment_std, deformation_std = (_number(path, keys, key) for key in KEYS[2:])
     if lever == 0.0:
         raise ValueError(f"{path}: lever_arm_m is 0; expected a positive length in m")
     coordinate = keys.get("coordinate", Path(file).stem)
-    return _read_table(path.parent / file, coordinate, lever, moment_std, deformation_std)
+    return read_static_table(path.parent / file, coordinate, lever, moment_std, deformation_std)
 
 
 def write_static_test(test: StaticTest, path: str | os.PathLike[str]) -> None:
@@ -121,9 +121,24 @@ def _number(path: Path, keys: dict[str, Any], key: str) -> float | None:
     return float(value)
 
 
-def _read_table(
+def read_static_table(
     path: Path, coordinate: str, lever: float | None, moment_std: float | None, deformation_std: float | None
 ) -> StaticTest:
+    """Readings of one test, from a table as `read_static_test` describes it.
+
+    Parameters
+    ----------
+    path : Path
+    coordinate : str
+    lever : float or None
+        Moment over load, m, where the table has loads; its sign is that of the hinge's axis.
+    moment_std, deformation_std : float or None
+
+    Raises
+    ------
+    ValueError
+        As `read_static_test`.
+    """
     table = read_table(path, ["deformation_rad"], optional=["moment_nm", "load_n"])
     loads = [name for name in ("moment_nm", "load_n") if name in table.names]
     if len(loads) != 1:

@@ -1,0 +1,45 @@
+"""``rx90b-flex camera``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+
+
+def add(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command("camera")(camera_command)
+
+
+def camera_command(
+    markers: Annotated[Path, typer.Argument(help="File of markers (TOML).")],
+    out: Out,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find joint stiffnesses from markers before a camera.
+
+    On the links beside a joint, along a motion or in poses at rest: torsion and both bendings with their standard deviations, in the
+    robot's file, too.
+    """
+    from rx90b_flex.signals.folders import CAMERA, check_folder, fill_folder
+
+    check_folder(out, CAMERA, overwrite, [markers])
+    from rx90b_flex.identify.camera_command import fit_markers, read_markers, write_camera
+    from rx90b_flex.view.camera_report import headline, write_camera_report
+
+    with progress() as tell:
+        tell("reading", 0.1)
+        result = fit_markers(read_markers(markers))
+
+        def fill(folder: Path) -> None:
+            write_camera(result, folder)
+            write_camera_report(result, folder / "report.html")
+
+        fill_folder(out, fill, CAMERA, overwrite)
+    for line in headline(result):
+        say(line)
+    say(f"Report: {out / 'report.html'}")

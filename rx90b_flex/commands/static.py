@@ -1,0 +1,45 @@
+"""``rx90b-flex static``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+
+
+def add(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command("static")(static_command)
+
+
+def static_command(
+    tests: Annotated[Path, typer.Argument(help="File of dead-weight tests (TOML).")],
+    out: Out,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find joint stiffnesses from dead-weight tests.
+
+    Loads up and down again, deformations, and where the lever is not given the pose: stiffnesses with their standard deviations, in
+    the robot's file, too.
+    """
+    from rx90b_flex.signals.folders import STATIC, check_folder, fill_folder
+
+    check_folder(out, STATIC, overwrite, [tests])
+    from rx90b_flex.identify.static_command import fit_tests, read_static_tests, write_static
+    from rx90b_flex.view.static_report import headline, write_static_report
+
+    with progress() as tell:
+        tell("reading", 0.1)
+        result = fit_tests(read_static_tests(tests))
+
+        def fill(folder: Path) -> None:
+            write_static(result, folder)
+            write_static_report(result, folder / "report.html")
+
+        fill_folder(out, fill, STATIC, overwrite)
+    for line in headline(result):
+        say(line)
+    say(f"Report: {out / 'report.html'}")

@@ -1,0 +1,278 @@
+"""What ``rx90b-flex camera`` does: markers on the links beside a joint become stiffnesses of its three hinges.
+
+A file (TOML)::
+
+    robot = "rx90b_4dof"             # its links give the moments; the joint's hinges are declared
+    joint = "joint_2"
+    file = "markers.csv"
+    std_mm = [0.02, 0.02, 0.1]       # of a marker's x, y and z in the camera's frame
+    markers = 3                      # optional, on each link
+    base_rpy_deg = [0.0, 0.0, 90.0]  # optional: the base in the camera's frame; otherwise it is calibrated from the markers
+    same_bending = true              # optional: a bearing that is round
+    frame_std_rad = 1e-3             # optional: how wrong the joint's frame may be
+
+The table has the drives' angles ``q_<joint>`` (rad; what is left out is zero) and the markers on the links before and behind the
+joint in the camera's frame, ``before_1_x`` to ``before_3_z`` and ``behind_1_x`` to ``behind_3_z`` (m; or ``..._x_mm``). Its first row
+is the reference pose. With a column ``time`` (s, uniform) the rows are a motion, whose accelerations count; without it every row is a
+pose at rest.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rx90b_flex.effects import close_match
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.export import save_robot
+from rx90b_flex.files.toml import read_toml
+from rx90b_flex.identify.camera import (
+    FRAME_PRIOR,
+    BaseCalibration,
+    JointFit,
+    calibrate_base,
+    fit_joint,
+    fit_rigid_body,
+    joint_frames,
+    joint_turn,
+    links_beside,
+)
+from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
+from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.signals.filters import differentiate
+from rx90b_flex.signals.tables import read_table
+from rx90b_flex.simulate.camera import link_poses
+
+KEYS = ("robot", "joint", "file", "std_mm", "markers", "base_rpy_deg", "same_bending", "frame_std_rad")
+KINDS = ("torsion", "bend_1", "bend_2")
+JITTER = 0.01  # of a sample's time
+SIDES = ("before", "behind")
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerRecording:
+    """Markers beside a joint, along a motion or in poses at rest.
+
+    Attributes
+    ----------
+    path : Path
+    robot : Robot
+    joint : str
+    angles : array, shape (N, joints), rad
+    markers : array, shape (2, N, m, 3), m
+        On the links before and behind, in the camera's frame.
+    std : array, shape (3,), m
+    rate_hz : float or None
+        None: poses at rest.
+    base_rotation : array, shape (3, 3), or None
+    same_bending : bool
+    frame_std : float, rad
+    """
+
+    path: Path
+    robot: Robot
+    joint: str
+    angles: Array
+    markers: Array
+    std: Array
+    rate_hz: float | None
+    base_rotation: Array | None
+    same_bending: bool
+    frame_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class CameraResult:
+    """Stiffnesses of a joint from markers.
+
+    Attributes
+    ----------
+    source : MarkerRecording
+    fit : JointFit
+    moment : array, shape (N, 3), N m
+    base : BaseCalibration or None
+        Where the base had to be calibrated.
+    hinges : tuple of HingeStiffness
+    robot : Robot
+        With these stiffnesses.
+    """
+
+    source: MarkerRecording
+    fit: JointFit
+    moment: Array
+    base: BaseCalibration | None
+    hinges: tuple[HingeStiffness, ...]
+    robot: Robot
+
+
+def read_markers(path: Path) -> MarkerRecording:
+    """Read a file of markers and its table.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and key, column or row.
+    """
+    keys = read_toml(path, "file of markers")
+    for key in keys:
+        if key not in KEYS:
+            raise ValueError(f"{path}: unknown key {key!r}; {close_match(key, KEYS)}")
+    for key in ("robot", "joint", "file"):
+        if not isinstance(keys.get(key), str):
+            raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
+    beside = path.parent / keys["robot"]
+    robot = load_robot(beside if beside.is_file() else keys["robot"])
+    joint = keys["joint"]
+    if joint not in robot.joints:
+        raise ValueError(f"{path}: unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}")
+    if any(robot.layout.index(joint, kind) is None for kind in KINDS):
+        raise ValueError(
+            f"{path}: {joint} of {robot.name} has no torsion and bendings; declare drive_flexibility and joint_flexibility there"
+        )
+    std = 1e-3 * _numbers(path, keys, "std_mm", 3)
+    if not (std > 0.0).all():
+        raise ValueError(f"{path}: std_mm is {keys['std_mm']!r}; expected three numbers above 0")
+    count = keys.get("markers", 3)
+    if isinstance(count, bool) or not isinstance(count, int) or not 3 <= count <= 100:
+        raise ValueError(f"{path}: markers is {count!r}; expected 3 or more")
+    same = keys.get("same_bending", False)
+    if not isinstance(same, bool):
+        raise ValueError(f"{path}: same_bending is {same!r}; expected true or false")
+    frame_std = keys.get("frame_std_rad", FRAME_PRIOR)
+    if isinstance(frame_std, bool) or not isinstance(frame_std, int | float) or not 0.0 < frame_std < 1.0:
+        raise ValueError(f"{path}: frame_std_rad is {frame_std!r}; expected a number between 0 and 1")
+    base = None
+    if "base_rpy_deg" in keys:
+        base = Rotation.from_euler("xyz", _numbers(path, keys, "base_rpy_deg", 3), degrees=True).as_matrix()
+    angles, markers, rate = _read_table(path.parent / keys["file"], robot, count)
+    return MarkerRecording(path, robot, joint, angles, markers, std, rate, base, same, float(frame_std))
+
+
+def _numbers(path: Path, keys: Mapping[str, Any], key: str, count: int) -> Array:
+    value = keys.get(key)
+    good = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
+    if not good or len(value) != count or not np.isfinite(value).all():  # type: ignore[arg-type]
+        raise ValueError(f"{path}: {key} is {value!r}; expected {count} numbers")
+    return np.asarray(value, dtype=float)
+
+
+def _read_table(file: Path, robot: Robot, count: int) -> tuple[Array, Array, float | None]:
+    names = [f"{side}_{m}_{axis}" for side in SIDES for m in range(1, count + 1) for axis in "xyz"]
+    millimetres = [f"{name}_mm" for name in names]
+    angles = [f"q_{joint}" for joint in robot.joints]
+    table = read_table(file, [], optional=[*names, *millimetres, *angles, "time"])
+    used, scale = (millimetres, 1e-3) if millimetres[0] in table.names else (names, 1.0)
+    for name in used:
+        if name not in table.names:
+            raise ValueError(f"{file}: no column {name!r}; expected {used[0]} to {used[-1]}")
+    for name, column in zip(table.names, table.values.T, strict=True):
+        bad = np.flatnonzero(~np.isfinite(column))
+        if len(bad):
+            raise ValueError(f"{file}: column {name!r}, row {bad[0] + 1}: no finite number")
+    rows = len(table.values)
+    drives = np.zeros((rows, len(angles)))
+    for i, name in enumerate(angles):
+        if name in table.names:
+            drives[:, i] = table.columns([name])[:, 0]
+    places = scale * table.columns(used).reshape(rows, 2, count, 3).swapaxes(0, 1)
+    rate = None
+    if "time" in table.names:
+        steps = np.diff(table.columns(["time"])[:, 0])
+        step = float(np.median(steps))
+        if not step > 0.0 or np.abs(steps - step).max() > JITTER * step:
+            raise ValueError(
+                f"{file}: column 'time': steps of {steps.min():.4g} to {steps.max():.4g} s; expected equal ones"
+            )
+        rate = 1.0 / step
+    return drives, places, rate
+
+
+def fit_markers(source: MarkerRecording) -> CameraResult:
+    """Stiffnesses of the joint's hinges, together with the errors of its frame.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and why the markers do not tell them.
+    """
+    try:
+        return _fitted(source)
+    except ValueError as error:
+        raise ValueError(f"{source.path}: {error}") from None
+
+
+def _fitted(source: MarkerRecording) -> CameraResult:
+    robot, joint = source.robot, source.joint
+    bodies = [fit_rigid_body(seen[0], seen, source.std) for seen in source.markers]
+    base, rotation = None, source.base_rotation
+    if rotation is None:
+        _, behind = links_beside(robot, joint)
+        poses = link_poses(robot, source.angles @ robot.input_matrix.T, [behind])[behind]
+        base = calibrate_base(*poses, source.markers[1], source.std)
+        rotation = base.rotation
+    frames = joint_frames(robot, joint, rotation, source.angles[0])
+    turn = joint_turn(bodies[0], bodies[1], frames[0], frames[1])
+    moment = hinge_moments(robot, joint, source.angles, source.rate_hz)
+    drive = source.angles[:, robot.joints.index(joint)]
+    # the turn is since the reference pose, the drive's angle since its own zero: the frames carry the pose between them
+    fit = fit_joint(turn, drive, moment, same_bending=source.same_bending, frame_prior=source.frame_std)
+    hinges = tuple(
+        HingeStiffness(f"{joint}:{kind}", float(k), float(s))
+        for kind, k, s in zip(KINDS, fit.stiffness, fit.stiffness_std, strict=True)
+    )
+    return CameraResult(
+        source, fit, moment, base, hinges, with_stiffnesses(robot, {h.coordinate: h.value for h in hinges})
+    )
+
+
+def hinge_moments(robot: Robot, joint: str, angles: Array, rate_hz: float | None) -> Array:
+    """What weight and motion of the rigid robot load a joint's three hinges with, shape (N, 3), N m.
+
+    Parameters
+    ----------
+    robot : Robot
+    joint : str
+    angles : array, shape (N, joints), rad
+    rate_hz : float or None
+        Of the rows; None: poses at rest, without the friction that holds them.
+    """
+    drives = angles @ robot.input_matrix.T
+    if rate_hz is None:
+        v = a = np.zeros_like(drives)
+    else:
+        v, a = (differentiate(drives, rate_hz, derivative=k) for k in (1, 2))
+    hinges = np.stack([robot.layout.port(joint, kind) for kind in KINDS], axis=1)
+    return np.asarray(-robot.inverse_dynamics(drives, v, a) @ hinges)
+
+
+def as_json(result: CameraResult) -> dict[str, Any]:
+    """Everything but the samples."""
+    fit = result.fit
+    return {
+        "schema": 1,
+        "robot": result.robot.name,
+        "joint": result.source.joint,
+        "rows": len(result.source.angles),
+        "stiffness": [
+            {"coordinate": h.coordinate, "value": h.value, "std": h.std, "unit": "N m/rad"} for h in result.hinges
+        ],
+        "frame_error_rad": {
+            side: {"value": list(value), "std": list(std)}
+            for side, value, std in zip(SIDES, (fit.before, fit.behind), (fit.before_std, fit.behind_std), strict=True)
+        },
+        "base_calibrated": result.base is not None,
+        "chi2": fit.chi2,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+    }
+
+
+def write_camera(result: CameraResult, folder: Path) -> None:
+    """Write `camera.json` and the robot with the stiffnesses."""
+    (folder / "camera.json").write_text(json.dumps(as_json(result), indent=1) + "\n", encoding="utf-8")
+    save_robot(result.robot, folder, allow_inconsistent=True)

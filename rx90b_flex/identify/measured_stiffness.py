@@ -1,0 +1,63 @@
+"""Stiffnesses that were measured at hinges, put into a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.robot import Robot
+
+
+@dataclass(frozen=True)
+class HingeStiffness:
+    """Stiffness of a hinge.
+
+    Attributes
+    ----------
+    coordinate : str
+        ``joint_2:bend_1``.
+    value, std : float, N m/rad
+    measurements : int
+        How many it is the weighted mean of.
+    p_value : float
+        That these differ by their standard deviations alone; one measurement: 1.
+    """
+
+    coordinate: str
+    value: float
+    std: float
+    measurements: int = 1
+    p_value: float = 1.0
+
+
+def with_stiffnesses(robot: Robot, found: Mapping[str, float]) -> Robot:
+    """The robot with other stiffnesses at some hinges; a hinge's damping keeps its ratio to them.
+
+    Parameters
+    ----------
+    robot : Robot
+    found : mapping of coordinate (``joint_2:torsion``) to stiffness, N m/rad
+
+    Raises
+    ------
+    ValueError
+        A coordinate that no declared flexibility has.
+    """
+    effects: list[Effect] = []
+    placed: set[str] = set()
+    for effect in robot.effects:
+        names = [f"{'_'.join(effect.joints) or 'base'}:{kind}" for kind in effect.virtual]
+        stiffness, damping = np.split(effect.coefficients, 2) if names else (np.zeros(0), np.zeros(0))
+        for i, name in enumerate(names):
+            if name in found:
+                placed.add(name)
+                damping[i] *= found[name] / stiffness[i]
+                stiffness[i] = found[name]
+        effects.append(effect.with_coefficients(np.r_[stiffness, damping]) if placed & set(names) else effect)
+    if missing := sorted(set(found) - placed):
+        known = ", ".join(c for c in robot.coordinates if not c.endswith(":drive")) or "none"
+        raise ValueError(f"{robot.name}: no declared flexibility has {', '.join(missing)}; its hinges: {known}")
+    return robot.with_effects(effects)

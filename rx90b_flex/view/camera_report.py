@@ -1,0 +1,69 @@
+"""The report of a camera's markers: one HTML file that opens offline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rx90b_flex.identify.camera_command import KINDS, CameraResult
+from rx90b_flex.view.page import Section, Table, image, write_page
+
+LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
+
+
+def headline(result: CameraResult) -> list[str]:
+    """What was found, a line a hinge, and what to look at."""
+    lines = [f"{h.coordinate}: {h.value:.4g} ± {h.std:.2g} N m/rad" for h in result.hinges]
+    ratio = result.fit.chi2 / max(result.fit.degrees_of_freedom, 1)
+    if ratio > LOUD:
+        lines.append(
+            f"What is left is {ratio:.2g} times the stated noise: the standard deviations are too small by {np.sqrt(ratio):.2g}, and "
+            "markers that slip, vibration or wrong links may be in it."
+        )
+    return lines
+
+
+def write_camera_report(result: CameraResult, path: Path) -> None:
+    """Write the report; it appears whole or not at all."""
+    fit = result.fit
+    rows = tuple((h.coordinate, f"{h.value:.4g}", f"{h.std:.2g}") for h in result.hinges)
+    axes = ("about the joint's axis", "about the first bending's", "about the second bending's")
+    frame = tuple(
+        (axis, *(f"{1e3 * x[i]:.3f}" for x in (fit.before, fit.before_std, fit.behind, fit.behind_std)))
+        for i, axis in enumerate(axes)
+    )
+    tables = (
+        Table(("hinge", "stiffness, N m/rad", "std"), rows),
+        Table(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
+    )
+    text = (
+        "The joint's frame is fitted with the stiffnesses: an error of it leaks the joint's large angle into the bendings. Moments "
+        "are those of the robot's links along the motion."
+    )
+    figure = image(deformation_figure(result), "Deformation of each hinge over its moment, with the fitted line")
+    write_page(
+        path,
+        f"{result.source.joint} of {result.robot.name}, by camera",
+        headline(result),
+        [Section("Hinges", (text,), tables, (figure,))],
+    )
+
+
+def deformation_figure(result: CameraResult) -> Figure:
+    """Deformation of each hinge over its moment, after the frame's errors were taken out, with its line."""
+    figure = Figure(figsize=(7.2, 2.7), layout="constrained")
+    for ax, kind, moment, seen, k in zip(
+        figure.subplots(1, 3), KINDS, result.moment.T, result.fit.deformation.T, result.fit.stiffness, strict=True
+    ):
+        ax.plot(moment, 1e3 * seen, ".", color="#8a8a8a", markersize=2)
+        ends = np.array([moment.min(), moment.max()])
+        ax.plot(ends, 1e3 * ends / k, color="#0072b2", linewidth=1.2)
+        ax.set_title(f"{kind}, {k:.3g} N m/rad", fontsize=8)
+        ax.set_xlabel("moment, N m", fontsize=8)
+        ax.tick_params(labelsize=8)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(color="#e6e6e6", linewidth=0.5)
+    figure.axes[0].set_ylabel("deformation, 10⁻³ rad", fontsize=8)
+    return figure
