@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 import typer.core
 
-from rx90b_flex.commands import camera, check_path, export, static
+from rx90b_flex.commands import camera, check_path, export, static, view
 from rx90b_flex.commands.shared import (
     Basics,
     Despite,
@@ -481,47 +481,6 @@ def simulate_command(
     say(f"Recording, tip.csv and figure: {out}")
 
 
-@app.command()
-def view(
-    source: Annotated[
-        str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or robot (its mode shapes).")
-    ],
-    beside: Annotated[str | None, typer.Option(help="A second folder or campaign, shown as what came after.")] = None,
-    recording: Annotated[str | None, typer.Option(help="Name of the recording; the first where not given.")] = None,
-    magnify: Annotated[float, typer.Option(help="Factor of the deformations.")] = 100.0,
-    modes: Annotated[bool, typer.Option("--modes", help="Mode shapes of a run's robot instead of its motion.")] = False,
-    pose: Annotated[str | None, typer.Option(help="Drive angles of the mode shapes, degrees: 0,90,0")] = None,
-    count: Annotated[int, typer.Option(help="How many modes.")] = 6,
-    out: Annotated[Path | None, typer.Option("--out", help="HTML file to write, instead of a browser.")] = None,
-) -> None:
-    """Show the robot bend: its motion, two runs, or mode shapes.
-
-    In a browser, or (--out) as one HTML file that opens offline.
-    """
-    from rx90b_flex.early import check_robot, read_campaign
-
-    for given in [source, *([beside] if beside else [])]:
-        inside = Path(given) / "campaign.toml" if Path(given).is_dir() else Path(given)
-        if inside.is_file() and inside.suffix == ".toml" and b"[[recording]]" in inside.read_bytes():
-            read_campaign(inside)
-        elif not Path(given).is_dir():
-            check_robot(given)
-    from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
-
-    wanted = Wanted(source, beside, recording, magnify, modes, pose, count)
-    with progress() as tell:
-        tell("reading", 0.1)
-        made = view_of(wanted)
-    if out is not None:
-        write_view(made, out)
-    for line in (made.title, *made.notes):
-        say(line)
-    if out is not None:
-        say(f"View: {out}")
-        return
-    serve_until_interrupted(made, lambda url: say(f"{url} shows it until Ctrl-C"))
-
-
 @app.command("import")
 def import_command(
     files: Annotated[
@@ -677,7 +636,7 @@ class _Command(typer.core.TyperCommand):
         return super().invoke(ctx)
 
 
-for _module in (camera, check_path, export, static):
+for _module in (camera, check_path, export, static, view):
     _module.add(app)
 
 for _info in app.registered_commands:

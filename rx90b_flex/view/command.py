@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from rx90b_flex.default_flexibility import default_words, with_default_flexibility, without_written_hinges
 from rx90b_flex.interrupts import calm
-from rx90b_flex.robot import load_robot
+from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.command import STATE_FILE
+from rx90b_flex.tip import tip_words, with_tip
 from rx90b_flex.view.meshcat import MAGNIFY, Run, View, compare, show, show_modes
 
 CAMPAIGN_FILE = "campaign.toml"
@@ -38,6 +41,10 @@ class Wanted:
         Drive angles of the mode shapes, degrees, with commas between.
     count : int
         Mode shapes at most.
+    flexible : bool
+        Whether a robot gets the stated default flexibilities where it declares none.
+    tip : str or None
+        Frame that counts as its tip.
     """
 
     source: str
@@ -47,6 +54,8 @@ class Wanted:
     modes: bool = False
     pose: str | None = None
     count: int = 6
+    flexible: bool = False
+    tip: str | None = None
 
 
 def view_of(wanted: Wanted) -> View:
@@ -63,18 +72,42 @@ def view_of(wanted: Wanted) -> View:
     if wanted.modes or (campaign is None and wanted.beside is None and wanted.recording is None):
         if wanted.beside is not None:
             raise ValueError("--beside and --modes: choose one")
-        robot = load_robot(wanted.source if campaign is None else load_campaign(campaign).robot_source)
-        return show_modes(robot, _pose(wanted.pose, len(robot.joints)), count=wanted.count)
+        robot, words = _robot(wanted, wanted.source if campaign is None else load_campaign(campaign).robot_source)
+        view = show_modes(robot, _pose(wanted.pose, len(robot.joints)), count=wanted.count)
+        return dataclasses.replace(view, notes=(*words, *view.notes))
+    if wanted.flexible:
+        raise ValueError("--flexible is of a robot's mode shapes; a recording has its own robot")
     if wanted.pose is not None:
         raise ValueError("--pose is of mode shapes; add --modes, or leave it out")
-    run = read_run(wanted.source, wanted.recording)
-    if wanted.beside is None:
-        return show(run, magnify=wanted.magnify)
-    return compare(run, read_run(wanted.beside, wanted.recording), magnify=wanted.magnify)
+    run = read_run(wanted.source, wanted.recording, wanted.tip)
+    if wanted.beside is not None:
+        return compare(run, read_run(wanted.beside, wanted.recording, wanted.tip), magnify=wanted.magnify)
+    view = show(run, magnify=wanted.magnify)
+    return dataclasses.replace(view, notes=(tip_words(run.robot), *view.notes))
 
 
-def read_run(source: str, recording: str | None = None) -> Run:
+def _robot(wanted: Wanted, source: str | Path) -> tuple[Robot, tuple[str, ...]]:
+    """The robot whose mode shapes are shown, and what was taken for it."""
+    loaded = load_robot(source)
+    loaded = loaded if wanted.tip is None else with_tip(loaded, wanted.tip)
+    robot, torsion, bending, base = without_written_hinges(loaded)
+    if torsion or bending or base:  # a URDF of flexify has hinges and no springs
+        flexible = with_default_flexibility(robot, torsion, bending, base)
+    elif wanted.flexible:
+        flexible = with_default_flexibility(robot)
+    elif not any(e.virtual for e in robot.effects):
+        raise ValueError(
+            f"{robot.name}: nothing in it bends; --flexible gives it stated stiffnesses, a robot file its own"
+        )
+    else:
+        flexible = robot
+    return flexible, (tip_words(robot), *default_words(flexible, robot))
+
+
+def read_run(source: str, recording: str | None = None, tip: str | None = None) -> Run:
     """The motion in a folder of `rx90b-flex simulate`, with all its coordinates, or of a campaign's recording.
+
+    `tip` names the frame whose path is shown, where it is not the robot's own tip frame.
 
     Raises
     ------
@@ -89,6 +122,7 @@ def read_run(source: str, recording: str | None = None) -> Run:
     campaign = load_campaign(path)
     chosen = campaign.recordings[0] if recording is None else _named(campaign, recording)
     robot = load_robot(campaign.robot_source)
+    robot = robot if tip is None else with_tip(robot, tip)
     try:
         run = Run.of_recording(chosen, robot.restricted(chosen.joints))
     except ValueError as error:

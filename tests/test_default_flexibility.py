@@ -1,0 +1,96 @@
+"""Claims about a bending robot from a URDF alone: what is stated is what it does, and what flexify wrote is read back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import Command
+
+import rx90b_flex as rf
+from rx90b_flex import flexify as virtual
+from rx90b_flex.default_flexibility import DRIVE_HZ, with_default_flexibility, without_written_hinges
+from rx90b_flex.tip import is_finger, tip_words, with_tip
+
+UR10, PANDA = "example-robot-data:ur10", "example-robot-data:panda"
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
+    return Command(monkeypatch, capfd)
+
+
+@pytest.mark.parametrize("source", ["rx90b_rigid", UR10, PANDA])
+def test_links_swing_on_each_drive_at_the_stated_frequency_or_faster(source: str) -> None:
+    """One torsion free, everything else held: sqrt(k / m) of the mass matrix, in poses other than those it was drawn from."""
+    robot = with_default_flexibility(rf.load_robot(source).with_effects([]))
+    rng = np.random.default_rng(9)
+    lower, upper = (np.clip(x, -np.pi, np.pi) for x in (robot.tree.lowerPositionLimit, robot.tree.upperPositionLimit))
+    slowest = np.full(len(robot.joints), np.inf)
+    for _ in range(30):
+        mass = robot.mass_matrix(robot.input_matrix @ rng.uniform(lower, upper))
+        for k, joint in enumerate(robot.joints):
+            i = robot.layout.index(joint, "torsion")
+            stiffness = next(e for e in robot.effects if e.label == f"{joint}.drive_flexibility").coefficients[0]
+            slowest[k] = min(slowest[k], np.sqrt(stiffness / mass[i, i]) / (2 * np.pi))
+    assert (slowest > 0.9 * DRIVE_HZ).all() and (slowest[:3] < 1.3 * DRIVE_HZ).all()
+
+
+def test_what_a_robot_declares_stays(tmp_path: Path) -> None:
+    robot = rf.load_robot("rx90b")
+    flexible = with_default_flexibility(robot)
+    assert flexible.effects[: len(robot.effects)] == robot.effects
+    new = {(e.type_name(), *e.joints) for e in flexible.effects[len(robot.effects) :]}
+    assert new == {(t, j) for j in ("joint_5", "joint_6") for t in ("drive_flexibility", "joint_flexibility")}
+
+
+@pytest.mark.parametrize("source", ["rx90b_rigid", UR10, PANDA])
+@pytest.mark.parametrize("base", [False, True])
+def test_what_flexify_wrote_is_taken_out_again(source: str, base: bool) -> None:
+    rigid = virtual.read_xml(rf.load_robot(source).urdf)
+    joints = virtual.moving_joints(rigid)
+    written = virtual.flexify(rigid, joints[::2], joints[1:3], base)
+    back, torsion, bending, had_base = virtual.unflexify(written)
+    assert (torsion, sorted(bending), had_base) == (tuple(joints[::2]), sorted(joints[1:3]), base)
+    assert virtual.to_xml(back) == virtual.to_xml(rigid)
+
+
+def test_a_urdf_without_written_hinges_is_left_alone() -> None:
+    robot = rf.load_robot(PANDA)
+    assert without_written_hinges(robot) == (robot, (), (), False)
+
+
+# ---- command ----------------------------------------------------------------------------------------------------
+
+
+def test_view_shows_a_urdf_bend_and_says_by_which_stiffnesses(tmp_path: Path, command: Command) -> None:
+    (tmp_path / "my.urdf").write_text(rf.load_robot("rx90b_rigid").urdf)
+    out = tmp_path / "view.html"
+    refused = command("view", tmp_path / "my.urdf", "--out", out)
+    assert refused.status == 2 and "--flexible" in refused.err and not out.exists()
+    found = command("view", tmp_path / "my.urdf", "--flexible", "--out", out)
+    assert (found.status, found.err) == (0, "") and out.stat().st_size > 10000
+    assert "not identified" in found.out and "joint_2: drive inertia" in found.out and "N m/rad" in found.out
+
+
+def test_view_shows_what_flexify_wrote(tmp_path: Path, command: Command) -> None:
+    urdf, out = tmp_path / "flexible.urdf", tmp_path / "view.html"
+    assert command("flexify", "rx90b_rigid", "--out", urdf, "--torsion", "joint_2", "--bending", "joint_3").status == 0
+    found = command("view", urdf, "--out", out)
+    assert (found.status, found.err) == (0, "") and out.is_file()
+    assert "joint_2: drive inertia" in found.out and "joint_3: joint flexibility" in found.out
+    assert "joint_1: " not in found.out
+
+
+def test_the_tip_is_named_and_asked_for_where_it_is_a_finger(tmp_path: Path, command: Command) -> None:
+    panda = rf.load_robot(PANDA)
+    assert is_finger(panda) and not is_finger(rf.load_robot("rx90b")) and not is_finger(rf.load_robot(UR10))
+    assert "panda_hand" in tip_words(panda)
+    assert tip_words(with_tip(panda, "panda_hand")) == "Tip frame: panda_hand"
+    found = command("view", PANDA, "--flexible", "--out", tmp_path / "a.html")
+    assert "a finger" in found.out and "--tip" in found.out
+    found = command("view", PANDA, "--flexible", "--tip", "panda_hand", "--out", tmp_path / "b.html")
+    assert "Tip frame: panda_hand\n" in found.out
+    found = command("view", PANDA, "--flexible", "--tip", "panda_hend", "--out", tmp_path / "c.html")
+    assert found.status == 2 and "'panda_hand'" in found.err and found.err.count("\n") == 1
