@@ -21,6 +21,7 @@ from rx90b_flex.signals.filters import minimum_samples
 ROWS = 900  # of all recordings together: enough to tell hypotheses apart that change torques by tens of per cent
 FOLDS = 4  # each is held out once
 BLOCKS = 12  # contiguous stretches of which a fold gets every fourth
+HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
 
@@ -200,11 +201,14 @@ class Sample:
 
 def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array, ...], Track]:
     rate = recording.sample_rate_hz
-    cutoff = min(cutoff, 0.4 * rate)
+    cutoff = min(cutoff, HIGHEST * rate)
     wide = POSITION_CUTOFF_RATIO * cutoff
+    wide = (
+        wide if wide < HIGHEST * rate else cutoff
+    )  # never none: differentiated twice, a counter's noise outweighs any motion
     try:
         torque = lowpass(recording.torque, cutoff, rate)  # first: a cutoff that is too low is named as it was given
-        q, v, a = motion(recording.position, rate, wide if wide < 0.4 * rate else None)
+        q, v, a = motion(recording.position, rate, wide)
         # friction that turns over within a hundredth of the fastest motion: finer is the loop's business
         turn = 1e-2 * np.abs(v).max(axis=0) + 1e-9
         dry = lowpass((2.0 / np.pi) * np.arctan(v / turn), cutoff, rate)
