@@ -177,7 +177,7 @@ def check_command(
 def _print_checked(checked: object) -> None:
     """A table of faults, and what the motion can tell."""
     from rx90b_flex.diagnose.check import Checked
-    from rx90b_flex.view.check_report import basics_words, told_words
+    from rx90b_flex.view.check_report import basics_words, facts_words, told_words
 
     assert isinstance(checked, Checked)
     rows = [
@@ -193,7 +193,7 @@ def _print_checked(checked: object) -> None:
         show_table(checked.verdict, rows, ("found", "where", "factor", "what to do"), ("factor",))
     else:
         say(checked.verdict)
-    for text in (*told_words(checked), *basics_words(checked)):
+    for text in (*facts_words(checked), *told_words(checked), *basics_words(checked)):
         say(text)
 
 

@@ -94,6 +94,8 @@ def import_into(request: Request, folder: Path, overwrite: bool = False) -> Impo
     limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
     imported = _with_facts(import_logs(request.files, Axes(robot.joints, *limits), request.options))
     imported, cutoff = _with_low_pass(imported)
+    if not request.basics:
+        imported = _with_offer(imported, robot)
     written_names = {f"{r.name}.{request.file_format}" for r in imported.recordings}
     for file in request.files:
         if file.name in written_names and file.resolve().parent == folder.resolve():
@@ -133,6 +135,18 @@ def _with_low_pass(imported: Imported) -> tuple[Imported, float | None]:
         f"low-pass: {cutoff:g} Hz, from the motion's own frequencies; change cutoff_hz in the file", "likely"
     )
     return dataclasses.replace(imported, findings=(*imported.findings, ("all files", found))), cutoff
+
+
+def _with_offer(imported: Imported, robot: Robot) -> Imported:
+    """With the offer to declare what every drive has, where the robot has none of it on any joint of the logs."""
+    from rx90b_flex.diagnose.faults.sample import BASICS
+
+    joints = set(imported.recordings[0].joints)
+    here = [e for e in robot.effects if joints & set(e.joints)]
+    if set(BASICS) & {name for e in here for name in (e.type_name(), *e.replaces)}:
+        return imported
+    text = f"{robot.name} declares neither friction nor drive inertia on these joints; --basics has them identified"
+    return dataclasses.replace(imported, findings=(*imported.findings, ("all files", Finding(text, "sure"))))
 
 
 def _write_basics(robot: Robot, joints: Sequence[str], folder: Path) -> str:

@@ -79,6 +79,18 @@ def test_four_commands_of_the_readme_take_a_bare_urdf_and_logs_in_degrees_to_a_r
     assert closed["before"]["validation"]["relative_error"] < 0.05
 
 
+def test_import_offers_what_every_drive_has_where_the_robot_declares_none_of_it(tmp_path: Path) -> None:
+    write_logs(tmp_path)
+    (imported, *_) = commands()
+    bare = run([word for word in imported if word != "--basics"], tmp_path)
+    assert bare.returncode == 0 and "--basics" in bare.stdout
+    declared = run([*(word for word in imported if word not in ("data", "--out")), "--out", "with"], tmp_path)
+    assert declared.returncode == 0 and "--basics" not in declared.stdout
+    again = ["rx90b-flex", "import", "run_1.csv", "run_2.csv", "--robot", "with/robot.toml", "--out", "third"]
+    named = run(again, tmp_path)
+    assert named.returncode == 0 and "--basics" not in named.stdout
+
+
 def test_a_wrong_sign_in_the_first_campaign_is_named_before_anything_is_fitted(tmp_path: Path) -> None:
     write_logs(tmp_path, lambda torque: -torque)
     (imported, checked, *_) = commands()
