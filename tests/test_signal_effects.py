@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize
 
+from rx90b_flex.compiled.signals import dahl as hysteresis
 from rx90b_flex.effects import Effect, Motion, catalogue
-from rx90b_flex.effects.presliding import hysteresis
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.simulate import Trajectory, load_cs8, perturb_lanes
 

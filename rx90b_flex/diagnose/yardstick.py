@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import interpolate
 
+from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.diagnose.free_form import NO_FORM, FreeForm, best_form
 from rx90b_flex.diagnose.residual import Errors
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.effects.presliding import hysteresis
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression, Stretch
 from rx90b_flex.signals import lowpass
@@ -284,7 +284,7 @@ def _rates(signals: _Signals, ranges: _Ranges, joint: int) -> Array:
 
 def _direction(signals: _Signals, ranges: _Ranges, joint: int, part: float) -> Array:
     """Direction of a joint's last move, kept across rests; it turns over within a part of the joint's range of angles."""
-    return hysteresis(signals.position[:, joint], part * float(ranges.travel[joint]))
+    return dahl(signals.position[:, joint], part * float(ranges.travel[joint]))
 
 
 def _plain_signals(signals: _Signals, ranges: _Ranges, joint: int) -> Array:

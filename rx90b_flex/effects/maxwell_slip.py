@@ -9,10 +9,11 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
 from rx90b_flex.effects.effect import FRICTION, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.presliding import deflection_range, monotone_runs
+from rx90b_flex.effects.presliding import deflection_range
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
 
 ELEMENTS = 2  # where none are stated
@@ -105,7 +106,7 @@ class MaxwellSlipFriction(ManyCoefficients):
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:
             return np.repeat(reversal(at.v, SHARP)[:, None], self.count, axis=1)
-        return np.stack([slipping(at.q, d) for d in self.known_shape()], axis=1)
+        return np.stack([maxwell(at.q, d) for d in self.known_shape()], axis=1)
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), self.count))
@@ -125,17 +126,3 @@ class MaxwellSlipFriction(ManyCoefficients):
         sticking = np.abs(memory[:, 1:]) < 1.0
         slope = (sticking * torques / self.known_shape()).sum(axis=1)
         return np.outer(memory[:, 1:] @ torques, at.port), slope[:, None, None] * np.outer(at.port, at.port)
-
-
-def slipping(q: Array, deflection: float) -> Array:
-    """Torque of one element over its limit along a motion, shape (N,); exact between samples of monotone motion.
-
-    It starts slid on in the direction of the first move.
-    """
-    out = np.zeros(len(q))
-    at: float | None = None
-    for first, last, direction in monotone_runs(q):
-        at = direction if at is None else at
-        out[first : last + 1] = np.clip(at + (q[first : last + 1] - q[first]) / deflection, -1.0, 1.0)
-        at = float(out[last])
-    return out

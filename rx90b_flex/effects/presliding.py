@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
@@ -86,7 +86,7 @@ class PreslidingFriction(JointEffect):
         (deflection,) = self.known_shape()
         if not at.follows:
             return reversal(at.v, SHARP)[:, None]
-        return hysteresis(at.q, deflection)[:, None]
+        return dahl(at.q, deflection)[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
@@ -96,7 +96,7 @@ class PreslidingFriction(JointEffect):
         return np.stack([motion.joint(self.joint).q, np.zeros(len(motion))], axis=1)
 
     def onward(self, memory: Array, motion: Motion) -> Array:
-        """Angle and torque over `torque`: `hysteresis` from one sample to the next."""
+        """Angle and torque over `torque`: `dahl` from one sample to the next."""
         (deflection,) = self.known_shape()
         q = motion.joint(self.joint).q
         step, before = q - memory[:, 0], memory[:, 1]
@@ -125,31 +125,3 @@ def deflection_range(at: JointMotion) -> tuple[float, float]:
     known = Resolution.of(at)
     low = 2.0 * known.angle
     return low, max(LARGEST_DEFLECTION * known.travel, 4.0 * low)
-
-
-def monotone_runs(q: Array) -> Iterator[tuple[int, int, float]]:
-    """First and last sample and direction of each run between reversals; rests belong to the run before them."""
-    step = np.diff(q)
-    moving = np.flatnonzero(step)
-    if len(moving) == 0:
-        return
-    direction = np.sign(step)
-    # where it stands still it keeps the direction it had
-    direction = direction[np.maximum(np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), -1)), moving[0])]
-    for first, last in pairwise(np.r_[0, 1 + np.flatnonzero(np.diff(direction)), len(step)]):
-        yield int(first), int(last), float(direction[first])
-
-
-def hysteresis(q: Array, deflection: float) -> Array:
-    """Dahl's friction over its torque along a motion, shape (N,); exact between samples of monotone motion.
-
-    Between reversals ``w = s - (s - w_r) exp(-|q - q_r| / deflection)``, s the direction, r the reversal. It starts slid on in the
-    direction of the first move.
-    """
-    out = np.zeros(len(q))
-    at: float | None = None
-    for first, last, s in monotone_runs(q):
-        at = s if at is None else at
-        out[first : last + 1] = s - (s - at) * np.exp(-np.abs(q[first : last + 1] - q[first]) / deflection)
-        at = float(out[last])
-    return out

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from rx90b_flex.compiled.signals import forward_and_backward
+
 Array = NDArray[np.float64]
 
 # The filter's response to an impulse counts as over when its slowest part has fallen to this.
@@ -38,7 +40,7 @@ class Motion(NamedTuple):
 class _Butterworth:
     sections: Array
     padding: int
-    steady: Array  # the sections' state after an endless row of ones, (sections, 1, 2)
+    steady: Array  # the sections' state after an endless row of ones, (sections, 2)
 
 
 def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> Array:
@@ -71,13 +73,8 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
             f"{filter_.padding + 1} or more are needed"
         )
     # as `scipy.signal.sosfiltfilt` does it, but that works the steady state out anew for every call
-    rows = samples.reshape(len(samples), -1).T
-    pad = filter_.padding
-    out = np.hstack([2 * rows[:, :1] - rows[:, pad:0:-1], rows, 2 * rows[:, -1:] - rows[:, -2 : -pad - 2 : -1]])
-    for _ in range(2):
-        out, _ = signal.sosfilt(filter_.sections, out, zi=filter_.steady * out[:, :1, None].transpose(1, 0, 2))
-        out = out[:, ::-1]
-    return np.ascontiguousarray(out[:, pad:-pad].T).reshape(samples.shape)
+    columns = np.ascontiguousarray(samples.reshape(len(samples), -1))
+    return forward_and_backward(columns, filter_.sections, filter_.steady, filter_.padding).reshape(samples.shape)
 
 
 def minimum_samples(cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> int:
@@ -370,7 +367,7 @@ def _butterworth(cutoff_hz: float, sample_rate_hz: float, order: int) -> _Butter
     slowest = float(np.max(np.abs(poles)))
     # a pole at zero dies in one sample; never fewer than the samples the sections hold
     length = math.ceil(math.log(_IMPULSE_END) / math.log(slowest)) if slowest > 0.0 else 1
-    steady = signal.sosfilt_zi(sections)[:, None]
+    steady = signal.sosfilt_zi(sections)
     return _Butterworth(np.asarray(sections), max(length, 3 * (order + 1)), steady)
 
 

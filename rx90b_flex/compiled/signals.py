@@ -1,0 +1,120 @@
+"""Filters and hysteresis along a signal, sample by sample."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+TOGETHER = 8  # columns: as many as lie together in the processor's cache
+
+compiled = numba.njit(cache=True, error_model="numpy")
+
+
+@compiled
+def forward_and_backward(x: Array, sections: Array, steady: Array, pad: int) -> Array:
+    """Second-order sections run forward and backward along x (N, k), ends continued by odd reflection over `pad` samples.
+
+    `sections` (s, 6) as SciPy has them, `steady` (s, 2) their state after an endless row of ones. Returns (N, k).
+    """
+    samples, columns = x.shape
+    out = np.empty((samples, columns))
+    work = np.empty((TOGETHER, samples + 2 * pad))
+    for begin in range(0, columns, TOGETHER):
+        here = min(TOGETHER, columns - begin)
+        for i in range(samples):
+            for c in range(here):
+                work[c, pad + i] = x[i, begin + c]
+        for c in range(here):
+            row = work[c]
+            first, last = row[pad], row[pad + samples - 1]
+            for i in range(pad):
+                row[i] = 2.0 * first - row[2 * pad - i]
+                row[pad + samples + i] = 2.0 * last - row[pad + samples - 2 - i]
+            _run(row, sections, steady)
+            _run(row[::-1], sections, steady)
+        for i in range(samples):
+            for c in range(here):
+                out[i, begin + c] = work[c, pad + i]
+    return out
+
+
+@compiled
+def _run(work: Array, sections: Array, steady: Array) -> None:
+    """Sections along a signal, in its place: two in one pass, for each waits for its own last result."""
+    start = work[0]
+    for s in range(0, len(sections), 2):
+        b0, b1, b2, a1, a2 = sections[s, 0], sections[s, 1], sections[s, 2], sections[s, 4], sections[s, 5]
+        z1, z2 = steady[s, 0] * start, steady[s, 1] * start
+        if s + 1 == len(sections):
+            for i in range(len(work)):
+                u = work[i]
+                y = b0 * u + z1
+                z1 = (b1 * u + z2) - a1 * y
+                z2 = b2 * u - a2 * y
+                work[i] = y
+            return
+        c0, c1, c2, d1, d2 = (
+            sections[s + 1, 0],
+            sections[s + 1, 1],
+            sections[s + 1, 2],
+            sections[s + 1, 4],
+            sections[s + 1, 5],
+        )
+        w1, w2 = steady[s + 1, 0] * start, steady[s + 1, 1] * start
+        for i in range(len(work)):
+            u = work[i]
+            y = b0 * u + z1
+            z1 = (b1 * u + z2) - a1 * y
+            z2 = b2 * u - a2 * y
+            v = c0 * y + w1
+            w1 = (c1 * y + w2) - d1 * v
+            w2 = c2 * y - d2 * v
+            work[i] = v
+
+
+@compiled
+def dahl(q: Array, deflection: float) -> Array:
+    """Dahl's friction over its torque along angles q (N,), rad, exact between samples of monotone motion; shape (N,)."""
+    out = np.zeros(len(q))
+    direction = 0.0
+    at = turned = 0.0
+    started = False
+    for i in range(1, len(q)):
+        step = q[i] - q[i - 1]
+        s = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else direction)
+        if s == 0.0:
+            continue
+        if s != direction:
+            at = out[i - 1] if started else s
+            turned = q[i - 1]
+            if not started:
+                out[:i] = s
+                started = True
+            direction = s
+        out[i] = s - (s - at) * np.exp(-abs(q[i] - turned) / deflection)
+    return out
+
+
+@compiled
+def maxwell(q: Array, deflection: float) -> Array:
+    """Torque over its limit of a spring in series with dry friction, along angles q (N,), rad; shape (N,)."""
+    out = np.zeros(len(q))
+    direction = 0.0
+    at = turned = 0.0
+    started = False
+    for i in range(1, len(q)):
+        step = q[i] - q[i - 1]
+        s = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else direction)
+        if s == 0.0:
+            continue
+        if s != direction:
+            at = out[i - 1] if started else s
+            turned = q[i - 1]
+            if not started:
+                out[:i] = s
+                started = True
+            direction = s
+        out[i] = min(max(at + (q[i] - turned) / deflection, -1.0), 1.0)
+    return out
