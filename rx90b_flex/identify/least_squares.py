@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter, widening
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
@@ -392,22 +393,50 @@ def shared_values(effects: Sequence[Effect]) -> dict[tuple[str, ...], float]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fixed:
-    """Columns that no shape parameter changes, with their products; shared by all steps of a fit.
+class _ByJoint:
+    """Columns, each joint's rows apart and only those that touch them.
 
     Attributes
     ----------
-    columns : array, shape (joints, N, f)
-    gram : array, shape (joints, f, f)
+    places : tuple of array of int
+        For each joint, which columns these are among all.
+    columns : tuple of array, shape (N, m)
     """
 
-    columns: Array
-    gram: Array
+    places: tuple[Indices, ...]
+    columns: tuple[Array, ...]
 
     @staticmethod
-    def of(columns: Array) -> _Fixed:
-        x = np.ascontiguousarray(columns.transpose(1, 0, 2))
-        return _Fixed(x, x.transpose(0, 2, 1) @ x)
+    def of(parts: Iterable[tuple[Indices, Indices, Array]], joints: int, samples: int) -> _ByJoint:
+        """From parts of (their places (k,), joints (r,), columns (samples, r, k))."""
+        places: list[list[Indices]] = [[np.zeros(0, dtype=np.intp)] for _ in range(joints)]
+        columns: list[list[Array]] = [[np.zeros((samples, 0))] for _ in range(joints)]
+        for at, rows, part in parts:
+            for i, j in enumerate(rows):
+                places[j].append(at)
+                columns[j].append(part[:, i])
+        stacked = (np.concatenate(x, axis=1) for x in columns)
+        return _ByJoint(tuple(np.concatenate(x) for x in places), tuple(stacked))
+
+    @staticmethod
+    def of_dense(places: Indices, columns: Array) -> _ByJoint:
+        """From columns (N, joints, k) that stand in `places` (k,), without what is zero."""
+        touched = columns.any(axis=0)
+        pairs = [(places[t], np.ascontiguousarray(columns[:, j, t])) for j, t in enumerate(touched)]
+        return _ByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
+
+    def beside(self, other: _ByJoint) -> _ByJoint:
+        """These columns and others."""
+        pairs = zip(self.columns, other.columns, strict=True)
+        return _ByJoint(
+            tuple(np.concatenate(x) for x in zip(self.places, other.places, strict=True)),
+            tuple(np.concatenate(x, axis=1) for x in pairs),
+        )
+
+    @cached_property
+    def grams(self) -> tuple[Array, ...]:
+        """Products with themselves, for each joint (m, m)."""
+        return tuple(x.T @ x for x in self.columns)
 
 
 def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None) -> _Fit:
@@ -514,24 +543,34 @@ class _Fit:
         )
         return columns if (self.factors == 1.0).all() else columns * self.factors[:, None]
 
-    @property
-    def _shaped(self) -> Mask:
-        """Which columns depend on shape parameters, (p,), bool."""
-        links = np.zeros(self._offset, dtype=bool)
-        return np.concatenate([links, *(np.full(len(e.coefficients), len(e.shape) > 0) for e in self.effects)])
+    @cached_property
+    def _places(self) -> tuple[Indices, ...]:
+        """Where each effect's coefficients stand among all."""
+        ends = self._offset + np.cumsum([0, *(len(e.coefficients) for e in self.effects)])
+        return tuple(np.arange(a, b) for a, b in pairwise(ends))
+
+    def _by_joint(self, shaped: bool) -> _ByJoint:
+        """Columns of the effects that have shape parameters, or of those without, as far as their coefficients are estimated."""
+        parts = []
+        for e, at in zip(self.effects, self._places, strict=True):
+            if bool(len(e.shape)) == shaped and not e.coefficients_follow:
+                rows, columns = self.regression.compact([e])
+                plain = e.multiplies or (self.factors == 1.0).all()
+                parts.append((at, rows, columns if plain else columns * self.factors[rows, None]))
+        return _ByJoint.of(parts, len(self.regression.joints), len(self.regression))
 
     @cached_property
-    def fixed(self) -> _Fixed:
-        """Columns that do not change with the shapes; zeros for coefficients that are not estimated."""
-        parts = [self._link_columns] if self.fit_links else []
-        parts += [self._estimated(e) for e in self.effects if not len(e.shape)]
-        return _Fixed.of(np.concatenate([self._none, *parts], axis=2))
+    def fixed(self) -> _ByJoint:
+        """Columns that no shape parameter changes; shared by all steps of a fit."""
+        rest = self._by_joint(shaped=False)
+        if not self.fit_links:
+            return rest
+        return _ByJoint.of_dense(np.arange(self._offset), self._link_columns).beside(rest)
 
     @cached_property
-    def varied(self) -> Array:
-        """Columns that change with the shapes, shape (joints, N, v); zeros for coefficients that are not estimated."""
-        parts = [self._estimated(e) for e in self.effects if len(e.shape)]
-        return np.ascontiguousarray(np.concatenate([self._none, *parts], axis=2).transpose(1, 0, 2))
+    def varied(self) -> _ByJoint:
+        """Columns that change with the shapes."""
+        return self._by_joint(shaped=True)
 
     @property
     def follows(self) -> Mask:
@@ -542,11 +581,6 @@ class _Fit:
     @property
     def _none(self) -> Array:
         return np.zeros((*self.regression.torque.shape, 0))
-
-    def _estimated(self, effect: Effect) -> Array:
-        if not effect.coefficients_follow:
-            return self._scaled(effect)
-        return np.zeros((*self.regression.torque.shape, len(effect.coefficients)))
 
     @cached_property
     def goal(self) -> Array:
@@ -566,16 +600,16 @@ class _Fit:
     @cached_property
     def normal(self) -> NormalEquations:
         """Products of the columns of what is estimated, on all samples."""
-        x, y, shaped = self.varied, self.goal, self._shaped
-        gram = np.empty((len(y), len(shaped), len(shaped)))
-        cross = np.empty((len(y), len(shaped)))
-        f, v = np.flatnonzero(~shaped), np.flatnonzero(shaped)
-        across = self.fixed.columns.transpose(0, 2, 1) @ x
-        gram[:, f[:, None], f], gram[:, f[:, None], v] = self.fixed.gram, across
-        gram[:, v[:, None], f], gram[:, v[:, None], v] = across.transpose(0, 2, 1), x.transpose(0, 2, 1) @ x
-        for places, columns in ((f, self.fixed.columns), (v, x)):
-            cross[:, places] = (columns.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0]
-        return NormalEquations(gram[None], cross[None], (y**2).sum(axis=1)[None], np.array([y.shape[1]]))
+        goal, size = self.goal, len(self.prior)
+        gram, cross = np.zeros((len(goal), size, size)), np.zeros((len(goal), size))
+        for j, y in enumerate(goal):
+            f, v = self.fixed.places[j], self.varied.places[j]
+            a, x = self.fixed.columns[j], self.varied.columns[j]
+            across = a.T @ x
+            gram[j][np.ix_(f, f)], gram[j][np.ix_(f, v)] = self.fixed.grams[j], across
+            gram[j][np.ix_(v, f)], gram[j][np.ix_(v, v)] = across.T, self.varied.grams[j]
+            cross[j, f], cross[j, v] = a.T @ y, x.T @ y
+        return NormalEquations(gram[None], cross[None], (goal**2).sum(axis=1)[None], np.array([goal.shape[1]]))
 
     @cached_property
     def prior(self) -> Array:
@@ -649,14 +683,11 @@ class _Fit:
         return other
 
     @cached_property
-    def shape_columns(self) -> Array:
-        """Derivative of the predicted torque by each shape parameter; (N, joints, s)."""
-        out = np.zeros((*self.regression.torque.shape, len(self.shapes)))
-        at = self._offset
-        for e, places in zip(self.effects, self.shapes.places, strict=True):
-            k = len(e.coefficients)
-            theta = self.solution.theta[at : at + k]
-            at += k
+    def _by_shape(self) -> _ByJoint:
+        """Derivative of the predicted torque by each shape parameter."""
+        parts = []
+        for e, places, coefficients in zip(self.effects, self.shapes.places, self._places, strict=True):
+            k, theta = len(e.coefficients), self.solution.theta[coefficients]
             for i, place in enumerate(places):
                 step = DIFFERENCE * max(abs(e.shape[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
                 up, down = e.shape.copy(), e.shape.copy()
@@ -665,8 +696,18 @@ class _Fit:
                 pair = e.with_shape(up), e.with_shape(down)
                 rows, columns = self.regression.compact(pair)
                 above, below = ((x.coefficients if e.coefficients_follow else theta) for x in pair)
-                out[:, rows, place] += (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step)
-        return out * self.factors[:, None]
+                slope = (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step) * self.factors[rows]
+                parts.append((np.array([place]), rows, slope[:, :, None]))
+        return _ByJoint.of(parts, len(self.regression.joints), len(self.regression))
+
+    @property
+    def shape_columns(self) -> Array:
+        """Derivative of the predicted torque by each shape parameter; (N, joints, s)."""
+        out = np.zeros((*self.regression.torque.shape, len(self.shapes)))
+        for j, (places, columns) in enumerate(zip(self._by_shape.places, self._by_shape.columns, strict=True)):
+            for place, column in zip(places, columns.T, strict=True):
+                out[:, j, place] += column
+        return out
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
@@ -709,17 +750,20 @@ class _Fit:
 
     def _shape_equations(self, sigma: Array) -> tuple[Array, Array]:
         """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
-        x = np.concatenate([self.fixed.columns, self.varied], axis=2)
-        order = np.concatenate([np.flatnonzero(~self._shaped), np.flatnonzero(self._shaped)])
-        d = self.shape_columns.transpose(1, 0, 2) * self.shapes.per_step(self.shape)
-        residual = self.goal - x @ self.solution.theta[order]
-        weight = sigma**-2.0
-        gram = np.einsum("j,jpq->pq", weight, self.normal.total[0])[np.ix_(order, order)]
-        inverse = solve_weighted(gram, np.zeros(len(gram)), np.zeros(len(gram)))[1]
-        weighted = (weight[:, None, None] * d).transpose(0, 2, 1)
-        with_columns = (weighted @ x).sum(axis=0)
-        own = (weighted @ d).sum(axis=0) - with_columns @ inverse @ with_columns.T
-        return own, (weighted @ residual[:, :, None]).sum(axis=0)[:, 0]
+        shapes, size = len(self.shapes), len(self.prior)
+        own, score, with_columns = np.zeros((shapes, shapes)), np.zeros(shapes), np.zeros((shapes, size))
+        both = self.fixed.beside(self.varied)
+        for j, weight in enumerate(sigma**-2.0):
+            x, at = both.columns[j], both.places[j]
+            d, s = self._by_shape.columns[j], self._by_shape.places[j]
+            residual = self.goal[j] - x @ self.solution.theta[at]
+            np.add.at(own, np.ix_(s, s), weight * d.T @ d)
+            np.add.at(score, s, weight * d.T @ residual)
+            np.add.at(with_columns, np.ix_(s, at), weight * d.T @ x)
+        gram = np.einsum("j,jpq->pq", sigma**-2.0, self.normal.total[0])
+        inverse = solve_weighted(gram, np.zeros(size), np.zeros(size))[1]
+        step = self.shapes.per_step(self.shape)
+        return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution = self.solution
