@@ -415,7 +415,7 @@ def _closed(
     spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
     remains = Remains(campaign.joints, bool(outcome.steps), before, after, floor, known, where, bool(cautions), spread)
     search = Search(model, sites)
-    last_round = LastRound(outcome.refused, len(search.candidates()), search.tests)
+    last_round = LastRound(outcome.refused, len(search.candidates), search.tests)
     tell("done", 1.0)
     return ClosedLoop(
         declared_robot.name,
@@ -667,13 +667,13 @@ class _Rounds:
         """
         if any(s.trial.effect.last_resort for s in outcome.steps[-latest:]):
             return outcome
+        model = outcome.model
+        search = Search(model, self.sites)
         for i, step in enumerate(outcome.steps):
             newest = i >= len(outcome.steps) - latest
             if newest and latest == 1:
                 continue
-            model = outcome.model
             effect = _find(model.effects, step.trial.effect)
-            search = Search(model, self.sites)
             worth = search.without(effect)
             if worth.accepted or (newest and worth.belongs(search.tests)):
                 continue

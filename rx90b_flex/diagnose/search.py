@@ -24,7 +24,7 @@ from rx90b_flex.identify.least_squares import (
 from rx90b_flex.identify.regression import Regression
 
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
-SMALLEST_GAIN = 0.02  # of the squared error of the joints that an effect touches; less is not worth a name
+SMALLEST_GAIN = 1.0 - 0.98**2  # of the squared error of the joints that an effect touches: less than 2 % of their error is not worth a name
 GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
 REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
@@ -408,6 +408,7 @@ class Search:
         prior = np.concatenate([theta[kept], np.zeros(columns.shape[2] - len(kept))])
         return Base(shared, np.arange(columns.shape[2]), prior)
 
+    @cached_property
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
         """Effects to try, each with the declared effect that it would replace."""
         out: list[tuple[Effect, Effect | None]] = []
@@ -454,7 +455,7 @@ class Search:
         list of Trial
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
-        candidates = self.candidates()
+        candidates = self.candidates
         bases: dict[Effect | None, Base] = {None: self.present}
         rough: list[tuple[float, Effect, Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
@@ -540,7 +541,7 @@ class Search:
     @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
-        return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates())
+        return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates)
 
     def _starts(self, effect: Effect) -> Array:
         free = self.free(effect)

@@ -361,8 +361,10 @@ def identify(
         fit = _settled(fit, links, regression, start)
         return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
     multiplied = any(e.multiplies for e in effects)
-    for _ in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
-        fit = fit.refined()
+    # shapes that an earlier fit of all these effects settled need no order among them
+    together = start is not None and {e.label for e in effects} <= {e.label for e in start.effects}
+    for i in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
+        fit = fit.refined(together=together or i > 0)
         if circular:
             before, fit = fit, fit.seen_by(regression.with_model(fit.link_parameters, fit.valued))
             if abs(fit.misfit - before.misfit) < SAME_MISFIT:
@@ -714,13 +716,14 @@ class _Fit:
         solution = fit_weighted(self.normal, self.prior, sigma)
         return float((self.normal.squares(solution.theta) / sigma**2).sum())
 
-    def refined(self, rounds: int = 100) -> _Fit:
+    def refined(self, rounds: int = 100, together: bool = False) -> _Fit:
         """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).
 
-        Those that effects share wait until the others have settled: a turn-over must not grow in place of what stands beside it.
+        Those that effects share wait until the others have settled, unless all go `together`: a turn-over must not grow in place of
+        what stands beside it.
         """
         shared = np.array([key is not None for key in self.shapes.keys], dtype=bool)
-        if shared.all() or not shared.any():
+        if together or shared.all() or not shared.any():
             return self._stepped(rounds, np.ones(len(self.shapes), dtype=bool)) if len(shared) else self
         return self._stepped(rounds, ~shared)._stepped(rounds, np.ones(len(shared), dtype=bool))
 
