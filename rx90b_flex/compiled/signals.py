@@ -118,3 +118,18 @@ def maxwell(q: Array, deflection: float) -> Array:
             direction = s
         out[i] = min(max(at + (q[i] - turned) / deflection, -1.0), 1.0)
     return out
+
+
+@compiled
+def forward_substituted(diagonal: Array, first: Array, second: Array, right: Array) -> Array:
+    """x (N, k) of ``diagonal[i] x[i] + first[i - 1] x[i - 1] + second[i - 2] x[i - 2] = right[i]``, all but x (N,)."""
+    out = np.empty_like(right)
+    for c in range(right.shape[1]):
+        for i in range(len(right)):
+            left = right[i, c]
+            if i > 0:
+                left -= first[i - 1] * out[i - 1, c]
+            if i > 1:
+                left -= second[i - 2] * out[i - 2, c]
+            out[i, c] = left / diagonal[i]
+    return out

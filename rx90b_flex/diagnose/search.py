@@ -279,10 +279,10 @@ class Base:
 
     def with_base(self, rows: Indices, columns: Array, samples: slice = slice(None)) -> Array:
         """Weighted products of the base's columns with candidate ones (N, rows, k); shape (p, k)."""
-        out = sum(
-            self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i]) for i, j in enumerate(rows)
-        )
-        return np.asarray(out)[self.kept]
+        out = np.zeros((self.shared.columns.shape[2], columns.shape[2]))
+        for i, j in enumerate(rows):  # none where a candidate has nothing to act on
+            out += self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i])
+        return out[self.kept]
 
     def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:
         """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
@@ -322,8 +322,10 @@ class Base:
         return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
 
     def _score(self, rows: Indices, columns: Array) -> Array:
-        parts = (self.weight[j] * (self.residual[j] @ columns[:, i]) for i, j in enumerate(rows))
-        return np.asarray(sum(parts))
+        out = np.zeros(columns.shape[2])
+        for i, j in enumerate(rows):
+            out += self.weight[j] * (self.residual[j] @ columns[:, i])
+        return out
 
 
 def _solve(left: Array, own: Array, score: Array) -> Array:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from rx90b_flex.compiled.signals import forward_substituted
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
@@ -240,6 +241,8 @@ class _Steps:
         smooth = w * (right[2:] + right[:-2]) + (1.0 - 2.0 * w) * right[1:-1]
         right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
         right = right.reshape(-1, right.shape[2])
+        if self.weight.shape[1] == 1:
+            return np.asarray(forward_substituted(*self.banded, right)).reshape(force.shape)
         try:
             out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)
         except linalg.LinAlgError:

@@ -25,7 +25,7 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, axes, mountings)
-ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted)
+ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
@@ -39,7 +39,9 @@ THIN = 3  # rows of a first look at every hypothesis: one in so many
 SECOND_LOOKS = 2  # of each kind, at all rows and with the factor refined
 PROMISING = 0.3  # of the best gain of a first look, and this much of the log error itself
 MOST = 4  # faults that are looked for behind one another
-GOOD = 0.04**2  # squared relative error of every joint: whatever the columns are, they go together
+# squared relative errors of every joint, with the links fitted and with the URDF's, at which the positions go together with the
+# torques: both need to hold, for free links take up a wrong zero or rate
+GOOD, GOOD_KNOWN = 0.08**2, 0.15**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +99,8 @@ class _Bases:
 
 def _best(look: Look) -> Found | None:
     bases = _Bases.of(look)
-    errors = np.concatenate([bases.fitted.error, bases.known.error])
-    everything = bool((errors > GOOD).any() or bases.fitted.impossible.any() or outside(look, 1.0).any())
+    well = (bases.fitted.error < GOOD).all() and (bases.known.error < GOOD_KNOWN).all()
+    everything = bool(not well or bases.fitted.impossible.any() or outside(look, 1.0).any())
     promising = _promising(look, everything)
     finals = [(bases.gain(h), rank, h) for _, rank, h in promising]
     # what has a factor is compared at its best one; what falls far behind cannot be brought to win by it
