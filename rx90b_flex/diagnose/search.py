@@ -24,7 +24,7 @@ from rx90b_flex.identify.least_squares import (
 from rx90b_flex.identify.regression import Regression
 
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
-SMALLEST_GAIN = 1.0 - 0.98**2  # of the squared error of the joints that an effect touches: less than 2 % of their error is not worth a name
+SMALLEST_GAIN = 0.02  # of the squared error of all joints that an effect touches; less is not worth a name
 GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
 REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
@@ -119,6 +119,8 @@ class Trial:
         A gain g of an effect that is there has the variance 4 g `colour`. An effect that acts in bursts leaves some blocks
         without a gain; their spread says little of it, but every block that has one is an experiment of its own.
         """
+        if self.effect.last_resort:
+            return False  # a curve of no known law has nothing but carrying over everywhere to speak for it
         shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
         lost = -float(np.minimum(self.block_gains, 0.0).sum())
         return bool(shown.sum() >= REPLICAS and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))

@@ -14,6 +14,7 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 
+SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
@@ -299,8 +300,13 @@ class FrictionDrift(JointEffect):
         return np.zeros_like(slope), slope, np.zeros_like(slope)
 
     def shape_starts(self, motion: Motion) -> Array:
-        seconds = max(float(np.ptp(motion.time)), 1e-2)
-        return np.clip(np.geomspace(0.03 * seconds, 3.0 * seconds, 7), *self.shape_bounds()[:, 0])[:, None]
+        low, high = self.shape_range(motion)[:, 0]
+        return np.geomspace(1.2 * low, min(30.0 * low, 0.5 * high), 6)[:, None]
+
+    def shape_range(self, motion: Motion) -> Array:
+        low, high = self.shape_bounds()
+        # what is over within a tenth of the recording is an event at its start, no warming up
+        return np.stack([np.maximum(low, SHORTEST_DRIFT * float(np.ptp(motion.time))), high])
 
     def independent_shapes(self, motion: Motion) -> int:
         return 3

@@ -285,7 +285,9 @@ class Identification:
         places = np.r_[first : first + k, len(self.theta) + of_shapes]
         at = np.concatenate([self.theta[first : first + k], effect.shape])
         determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
-        if k and not determined[:k].any():  # of a joint that never moves, say: its shape is not told either
+        if (
+            k and not determined[:k].any() and not effect.coefficients_follow
+        ):  # of a joint that never moves, say: its shape is not told either
             return tuple(Estimate(name, None, None, unit) for name, unit, _ in effect.public_values())
 
         def public(x: Array) -> Array:
