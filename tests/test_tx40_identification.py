@@ -45,7 +45,7 @@ def test_the_estimate_is_reproducible(result: tuple[Identification, Regression])
 
 
 def test_the_held_out_error_of_the_declared_model_is_a_fifth(result: tuple[Identification, Regression]) -> None:
-    """0.2136 with friction as a sign of the velocity; its turn-over, fitted on the other recordings, takes some hundredths of that away."""
+    """0.2136 with friction as a sign of the velocity; its turn-over, fitted on the other recordings, takes some of that away."""
     fit, held_out = result
     error = np.linalg.norm(fit.residual_on(held_out)) / np.linalg.norm(held_out.torque)
     assert 0.95 * 0.2136 < error < 0.2136

@@ -285,6 +285,7 @@ class Identification:
         places = np.r_[first : first + k, len(self.theta) + of_shapes]
         at = np.concatenate([self.theta[first : first + k], effect.shape])
         determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
+        # of a joint that never moves, say: its shape is not told either
         if (
             k and not determined[:k].any() and not effect.coefficients_follow
         ):  # of a joint that never moves, say: its shape is not told either
