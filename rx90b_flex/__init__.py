@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,6 +14,7 @@ if TYPE_CHECKING:
     from rx90b_flex.identify.inverse_eigenvalue import DriveParameters, drive_parameters
     from rx90b_flex.robot import Robot, load_robot
     from rx90b_flex.simulators import Exported, export_robot
+    from rx90b_flex.verbs import check_path, excite, frf, identify, simulate, view
 
     __version__: str
 
@@ -23,11 +26,17 @@ __all__ = [
     "Robot",
     "__version__",
     "check",
+    "check_path",
     "close_loop",
     "drive_parameters",
+    "excite",
     "export_robot",
+    "frf",
+    "identify",
     "load_robot",
     "replay_errors",
+    "simulate",
+    "view",
 ]
 
 # loaded when they are asked for: the command line must not wait for all of them
@@ -38,12 +47,36 @@ _HOME = {
     "Exported": "rx90b_flex.simulators",
     "Robot": "rx90b_flex.robot",
     "check": "rx90b_flex.diagnose.check",
+    "check_path": "rx90b_flex.verbs",
     "close_loop": "rx90b_flex.diagnose.close",
     "drive_parameters": "rx90b_flex.identify.inverse_eigenvalue",
+    "excite": "rx90b_flex.verbs",
     "export_robot": "rx90b_flex.simulators",
+    "frf": "rx90b_flex.verbs",
+    "identify": "rx90b_flex.verbs",
     "load_robot": "rx90b_flex.robot",
     "replay_errors": "rx90b_flex.diagnose.replayed",
+    "simulate": "rx90b_flex.verbs",
+    "view": "rx90b_flex.verbs",
 }
+
+
+_FOLDERS = ("identify", "simulate", "view")  # verbs that have the name of one
+
+
+class _Package(ModuleType):
+    """This package: what has the name of a verb and of a folder is the verb, also after something of the folder was imported.
+
+    An import puts a folder's module into the package under its name. For verbs it is not put there, but becomes the verb's name
+    space, so that ``rx90b_flex.view(...)`` is a call and ``rx90b_flex.view.meshcat`` a module all the same.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (isinstance(value, ModuleType) and name in _FOLDERS):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
@@ -57,6 +90,8 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(_HOME[name]), name)
+    if name in _FOLDERS:
+        value.__dict__ = vars(import_module(f"{__name__}.{name}"))
     globals()[name] = value
     return value
 

@@ -579,20 +579,28 @@ def robot_names() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in robots_folder().glob("*.toml") if "urdf" in read_toml(p, "robot file")))
 
 
-def load_robot(source: str | os.PathLike[str]) -> Robot:
+def load_robot(source: str | os.PathLike[str] | Robot) -> Robot:
     """Load a robot.
 
     Parameters
     ----------
-    source : str or path
-        A name in `robots_folder()` (``rx90b``), a robot file (``.toml``), a URDF (no effects), or
+    source : str, path or Robot
+        A robot is returned as it is. A name in `robots_folder()` (``rx90b``), a robot file (``.toml``), a URDF (no effects), or
         ``example-robot-data:NAME``.
 
     Raises
     ------
     ValueError
         One line that names the file and the key, joint or effect type that is wrong.
+
+    Examples
+    --------
+    >>> import rx90b_flex as rf
+    >>> rf.load_robot("rx90b_3dof")
+    <Robot 'rx90b_3dof': 3 joints, 12 coordinates, 16 effects>
     """
+    if isinstance(source, Robot):
+        return source
     text = str(source)
     if text.startswith("example-robot-data:"):
         return _from_urdf(text, text.split(":", 1)[1], None, "fitted")

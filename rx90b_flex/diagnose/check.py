@@ -27,6 +27,7 @@ from rx90b_flex.diagnose.residual import noise_between_periods
 from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.recording import DataFaultError
@@ -64,7 +65,7 @@ class RecordingFacts:
 
 
 @dataclass(frozen=True)
-class Checked:
+class Checked(Showing):
     """What a look at the data says; the content of ``check.json`` as attributes.
 
     Attributes
@@ -141,6 +142,13 @@ def check(
     ------
     ValueError
         One line that names the file and what is wrong in it.
+
+    Examples
+    --------
+    >>> import rx90b_flex as rf
+    >>> checked = rf.check("campaign.toml")
+    >>> checked.usable
+    True
     """
     with threadpool_limits(limits=1, user_api="blas"):
         return _checked(source, robot, progress or (lambda _text, _part: None))

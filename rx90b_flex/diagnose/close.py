@@ -32,6 +32,7 @@ from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 SCHEMA = 1
@@ -146,7 +147,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ClosedLoop(Showing):
     """Result of closing the loop; the content of ``closed_loop.json`` as attributes.
 
     Attributes
@@ -305,6 +306,15 @@ def close_loop(
     ------
     ValueError
         One line that names the file and what is wrong in it.
+
+    Examples
+    --------
+    >>> import rx90b_flex as rf
+    >>> result = rf.close_loop("campaign.toml")
+    >>> [found.effect.label for found in result.effects]
+    ['elbow.torque_offset']
+    >>> result.after.validation.relative_error < result.before.validation.relative_error
+    True
     """
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):

@@ -11,13 +11,14 @@ from typing import Any
 from rx90b_flex.diagnose.check import Checked, faults_json
 from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.robot import Robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign
 
 DATA_FAULT = "data_fault"
 
 
 @dataclass(frozen=True, eq=False)
-class RefusedLoop:
+class RefusedLoop(Showing):
     """Result of a loop that was not begun; the content of its ``closed_loop.json`` as attributes.
 
     Attributes

@@ -29,6 +29,7 @@ from rx90b_flex.identify.physical import (
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 SCHEMA = 1
@@ -119,7 +120,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class Identified(Showing):
     """A robot identified on a campaign.
 
     Attributes

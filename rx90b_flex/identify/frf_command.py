@@ -29,6 +29,7 @@ from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_repl
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 from rx90b_flex.signals.folders import MOTOR_SIGNALS, fill_folder
 from rx90b_flex.signals.tables import read_table
@@ -116,7 +117,7 @@ class AtPose:
 
 
 @dataclass(frozen=True, eq=False)
-class MotorIdentification:
+class MotorIdentification(Showing):
     """All that a campaign of motor signals says.
 
     Attributes

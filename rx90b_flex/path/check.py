@@ -18,6 +18,7 @@ from rx90b_flex.path.correct import Learner
 from rx90b_flex.path.planning import HOLD_S, Plan, plan, rates
 from rx90b_flex.path.seam import Seam
 from rx90b_flex.robot import Robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.simulate.closed_loop import Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 
@@ -183,7 +184,7 @@ class Iteration(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PathCheck:
+class PathCheck(Showing):
     """The result.
 
     Attributes

@@ -26,6 +26,7 @@ from scipy.optimize import minimize_scalar
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
 from rx90b_flex.path.planning import HOLD_S
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals.tables import read_table, suggestion
 
 FILES = ("measured.json", "measured.csv")
@@ -43,7 +44,7 @@ Aligned = Literal["time", "path"]
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Showing):
     """A measured tip, the predicted one, and the difference, at the same samples.
 
     Attributes

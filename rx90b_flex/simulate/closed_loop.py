@@ -24,6 +24,7 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.kernels import Extra, Inputs, Lanes, Logs, Loop, Plant, no_extra
 from rx90b_flex.robot import Robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.trajectories import Trajectory
@@ -104,7 +105,7 @@ class RawLog:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(Showing):
     """One run.
 
     Attributes

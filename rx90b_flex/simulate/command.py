@@ -74,8 +74,8 @@ class Prepared:
     trajectory: Trajectory
 
 
-def prepare(request: Request) -> Prepared:
-    """Read and check everything that a request names.
+def prepare(request: Request, robot: Robot | None = None, trajectory: Trajectory | None = None) -> Prepared:
+    """Read and check everything that a request names; robot and trajectory only where they are not given.
 
     Raises
     ------
@@ -91,11 +91,11 @@ def prepare(request: Request) -> Prepared:
         raise ValueError(f"periods is {request.periods}; expected 1 or more")
     if request.periods * PERIOD_S > LONGEST_S:
         raise ValueError(f"periods is {request.periods}; expected {int(LONGEST_S / PERIOD_S)} at most, a day of motion")
-    robot = load_robot(request.robot)
+    robot = load_robot(request.robot) if robot is None else robot
     for effect in robot.effects:
         effect.known_coefficients()
     controller = controller_of(robot, request.controller)
-    trajectory = _trajectory(robot, controller, request)
+    trajectory = _trajectory(robot, controller, request) if trajectory is None else trajectory
     if request.periods > 1 and trajectory.period_s is None:
         raise ValueError(f"periods is {request.periods}, but {trajectory.name!r} does not repeat")
     return Prepared(request, robot, controller, trajectory)

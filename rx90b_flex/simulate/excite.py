@@ -98,8 +98,8 @@ class Request:
     seed: int = 0
 
 
-def excitation_plans(request: Request) -> tuple[Plan, ...]:
-    """A plan for each pose.
+def excitation_plans(request: Request, robot: Robot | None = None) -> tuple[Plan, ...]:
+    """A plan for each pose; of the robot that the request names, where none is given.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def excitation_plans(request: Request) -> tuple[Plan, ...]:
         One line that names what does not fit: a joint, a pose beyond its limits, a torque beyond its limit, lines beyond Nyquist.
     """
     _check_numbers(request)
-    robot = load_robot(request.robot)
+    robot = load_robot(request.robot) if robot is None else robot
     joints = request.joints or robot.joints[:3]
     for joint in joints:
         if joint not in robot.joints:
@@ -242,18 +242,22 @@ def _reference(
 # ---- files ----------------------------------------------------------------------------------------------------
 
 
-def excite_into(request: Request, folder: Path, simulated: bool, tell: Progress, overwrite: bool = False) -> list[str]:
+def excite_into(
+    request: Request, folder: Path, simulated: bool, tell: Progress, overwrite: bool = False, robot: Robot | None = None
+) -> list[str]:
     """Write references, robot and campaign file; nothing unless all of it. Returns what is worth knowing, one line each.
 
     Parameters
     ----------
     simulated : bool
         Whether the logs are simulated, too (perturbation method, noise `NOISE`).
+    robot : Robot, optional
+        In place of the one that the request names.
     """
     check_folder(folder, CAMPAIGN, overwrite, [request.robot, *([request.controller] if request.controller else [])])
     _keep_logs(folder)
     tell("designing", 0.0)
-    plans = excitation_plans(request)
+    plans = excitation_plans(request, robot)
     if simulated:
         plans = tuple(dataclasses.replace(p, noise=NOISE, method="perturbation") for p in plans)
     said: list[str] = []

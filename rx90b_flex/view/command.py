@@ -72,9 +72,9 @@ def view_of(wanted: Wanted) -> View:
     if wanted.modes or (campaign is None and wanted.beside is None and wanted.recording is None):
         if wanted.beside is not None:
             raise ValueError("--beside and --modes: choose one")
-        robot, words = _robot(wanted, wanted.source if campaign is None else load_campaign(campaign).robot_source)
-        view = show_modes(robot, _pose(wanted.pose, len(robot.joints)), count=wanted.count)
-        return dataclasses.replace(view, notes=(*words, *view.notes))
+        robot = load_robot(wanted.source if campaign is None else load_campaign(campaign).robot_source)
+        rigid, *_ = without_written_hinges(robot)
+        return modes_of(robot, _pose(wanted.pose, len(rigid.joints)), wanted.count, wanted.flexible, wanted.tip)
     if wanted.flexible:
         raise ValueError("--flexible is of a robot's mode shapes; a recording has its own robot")
     if wanted.pose is not None:
@@ -86,22 +86,37 @@ def view_of(wanted: Wanted) -> View:
     return dataclasses.replace(view, notes=(tip_words(run.robot), *view.notes))
 
 
-def _robot(wanted: Wanted, source: str | Path) -> tuple[Robot, tuple[str, ...]]:
-    """The robot whose mode shapes are shown, and what was taken for it."""
-    loaded = load_robot(source)
-    loaded = loaded if wanted.tip is None else with_tip(loaded, wanted.tip)
+def modes_of(
+    loaded: Robot, pose: list[float] | None, count: int, flexible: bool = False, tip: str | None = None
+) -> View:
+    """Mode shapes of a robot, with what was taken for it in the notes.
+
+    Parameters
+    ----------
+    loaded : Robot
+    pose : list of float, rad, or None
+    count, flexible, tip
+        As in `Wanted`.
+
+    Raises
+    ------
+    ValueError
+        A robot in which nothing bends; no such frame; a pose of the wrong size.
+    """
+    loaded = loaded if tip is None else with_tip(loaded, tip)
     robot, torsion, bending, base = without_written_hinges(loaded)
     if torsion or bending or base:  # a URDF of flexify has hinges and no springs
-        flexible = with_default_flexibility(robot, torsion, bending, base)
-    elif wanted.flexible:
-        flexible = with_default_flexibility(robot)
+        bends = with_default_flexibility(robot, torsion, bending, base)
+    elif flexible:
+        bends = with_default_flexibility(robot)
     elif not any(e.virtual for e in robot.effects):
         raise ValueError(
             f"{robot.name}: nothing in it bends; --flexible gives it stated stiffnesses, a robot file its own"
         )
     else:
-        flexible = robot
-    return flexible, (tip_words(robot), *default_words(flexible, robot))
+        bends = robot
+    view = show_modes(bends, pose, count=count)
+    return dataclasses.replace(view, notes=(tip_words(bends), *default_words(bends, robot), *view.notes))
 
 
 def read_run(source: str, recording: str | None = None, tip: str | None = None) -> Run:

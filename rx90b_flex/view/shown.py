@@ -1,0 +1,270 @@
+"""How results show themselves: one table and one figure a kind of result, and both in a notebook's cell."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from functools import singledispatch
+from html import escape
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from rx90b_flex.diagnose.check import Checked
+from rx90b_flex.diagnose.close import ClosedLoop
+from rx90b_flex.diagnose.refused import RefusedLoop
+from rx90b_flex.identify.command import Identified
+from rx90b_flex.identify.frf_command import MotorIdentification
+from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.path.check import PathCheck
+from rx90b_flex.path.measured import Comparison
+from rx90b_flex.simulate.closed_loop import Simulation
+from rx90b_flex.view import frf_plots, path_plots, plots
+from rx90b_flex.view.identify_plots import torque_fit
+from rx90b_flex.view.measured_section import measured_along_path
+from rx90b_flex.view.page import image
+
+SHOWN_ROWS = 30  # of a table in a cell
+ESTIMATE = ("parameter", "value", "std", "unit")
+
+
+@singledispatch
+def table_of(result: object) -> pd.DataFrame:
+    """Main table of a result.
+
+    Raises
+    ------
+    TypeError
+        A kind of result that has none.
+    """
+    raise TypeError(f"{type(result).__name__} has no table")
+
+
+@singledispatch
+def figure_of(result: object) -> Figure:
+    """Figure of a result that matters most.
+
+    Raises
+    ------
+    TypeError
+        A kind of result that has none.
+    """
+    raise TypeError(f"{type(result).__name__} has no figure")
+
+
+@singledispatch
+def words_of(result: object) -> str:
+    """A result in a sentence."""
+    raise TypeError(f"{type(result).__name__} has no words")
+
+
+def cell_of(result: object) -> str:
+    """HTML of a notebook's cell: words, table, figure; its texts may hold anything and are escaped."""
+    table = table_of(result)
+    shown = table.head(SHOWN_ROWS).to_html(index=False, na_rep="", float_format=lambda x: f"{x:.4g}", border=0)
+    more = f"<p>{len(table) - SHOWN_ROWS} more rows in .to_pandas()</p>" if len(table) > SHOWN_ROWS else ""
+    parts = [f"<p><b>{escape(words_of(result))}</b></p>", shown if len(table) else "", more]
+    try:
+        picture = image(figure_of(result), words_of(result))
+    except ValueError:  # nothing to draw
+        return "".join(parts)
+    parts.append(
+        f'<img src="{picture.source}" alt="{escape(picture.alt)}" width="{picture.width}" style="max-width:100%">'
+    )
+    return "".join(parts)
+
+
+def _estimates(estimates: Sequence[Estimate]) -> pd.DataFrame:
+    rows = [(e.name, e.value, e.std, e.unit) for e in estimates]
+    return pd.DataFrame(rows, columns=list(ESTIMATE)).astype({"value": float, "std": float})
+
+
+# ---- closing the loop -------------------------------------------------------------------------------------------
+
+
+@table_of.register
+def _(result: ClosedLoop) -> pd.DataFrame:
+    """A row a parameter of each effect, in the order in which they were added."""
+    rows = [
+        (e.effect.type_name(), " + ".join(e.effect.joints) or "robot", p.name, p.value, p.std, p.unit, e.before.relative_error,
+         e.after.relative_error, e.p_value)
+        for e in result.effects for p in e.parameters
+    ]  # fmt: skip
+    columns = ["effect", "joint", *ESTIMATE, "error_before", "error_after", "p_value"]
+    return pd.DataFrame(rows, columns=columns).astype({"value": float, "std": float})
+
+
+@figure_of.register
+def _(result: ClosedLoop) -> Figure:
+    return plots.errors_by_joint(result)
+
+
+@words_of.register
+def _(result: ClosedLoop) -> str:
+    before, after = (f"{100 * x.validation.relative_error:.3g} %" for x in (result.before, result.after))
+    return f"{result.robot}: {result.verdict.replace('_', ' ')}; held-out torque error {before} → {after}"
+
+
+@table_of.register
+def _(result: RefusedLoop) -> pd.DataFrame:
+    return table_of(result.checked)
+
+
+@figure_of.register
+def _(result: RefusedLoop) -> Figure:
+    return figure_of(result.checked)
+
+
+@words_of.register
+def _(result: RefusedLoop) -> str:
+    return words_of(result.checked)
+
+
+# ---- look at the data -------------------------------------------------------------------------------------------
+
+
+@table_of.register
+def _(result: Checked) -> pd.DataFrame:
+    """A row a fault."""
+    rows = [(f.kind, f.signal, ", ".join(f.joints), f.factor, f.std, f.message) for f in result.data_faults]
+    columns = ["kind", "signal", "joints", "factor", "std", "message"]
+    return pd.DataFrame(rows, columns=columns).astype({"factor": float, "std": float})
+
+
+@figure_of.register
+def _(result: Checked) -> Figure:
+    """Error of the rigid model with basic friction on rows held out, joint by joint: what is unlike the others stands out."""
+    if not len(result.relative_error) == len(result.joints):
+        raise ValueError("no fit was possible")
+    figure = Figure(figsize=(plots.WIDTH_IN, 0.9 + 0.3 * len(result.joints)), layout="constrained")
+    ax = figure.subplots()
+    rows = np.arange(len(result.joints))
+    ax.barh(rows, [100 * x for x in result.relative_error], 0.6, color=plots.AFTER)
+    ax.set_yticks(rows, list(result.joints))
+    ax.invert_yaxis()
+    ax.set_xlabel("error of a rigid model with basic friction, held out, % of the torque's deviation", fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+@words_of.register
+def _(result: Checked) -> str:
+    return f"{result.robot}: {result.verdict}"
+
+
+# ---- identification ---------------------------------------------------------------------------------------------
+
+
+@table_of.register
+def _(result: Identified) -> pd.DataFrame:
+    """A row a parameter; no value where only combinations are determined."""
+    return _estimates(result.parameters)
+
+
+@figure_of.register
+def _(result: Identified) -> Figure:
+    """Measured and predicted torque of the joint with the largest error, on the first recording that was not fitted."""
+    first = result.predictions[0]
+    error = np.sqrt(np.mean((first.measured - first.predicted) ** 2, axis=0)) / np.std(first.measured, axis=0).clip(
+        1e-12
+    )
+    k = int(np.argmax(error))
+    return torque_fit(first.recording.time, first.measured[:, k], first.predicted[:, k], first.recording.joints[k])
+
+
+@words_of.register
+def _(result: Identified) -> str:
+    held = "" if result.validation is None else f", held out {100 * result.validation.relative_error:.3g} %"
+    return f"{result.source.name}: torque error fitted {100 * result.identification.relative_error:.3g} %{held}"
+
+
+@table_of.register
+def _(result: MotorIdentification) -> pd.DataFrame:
+    """A row a physical parameter with its 95 % interval; empty without a grey box."""
+    best = result.grey if result.replayed is None else result.replayed.grey
+    rows = [] if best is None else [(e.name, e.value, e.low, e.high, e.unit, e.determined) for e in best.estimates]
+    return pd.DataFrame(rows, columns=["parameter", "value", "low", "high", "unit", "determined"])
+
+
+@figure_of.register
+def _(result: MotorIdentification) -> Figure:
+    """Magnitude of the first pose's frequency response with its band, and that of the identified robot."""
+    if not result.poses:
+        raise ValueError("no frequency response")
+    measured = result.poses[0].measured
+    others: list[Any] = []
+    if result.grey is not None and 0 in result.fitted:
+        place = result.fitted.index(0)
+        others = [(result.grey.responses[place].hz, result.grey.predicted[place], "identified robot")]
+    return frf_plots.magnitude(measured, others)
+
+
+@words_of.register
+def _(result: MotorIdentification) -> str:
+    lost = f"; left out: {', '.join(x.stage for x in result.left_out)}" if result.left_out else ""
+    return f"{result.robot.name} from motor signals, {len(result.poses)} pose(s){lost}"
+
+
+# ---- paths and runs ---------------------------------------------------------------------------------------------
+
+
+@table_of.register
+def _(result: PathCheck) -> pd.DataFrame:
+    """A row an effect, largest contribution first; the deviation itself where none was switched off."""
+    if not result.contributions:
+        of = result.before
+        axes = {f"{name}_mm": getattr(of, name) for name in ("along", "left", "up", "across")}
+        return pd.DataFrame({"distance_mm": of.distance_mm} | axes)
+    table = pd.DataFrame([dataclasses.asdict(c) for c in result.contributions])
+    return table.sort_values("rms_across", ascending=False, ignore_index=True)
+
+
+@figure_of.register
+def _(result: PathCheck) -> Figure:
+    return path_plots.deviation_along_path(result)
+
+
+@words_of.register
+def _(result: PathCheck) -> str:
+    return f"{result.plan.seam.name}: {result.sentence}"
+
+
+@table_of.register
+def _(result: Comparison) -> pd.DataFrame:
+    """A row a sample."""
+    columns = {"distance_mm": result.measured.distance_mm}
+    for name in ("measured", "predicted", "difference"):
+        columns |= {
+            f"{axis}_{name}_mm": getattr(getattr(result, name), axis) for axis in ("along", "left", "up", "across")
+        }
+    return pd.DataFrame(columns)
+
+
+@figure_of.register
+def _(result: Comparison) -> Figure:
+    return measured_along_path(result)
+
+
+@words_of.register
+def _(result: Comparison) -> str:
+    return result.sentence
+
+
+@table_of.register
+def _(result: Simulation) -> pd.DataFrame:
+    """A row an instant: time (s), every coordinate (rad) and the tip's place (m)."""
+    columns = {"time": result.time} | dict(zip(result.robot.coordinates, result.q.T, strict=True))
+    return pd.DataFrame(columns | {f"tip_{axis}": result.tip[:, i, 3] for i, axis in enumerate("xyz")})
+
+
+@figure_of.register
+def _(result: Simulation) -> Figure:
+    return plots.tip_deviation(result)
+
+
+@words_of.register
+def _(result: Simulation) -> str:
+    ended = f"; ended early: {result.ended}" if result.ended else ""
+    return f"{result.trajectory.name} of {result.robot.name}, {result.time[-1]:.3g} s{ended}"
