@@ -63,8 +63,14 @@ def words_of(result: object) -> str:
 def cell_of(result: object) -> str:
     """HTML of a notebook's cell: words, table, figure; its texts may hold anything and are escaped."""
     table = table_of(result)
+    undetermined = 0
+    if "value" in table.columns:  # a parameter without one has nothing to show
+        undetermined = int(table["value"].isna().sum())
+        table = table[table["value"].notna()]
     shown = table.head(SHOWN_ROWS).to_html(index=False, na_rep="", float_format=lambda x: f"{x:.4g}", border=0)
     more = f"<p>{len(table) - SHOWN_ROWS} more rows in .to_pandas()</p>" if len(table) > SHOWN_ROWS else ""
+    if undetermined:
+        more += f"<p>{undetermined} parameters are not determined by themselves</p>"
     parts = [f"<p><b>{escape(words_of(result))}</b></p>", shown if len(table) else "", more]
     try:
         picture = image(figure_of(result), words_of(result))
@@ -144,7 +150,7 @@ def _(result: Checked) -> Figure:
     ax.barh(rows, [100 * x for x in result.relative_error], 0.6, color=plots.AFTER)
     ax.set_yticks(rows, list(result.joints))
     ax.invert_yaxis()
-    ax.set_xlabel("error of a rigid model with basic friction, held out, % of the torque's deviation", fontsize=9)
+    ax.set_xlabel("held-out error of a rigid model with basic friction, %", fontsize=9)
     ax.spines[["top", "right"]].set_visible(False)
     return figure
 
