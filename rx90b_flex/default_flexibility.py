@@ -16,6 +16,7 @@ from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DAMPING_TIME, BaseFlexibility, DriveFlexibility, JointFlexibility
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
+from rx90b_flex.written_hinges import unflexify
 
 DRIVE_HZ = 20.0  # of the links behind a drive on its torsion, the other drives held
 DRIVE_SHARE = 0.15  # drive's inertia over that of the links; RX90B, joints 1 to 3: 0.18, 0.09, 0.3
@@ -74,7 +75,7 @@ def without_written_hinges(robot: Robot) -> tuple[Robot, tuple[str, ...], tuple[
     base : bool
         Whether the base had.
     """
-    urdf, torsion, bending, base = virtual.unflexify(virtual.read_xml(robot.urdf))
+    urdf, torsion, bending, base = unflexify(virtual.read_xml(robot.urdf))
     if not (torsion or bending or base):
         return robot, (), (), False
     return dataclasses.replace(robot, urdf=virtual.to_xml(urdf)), torsion, bending, base

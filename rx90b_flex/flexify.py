@@ -50,7 +50,6 @@ __all__ = [
     "read_xml",
     "roll_pitch_yaw",
     "to_xml",
-    "unflexify",
     "urdf_path",
     "virtual_joint_names",
     "write_urdf",
@@ -607,43 +606,6 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
                 "(is it flexible already?); rename it"
             )
     return _refresh(result)
-
-
-def unflexify(urdf: yourdfpy.URDF) -> tuple[yourdfpy.URDF, tuple[str, ...], tuple[str, ...], bool]:
-    """Copy without the virtual joints of `flexify`, and where they were.
-
-    Returns
-    -------
-    urdf
-        Rigid tree; the same where there are none.
-    torsion, bending : tuple of str
-        Driving joints that twisted, and that bent.
-    base : bool
-        Whether the base tilted.
-    """
-    result = _copy(urdf)
-    robot = result.robot
-    by_parent = {joint.parent: joint for joint in robot.joints}
-    base = [joint.name for joint in robot.joints if joint.parent == GROUND_LINK] == [BASE_JOINTS[0]]
-    found: dict[str, tuple[str, ...]] = {}
-    links: set[str] = set()
-    for joint in robot.joints:
-        last = joint
-        names: list[str] = []
-        while last.child == f"{joint.name}_drive_link" or (names and last.child == f"{last.name}_link"):
-            links.add(last.child)
-            last = by_parent[last.child]
-            names.append(last.name)
-        if names:
-            joint.child = last.child
-            found[joint.name] = tuple(names)
-    gone = {name for names in found.values() for name in names} | (set(BASE_JOINTS) if base else set())
-    links |= {GROUND_LINK, f"{BASE_JOINTS[0]}_link"} if base else set()
-    robot.joints = [joint for joint in robot.joints if joint.name not in gone]
-    robot.links = [link for link in robot.links if link.name not in links]
-    torsion = tuple(name for name, names in found.items() if f"{name}_{_TORSION}" in names)
-    bending = tuple(name for name, names in found.items() if f"{name}_{_BEND_1}" in names)
-    return _refresh(result), torsion, bending, base
 
 
 def _virtual_joint(name: str, joint_type: str, parent: str, child: str, axis: Vector) -> Any:

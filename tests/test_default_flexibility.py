@@ -12,6 +12,7 @@ import rx90b_flex as rf
 from rx90b_flex import flexify as virtual
 from rx90b_flex.default_flexibility import DRIVE_HZ, with_default_flexibility, without_written_hinges
 from rx90b_flex.tip import is_finger, tip_words, with_tip
+from rx90b_flex.written_hinges import unflexify
 
 UR10, PANDA = "example-robot-data:ur10", "example-robot-data:panda"
 
@@ -51,7 +52,7 @@ def test_what_flexify_wrote_is_taken_out_again(source: str, base: bool) -> None:
     rigid = virtual.read_xml(rf.load_robot(source).urdf)
     joints = virtual.moving_joints(rigid)
     written = virtual.flexify(rigid, joints[::2], joints[1:3], base)
-    back, torsion, bending, had_base = virtual.unflexify(written)
+    back, torsion, bending, had_base = unflexify(written)
     assert (torsion, sorted(bending), had_base) == (tuple(joints[::2]), sorted(joints[1:3]), base)
     assert virtual.to_xml(back) == virtual.to_xml(rigid)
 
@@ -59,6 +60,13 @@ def test_what_flexify_wrote_is_taken_out_again(source: str, base: bool) -> None:
 def test_a_urdf_without_written_hinges_is_left_alone() -> None:
     robot = rf.load_robot(PANDA)
     assert without_written_hinges(robot) == (robot, (), (), False)
+
+
+def test_a_link_whose_name_only_looks_like_a_written_one_is_left_alone(tmp_path: Path) -> None:
+    text = rf.load_robot("rx90b_rigid").urdf.replace('"link_6"', '"joint_6_drive_link"')
+    (tmp_path / "robot.urdf").write_text(text)
+    robot = rf.load_robot(tmp_path / "robot.urdf")
+    assert without_written_hinges(robot)[0] is robot
 
 
 # ---- command ----------------------------------------------------------------------------------------------------
@@ -88,9 +96,8 @@ def test_the_tip_is_named_and_asked_for_where_it_is_a_finger(tmp_path: Path, com
     assert is_finger(panda) and not is_finger(rf.load_robot("rx90b")) and not is_finger(rf.load_robot(UR10))
     assert "panda_hand" in tip_words(panda)
     assert tip_words(with_tip(panda, "panda_hand")) == "Tip frame: panda_hand"
-    found = command("view", PANDA, "--flexible", "--out", tmp_path / "a.html")
-    assert "a finger" in found.out and "--tip" in found.out
-    found = command("view", PANDA, "--flexible", "--tip", "panda_hand", "--out", tmp_path / "b.html")
-    assert "Tip frame: panda_hand\n" in found.out
+    assert "a finger" in tip_words(panda) and "--tip" in tip_words(panda)
+    found = command("view", "rx90b_3dof", "--tip", "link_2", "--out", tmp_path / "b.html")
+    assert found.status == 0 and "Tip frame: link_2\n" in found.out
     found = command("view", PANDA, "--flexible", "--tip", "panda_hend", "--out", tmp_path / "c.html")
     assert found.status == 2 and "'panda_hand'" in found.err and found.err.count("\n") == 1

@@ -124,3 +124,17 @@ def test_names_of_joints_are_no_html(results: dict[str, Showing]) -> None:
 
     checked = dataclasses.replace(results["check"], robot="<script>alert(1)</script>")  # type: ignore[type-var]
     assert "<script" not in checked._repr_html_()
+
+
+@pytest.mark.slow
+def test_motor_signals_show_their_parameters_and_the_response(tmp_path: Path) -> None:
+    rf.excite("rx90b_3dof", tmp_path / "runs", realisations=2, periods=3, simulate=True)
+    found = rf.frf(tmp_path / "runs" / "campaign.toml", replay=False)
+    table = found.to_pandas()
+    assert found.grey is not None
+    assert list(table["parameter"]) == [e.name for e in found.grey.estimates]
+    assert ((table["low"] < table["value"]) & (table["value"] < table["high"]))[table["determined"]].all()
+    assert len(found.plot().figure.axes) == 9  # every entry of three joints
+    tags = Tags()
+    tags.feed(found._repr_html_())
+    assert not tags.open and b"<svg" in tags.image

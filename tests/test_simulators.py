@@ -181,6 +181,31 @@ def test_a_motor_a_drive_and_what_it_is_told_is_its_torque(tmp_path: Path) -> No
     assert_agree(loaded.data.qacc[loaded.order], robot.forward_dynamics(q, v, torque))
 
 
+def test_mujocos_own_steps_have_the_modes_of_the_linearisation(tmp_path: Path) -> None:
+    """Eigenvalues of one step about the balance under the motors' torques, against poles that were never stepped."""
+    robot = ur10([t for t in LINEAR if "friction" not in str(t["type"])], TWISTING, BENDING)
+    loaded = InMujoco(robot, tmp_path / "robot.xml")
+    model, data = loaded.model, loaded.data
+    q, zero = robot.input_matrix @ np.array([0.3, -1.0, 1.2, 0.4, 0.5, 0.0]), np.zeros(robot.model.nv)
+    hinges = np.flatnonzero(~robot.input_matrix.any(axis=1))
+    for _ in range(20):
+        stiffness = robot.linearize(q).K[np.ix_(hinges, hinges)]
+        q[hinges] -= np.linalg.solve(stiffness, robot.inverse_dynamics(q, zero, zero)[hinges])
+    loaded._set(q, zero, zero)
+    data.ctrl[:] = robot.inverse_dynamics(q, zero, zero) @ robot.input_matrix
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.qacc).max() < 1e-6  # it stands
+    step = np.empty((2 * model.nv, 2 * model.nv))
+    mujoco.mjd_transitionFD(model, data, 1e-7, True, step, None, None, None)
+    theirs = np.log(np.linalg.eigvals(step).astype(complex)) / model.opt.timestep
+    ours = robot.linearize(q).modes().poles
+    swinging = [np.sort(poles.imag[poles.imag > 2 * np.pi * 2.0]) for poles in (theirs, ours)]
+    assert len(swinging[1]) >= 5 and len(swinging[0]) == len(swinging[1])
+    # a step of first order in the damping: a pole is off by about half of its own angle a step
+    off = np.abs(swinging[0] / swinging[1] - 1.0)
+    assert (off < swinging[1] * model.opt.timestep).all() and off[0] < 2e-3
+
+
 def test_the_time_step_resolves_the_fastest_mode(tmp_path: Path) -> None:
     robot = ur10(LINEAR, TWISTING, BENDING)
     loaded = InMujoco(robot, tmp_path / "robot.xml")

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rx90b_flex.path.check import Contribution, Deviation, Options, PathCheck, check_path
-    from rx90b_flex.path.measured import Comparison, compare_measured
+    from rx90b_flex.path.measured import MeasuredTip, compare_measured
     from rx90b_flex.path.planning import Plan, plan
     from rx90b_flex.path.seam import EXAMPLES, Seam, load_seam
 
 __all__ = [
     "EXAMPLES",
-    "Comparison",
     "Contribution",
     "Deviation",
+    "MeasuredTip",
     "Options",
     "PathCheck",
     "Plan",
@@ -28,10 +28,10 @@ __all__ = [
 
 # loaded when they are asked for, so that one name does not cost the libraries of all
 _HOME = {
-    "Comparison": "rx90b_flex.path.measured",
     "Contribution": "rx90b_flex.path.check",
     "Deviation": "rx90b_flex.path.check",
     "EXAMPLES": "rx90b_flex.path.seam",
+    "MeasuredTip": "rx90b_flex.path.measured",
     "Options": "rx90b_flex.path.check",
     "PathCheck": "rx90b_flex.path.check",
     "Plan": "rx90b_flex.path.planning",

@@ -44,7 +44,7 @@ Aligned = Literal["time", "path"]
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Showing):
+class MeasuredTip(Showing):
     """A measured tip, the predicted one, and the difference, at the same samples.
 
     Attributes
@@ -125,7 +125,7 @@ def read_measured(file: str | os.PathLike[str]) -> tuple[Array, Array | None]:
     return place, time
 
 
-def compare_measured(result: PathCheck, file: str | os.PathLike[str]) -> Comparison:
+def compare_measured(result: PathCheck, file: str | os.PathLike[str]) -> MeasuredTip:
     """Compare a measured tip with that of a check's planned run.
 
     Parameters
@@ -159,7 +159,7 @@ def _refuse_far(result: PathCheck, file: Path, place: Array) -> None:
 # ---- with times -------------------------------------------------------------------------------------------------
 
 
-def _at_times(result: PathCheck, file: Path, place: Array, time: Array) -> Comparison:
+def _at_times(result: PathCheck, file: Path, place: Array, time: Array) -> MeasuredTip:
     planned, run = result.plan, result.runs[0]
     shift = _shift(run.time, run.tip[:, :3, 3], place, time)
     on = time - shift - HOLD_S
@@ -199,7 +199,7 @@ def _interpolate(at: Array, time: Array, place: Array) -> Array:
 # ---- without times ----------------------------------------------------------------------------------------------
 
 
-def _along(result: PathCheck, file: Path, place: Array) -> Comparison:
+def _along(result: PathCheck, file: Path, place: Array) -> MeasuredTip:
     pieces, run = result.plan.seam.pieces, result.runs[0]
     grid = np.linspace(0.0, pieces.total, GRID)
     on_path, _ = pieces.at(grid)
@@ -251,7 +251,7 @@ def _comparison(
     distance: Array,
     tangent: Array,
     missing: list[Array],
-) -> Comparison:
+) -> MeasuredTip:
     left, up = across_axes(tangent)
     order = np.argsort(distance, kind="stable")
     length = 1e3 * result.plan.seam.pieces.total
@@ -264,13 +264,13 @@ def _comparison(
     parts = {name: getattr(measured, name) - getattr(predicted, name) for name in ("along", "left", "up")}
     difference = dataclasses.replace(measured, **parts)
     seen = float(np.ptp(distance)) * 1e3 / length
-    return Comparison(file, aligned, shift, measured, predicted, difference, result.options.tolerance_mm, seen)
+    return MeasuredTip(file, aligned, shift, measured, predicted, difference, result.options.tolerance_mm, seen)
 
 
 # ---- files ------------------------------------------------------------------------------------------------------
 
 
-def write_measured(of: Comparison, folder: Path) -> None:
+def write_measured(of: MeasuredTip, folder: Path) -> None:
     """Write `measured.json`, and `measured.csv` with every sample: its place along the path and the three deviations, mm."""
     (folder / "measured.json").write_text(json.dumps(as_json(of), indent=1) + "\n", encoding="utf-8")
     columns = {"distance_mm": of.measured.distance_mm}
@@ -281,7 +281,7 @@ def write_measured(of: Comparison, folder: Path) -> None:
     (folder / "measured.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def as_json(of: Comparison) -> dict[str, Any]:
+def as_json(of: MeasuredTip) -> dict[str, Any]:
     """Everything but the samples."""
     parts = {"measured": of.measured, "predicted": of.predicted, "difference": of.difference}
     return {

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from rx90b_flex.path.measured import Comparison
+from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.view.page import Section, Table, image
 from rx90b_flex.view.plots import AFTER, BEFORE, MEASURED, _figure, _legend
 
 
-def measured_section(of: Comparison) -> Section:
+def measured_section(of: MeasuredTip) -> Section:
     """Table and figure of a comparison."""
     head = ("tip", "across, largest, mm", "RMS, mm", "at, mm", "along, largest, mm")
     rows = []
@@ -33,7 +33,7 @@ def measured_section(of: Comparison) -> Section:
     return Section("Measured against predicted", text, (Table(head, tuple(rows)),), (figure,))
 
 
-def measured_along_path(of: Comparison) -> Figure:
+def measured_along_path(of: MeasuredTip) -> Figure:
     """Deviation to the left and upwards, measured and predicted, over the length of the path; below it their difference across."""
     figure, axes = _figure(3, 5.6, heights=(1.0, 1.0, 0.9), sharex=True)
     for ax, part in zip(axes, ("left", "up"), strict=False):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex.path.check import MODEL_ERROR, Deviation, PathCheck
-from rx90b_flex.path.measured import Comparison
+from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.view import path_plots
 from rx90b_flex.view.measured_section import measured_section
 from rx90b_flex.view.page import Section, Table, image, write_page
@@ -15,7 +15,7 @@ from rx90b_flex.view.page import Section, Table, image, write_page
 SHOWN_STRETCHES = 12
 
 
-def write_path_report(result: PathCheck, path: Path, measured: Comparison | None = None) -> None:
+def write_path_report(result: PathCheck, path: Path, measured: MeasuredTip | None = None) -> None:
     """Write the report, of a measured tip first where there is one; it appears whole or not at all."""
     sections = [_deviation(result), _why(result), _corrected(result), _how(result)]
     lead = _lead(result)

@@ -19,7 +19,7 @@ from rx90b_flex.identify.command import Identified
 from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.path.check import PathCheck
-from rx90b_flex.path.measured import Comparison
+from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.view import frf_plots, path_plots, plots
 from rx90b_flex.view.identify_plots import torque_fit
@@ -238,7 +238,7 @@ def _(result: PathCheck) -> str:
 
 
 @table_of.register
-def _(result: Comparison) -> pd.DataFrame:
+def _(result: MeasuredTip) -> pd.DataFrame:
     """A row a sample."""
     columns = {"distance_mm": result.measured.distance_mm}
     for name in ("measured", "predicted", "difference"):
@@ -249,12 +249,12 @@ def _(result: Comparison) -> pd.DataFrame:
 
 
 @figure_of.register
-def _(result: Comparison) -> Figure:
+def _(result: MeasuredTip) -> Figure:
     return measured_along_path(result)
 
 
 @words_of.register
-def _(result: Comparison) -> str:
+def _(result: MeasuredTip) -> str:
     return result.sentence
 
 
