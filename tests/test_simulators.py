@@ -429,6 +429,17 @@ def test_links_that_are_fixed_to_each_other_are_one_in_sdf(tmp_path: Path) -> No
         assert_agree(loaded.inverse_dynamics(q, v, a), robot.inverse_dynamics(q, v, a))
 
 
+def test_joints_keep_their_names_in_sdf_where_links_have_the_same(tmp_path: Path) -> None:
+    """SDF has one name space for links, joints and frames; SO-100's joint and link "gripper" are one example."""
+    robot = rf.load_robot("rx90b_rigid").with_effects([])
+    (tmp_path / "own.urdf").write_text(robot.urdf.replace('"link_3"', '"joint_4"').replace('"tool0"', '"joint_5"'))
+    robot = rf.load_robot(tmp_path / "own.urdf")
+    done = export_robot(robot, tmp_path / "robot.sdf", "sdf")
+    assert set(robot.joints) <= set(InSdf(done.path).tree.names)
+    assert "joint_4: this link is called joint_4_link" in said(done)
+    assert "joint_5: this frame is called joint_5_frame" in said(done)
+
+
 # ---- refusals ------------------------------------------------------------------------------------------------
 
 

@@ -51,7 +51,8 @@ class _Writer:
     def __init__(self, held: Held, model: Any) -> None:
         self.held, self.model = held, model
         self.lost: list[Lost] = []
-        self.names = {"world"}
+        # joints keep their names, for controllers call them by these
+        self.names = {"world", "fixed_to_the_world", *tuple(held.robot.model.names)[1:]}
 
     def name(self, wanted: str, kind: str) -> str:
         """A name that nothing else has."""
@@ -109,7 +110,7 @@ class _Writer:
 
     def _add_joint(self, hinge: Hinge, parent: str, placement: Array) -> Any:
         kind = "prismatic" if hinge.slides else "revolute"
-        joint = etree.SubElement(self.model, "joint", name=self.name(hinge.name, "joint"), type=kind)
+        joint = etree.SubElement(self.model, "joint", name=hinge.name, type=kind)
         etree.SubElement(joint, "pose", relative_to=parent).text = _pose(placement)
         _text(joint, "parent", parent)
         axis = etree.SubElement(joint, "axis")
