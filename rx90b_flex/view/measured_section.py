@@ -25,10 +25,13 @@ def measured_section(of: MeasuredTip) -> Section:
         )
     else:
         how = f"Each measured place beside the nearest predicted one, for {of.file.name} has no times."
-    text = (
-        of.sentence,
-        f"{how} The prediction takes away {100 * of.explained:.0f} % of the measured deviation's squares across the path.",
-    )
+    if of.explained > 0.0:
+        share = (
+            f"The prediction takes away {100 * of.explained:.0f} % of the measured deviation's squares across the path."
+        )
+    else:
+        share = "Without the prediction the measured deviation would be smaller: the model does not explain it."
+    text = (f"{how} {share}",)
     figure = image(measured_along_path(of), "Measured and predicted deviation over the length of the path")
     return Section("Measured against predicted", text, (Table(head, tuple(rows)),), (figure,))
 

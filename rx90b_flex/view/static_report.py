@@ -33,14 +33,20 @@ def headline(result: StaticResult) -> list[str]:
 
 def write_static_report(result: StaticResult, path: Path) -> None:
     """Write the report; it appears whole or not at all."""
-    head = ("hinge", "stiffness, N m/rad", "std", "interval", "readings", "up against down, p", "loop, J", "its std")
+    head = ("hinge", "stiffness, N m/rad", "interval", "readings", "up = down, p", "loop, J")
     rows = []
     for f, t in zip(result.found, result.source.tests, strict=True):
         low, high = (f"{x:.4g}" if np.isfinite(x) else "open" for x in f.interval)
-        rows.append(
-            (f.coordinate, f"{f.stiffness:.4g}", f"{f.stiffness_std:.2g}", f"{low} to {high}", str(len(t)), f"{f.p_value:.2g}",
-             f"{f.hysteresis_area:.2g}", f"{f.hysteresis_std:.2g}")
-        )  # fmt: skip
+        loop = f"{f.hysteresis_area:.2g} ± {f.hysteresis_std:.1g}"
+        values = (
+            f"{f.stiffness:.4g}",
+            f"{f.stiffness_std:.2g}",
+            f"{low} to {high}",
+            str(len(t)),
+            f"{f.p_value:.1g}",
+            loop,
+        )
+        rows.append((f.coordinate, *values))
     figure = image(
         static_test_figure(result.source.tests, result.found), "Deformation over moment, up and down, with lines"
     )
