@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,10 @@ def test_dead_weights_give_the_stiffness_and_the_robot_has_it(tmp_path: Path, co
     hinge = next(e for e in after.effects if e.type_name() == "joint_flexibility" and e.joints == ("joint_2",))
     assert hinge.coefficients[0] == pytest.approx(content["stiffness"][0]["value"])
     assert "loading and unloading differ" in found.out
+    page = (tmp_path / "out" / "report.html").read_text()
+    table = page.split("<table", 1)[1].split("</table>", 1)[0]
+    cells = [len(re.findall(r"<t[hd][ >]", row)) for row in table.split("<tr")[1:]]
+    assert len(cells) == 3 and len(set(cells)) == 1  # a head and two tests, every cell under its heading
 
 
 def test_the_lever_is_that_of_the_pose(tmp_path: Path, command: Command, robot: Robot) -> None:

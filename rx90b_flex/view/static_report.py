@@ -39,8 +39,7 @@ def write_static_report(result: StaticResult, path: Path) -> None:
         low, high = (f"{x:.4g}" if np.isfinite(x) else "open" for x in f.interval)
         loop = f"{f.hysteresis_area:.2g} ± {f.hysteresis_std:.1g}"
         values = (
-            f"{f.stiffness:.4g}",
-            f"{f.stiffness_std:.2g}",
+            f"{f.stiffness:.4g} ± {f.stiffness_std:.2g}",
             f"{low} to {high}",
             str(len(t)),
             f"{f.p_value:.1g}",
