@@ -168,6 +168,14 @@ def test_a_fault_is_named_on_its_joints(tmp_path: Path, name: str) -> None:
         assert fault.factor == pytest.approx(factor, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = with_torques(sound(), lambda x: x.mean(axis=0) + x.std(axis=0) * rng.normal(size=x.shape))
+    (fault,) = checked(tmp_path, noise).data_faults
+    assert (fault.kind, fault.joints) == ("unrelated", JOINTS)
+
+
 def test_angles_in_degrees_are_named_though_they_could_be_radians(tmp_path: Path) -> None:
     runs = with_angles(sound(speed=0.6), np.degrees)
     assert max(float(np.abs(r.motion.q).max()) for r in runs) < 100.0  # what the reader refuses begins there

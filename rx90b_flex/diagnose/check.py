@@ -189,7 +189,8 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += stuck(mended, np.sqrt(fit.error))
         # what a missing spring or coupling would explain is related to the motion
         least = np.minimum(fit.error, look.beside(with_effects=True).fit().error)
-        faults += unrelated(campaign.joints, least, moving, constant)
+        lost = unrelated(campaign.joints, least, moving, constant)
+        faults = [f for f in faults if not _of_no_use(f, lost)] + lost
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
         side = torque_side(campaign.torque_side, look, faults, moving)
@@ -232,6 +233,12 @@ def _fault(found: Found) -> DataFault:
     h = found.hypothesis
     before, after = (float(np.sqrt(np.minimum(f.error, 1.0).mean())) for f in (found.before, found.after))
     return DataFault(h.kind, h.signal, h.joints, h.factor, found.std, h.message, h.usable, before, after)
+
+
+def _of_no_use(fault: DataFault, lost: Sequence[DataFault]) -> bool:
+    """Whether a hypothesis is about joints alone whose torque has nothing to do with the motion even if it holds."""
+    joints = {j for f in lost for j in f.joints}
+    return fault.error_after is not None and bool(fault.joints) and set(fault.joints) <= joints
 
 
 def _refused(path: Path, error: ValueError) -> Checked:
