@@ -13,9 +13,11 @@ import pytest
 from test_cli import Command
 
 import rx90b_flex as rf
-from rx90b_flex.identify.camera_study import make_scene, sine_motion
+from rx90b_flex.identify.camera import links_beside
+from rx90b_flex.identify.camera_study import CAMERA_AT, LOOKING_AT, TRIANGLE, make_scene, sine_motion
 from rx90b_flex.identify.measured_stiffness import with_stiffnesses
 from rx90b_flex.robot import Robot
+from rx90b_flex.simulate.camera import Camera, carried_motion, marker_positions
 
 ROBOT = "rx90b_4dof"
 LOADS = np.concatenate([np.linspace(10.0, 180.0, 7), np.linspace(180.0, 10.0, 7)])
@@ -187,6 +189,49 @@ def test_markers_give_the_stiffness_of_the_three_hinges(
     drive = next(e for e in after.effects if e.type_name() == "drive_flexibility" and e.joints == (joint,))
     assert drive.coefficients[0] == pytest.approx(values[0])
     assert content["base_calibrated"] and "bend_2" in found.out
+
+
+def test_poses_at_rest_are_enough(tmp_path: Path, command: Command, robot: Robot) -> None:
+    """Poses under weight alone, without times; the base is calibrated from the same markers.
+
+    Weight bends the joint of the forearm's own line both ways, but hardly turns it about that: the drive's stiffness is not told, and
+    keeps its declared value.
+    """
+    rng, joint = np.random.default_rng(8), "joint_4"
+    pose = rng.uniform(-1.2, 1.2, (400, len(robot.joints)))
+    still = robot.with_effects([e for e in robot.effects if e.part != "friction"])
+    q = carried_motion(still, pose, 0 * pose, 0 * pose).q
+    camera = Camera.looking(CAMERA_AT, LOOKING_AT)
+    table = {f"q_{j}": pose[:, i] for i, j in enumerate(robot.joints)}
+    links = links_beside(robot, joint)
+    for side, seen in zip(
+        ("before", "behind"), marker_positions(still, q, dict.fromkeys(links, TRIANGLE)).values(), strict=True
+    ):
+        read = camera.see(seen)
+        read[1:] += 1e-3 * STD_MM * rng.standard_normal(read[1:].shape)
+        for m in range(3):
+            table |= {f"{side}_{m + 1}_{axis}_mm": 1e3 * read[:, m, i] for i, axis in enumerate("xyz")}
+    pd.DataFrame(table).to_csv(tmp_path / "markers.csv", index=False)
+    (tmp_path / "camera.toml").write_text(
+        f'robot = "{ROBOT}"\njoint = "{joint}"\nfile = "markers.csv"\nstd_mm = {STD_MM.tolist()}\nframe_std_rad = 3e-3\n'
+    )
+    found = command("camera", tmp_path / "camera.toml", "--out", tmp_path / "out")
+    assert (found.status, found.err) == (0, "")
+    for entry in json.loads((tmp_path / "out" / "camera.json").read_text())["stiffness"]:
+        wanted = next(
+            c for e in robot.effects if e.virtual and e.joints == (joint,)
+            for kind, c in zip(e.virtual, e.coefficients, strict=False) if entry["coordinate"].endswith(kind)
+        )  # fmt: skip
+        if entry["coordinate"] == "joint_4:torsion":
+            assert entry["value"] is None and "joint_4:torsion: not determined" in found.out
+        else:
+            assert abs(entry["value"] - wanted) < 4 * entry["std"]
+    declared, after = (
+        {e.label: e.coefficients for e in r.effects if e.joints == (joint,)}
+        for r in (robot, rf.load_robot(tmp_path / "out" / "robot.toml"))
+    )
+    np.testing.assert_array_equal(after["joint_4.drive_flexibility"], declared["joint_4.drive_flexibility"])
+    assert (after["joint_4.joint_flexibility"] != declared["joint_4.joint_flexibility"]).all()
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ class CameraResult:
         Where the base had to be calibrated.
     hinges : tuple of HingeStiffness
     robot : Robot
-        With these stiffnesses.
+        With those stiffnesses that are determined.
     """
 
     source: MarkerRecording
@@ -227,7 +227,12 @@ def _fitted(source: MarkerRecording) -> CameraResult:
         for kind, k, s in zip(KINDS, fit.stiffness, fit.stiffness_std, strict=True)
     )
     return CameraResult(
-        source, fit, moment, base, hinges, with_stiffnesses(robot, {h.coordinate: h.value for h in hinges})
+        source,
+        fit,
+        moment,
+        base,
+        hinges,
+        with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined}),
     )
 
 
@@ -260,7 +265,13 @@ def as_json(result: CameraResult) -> dict[str, Any]:
         "joint": result.source.joint,
         "rows": len(result.source.angles),
         "stiffness": [
-            {"coordinate": h.coordinate, "value": h.value, "std": h.std, "unit": "N m/rad"} for h in result.hinges
+            {
+                "coordinate": h.coordinate,
+                "value": h.value if h.determined else None,
+                "std": h.std if h.determined else None,
+                "unit": "N m/rad",
+            }
+            for h in result.hinges
         ],
         "frame_error_rad": {
             side: {"value": list(value), "std": list(std)}

@@ -10,6 +10,8 @@ import numpy as np
 from rx90b_flex.effects import Effect
 from rx90b_flex.robot import Robot
 
+DETERMINED = 0.5  # relative standard deviation from which on a stiffness may as well be infinite: two of them reach zero compliance
+
 
 @dataclass(frozen=True)
 class HingeStiffness:
@@ -31,6 +33,11 @@ class HingeStiffness:
     std: float
     measurements: int = 1
     p_value: float = 1.0
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data tell it: its standard deviation is less than half of it. Otherwise there was no moment to speak of."""
+        return bool(self.value > 0.0 and self.std < DETERMINED * self.value)
 
 
 def with_stiffnesses(robot: Robot, found: Mapping[str, float]) -> Robot:

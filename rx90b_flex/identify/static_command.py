@@ -77,7 +77,7 @@ class StaticResult:
     hinges : tuple of HingeStiffness
         Tests of one hinge together, weighted by their variances.
     robot : Robot or None
-        With these stiffnesses.
+        With those stiffnesses that are determined.
     """
 
     source: StaticTests
@@ -208,7 +208,7 @@ def fit_tests(source: StaticTests) -> StaticResult:
         hinges = tuple(_together(name, found) for name in dict.fromkeys(f.coordinate for f in found))
         robot = source.robot
         if robot is not None:
-            robot = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges})
+            robot = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
     except ValueError as error:
         raise ValueError(f"{source.path}: {error}") from None
     return StaticResult(source, found, hinges, robot)

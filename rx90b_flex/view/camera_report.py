@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rx90b_flex.identify.camera_command import KINDS, CameraResult
+from rx90b_flex.identify.measured_stiffness import HingeStiffness
 from rx90b_flex.view.page import Section, Table, image, write_page
 
 LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
@@ -15,7 +16,12 @@ LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what 
 
 def headline(result: CameraResult) -> list[str]:
     """What was found, a line a hinge, and what to look at."""
-    lines = [f"{h.coordinate}: {h.value:.4g} ± {h.std:.2g} N m/rad" for h in result.hinges]
+    lines = [f"{h.coordinate}: {_value(h)} N m/rad" for h in result.hinges if h.determined]
+    lines += [
+        f"{h.coordinate}: not determined, for its moment hardly changes in this recording; the declared value stays"
+        for h in result.hinges
+        if not h.determined
+    ]
     ratio = result.fit.chi2 / max(result.fit.degrees_of_freedom, 1)
     if ratio > LOUD:
         lines.append(
@@ -25,17 +31,21 @@ def headline(result: CameraResult) -> list[str]:
     return lines
 
 
+def _value(hinge: HingeStiffness) -> str:
+    return f"{hinge.value:.4g} ± {hinge.std:.2g}" if hinge.determined else "not determined"
+
+
 def write_camera_report(result: CameraResult, path: Path) -> None:
     """Write the report; it appears whole or not at all."""
     fit = result.fit
-    rows = tuple((h.coordinate, f"{h.value:.4g}", f"{h.std:.2g}") for h in result.hinges)
+    rows = tuple((h.coordinate, _value(h)) for h in result.hinges)
     axes = ("about the joint's axis", "about the first bending's", "about the second bending's")
     frame = tuple(
         (axis, *(f"{1e3 * x[i]:.3f}" for x in (fit.before, fit.before_std, fit.behind, fit.behind_std)))
         for i, axis in enumerate(axes)
     )
     tables = (
-        Table(("hinge", "stiffness, N m/rad", "std"), rows),
+        Table(("hinge", "stiffness, N m/rad"), rows),
         Table(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
     )
     text = (
