@@ -171,8 +171,11 @@ def test_a_position_that_stands_while_its_torque_is_that_of_a_motion_is_a_fault_
 
 def test_a_robot_whose_drives_weigh_nothing_is_named(command: Command, tmp_path: Path) -> None:
     assert command("flexify", "rx90b", "--out", tmp_path / "flex.urdf").status == 0
-    said = refused(command, tmp_path, "view", tmp_path / "flex.urdf", "--out", tmp_path / "view.html")
-    assert said.startswith("rx90b-flex: flex: nothing with mass moves with ")
+    (tmp_path / "own.urdf").write_text(rf.load_robot("rx90b").urdf)
+    drive = 'type = "drive_flexibility"\njoint = "joint_2"\nstiffness = 1e5\ndamping = 100.0\n'
+    (tmp_path / "own.toml").write_text(f'urdf = "own.urdf"\n[[effects]]\n{drive}')
+    said = refused(command, tmp_path, "view", tmp_path / "own.toml", "--out", tmp_path / "view.html")
+    assert said.startswith("rx90b-flex: own: nothing with mass moves with ")
     assert "flex: " in refused(
         command, tmp_path, "simulate", tmp_path / "flex.urdf", "--harmonics", "--out", tmp_path / "run"
     )
