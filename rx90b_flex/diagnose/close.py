@@ -582,7 +582,7 @@ class _Rounds:
                 continue  # fitted with all the rest, it has values that it cannot have
             candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
-            if errors.identification.relative_error > WORSE * outcome.errors.identification.relative_error:
+            if _spoils(errors, outcome.errors):
                 continue  # it helps where rows count, and spoils more where they do not
             singles = best.members or (best,)
             rivals = tuple(t for t in trials if not t.members and t not in singles)
@@ -590,7 +590,7 @@ class _Rounds:
             told = (dataclasses.replace(t, p_value=min(t.p_value, best.p_value)) for t in singles)
             steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in told)
             more = self._pruned(_Outcome(candidate, errors, outcome.with_steps(*steps), ()), len(steps))
-            if _signature(more.model.effects) not in visited:
+            if _signature(more.model.effects) not in visited and not _spoils(more.errors, outcome.errors):
                 return more
         return None
 
@@ -621,7 +621,7 @@ class _Rounds:
                 _Step(second, tuple(t for t in beside if t is not second and not t.members), self.data.errors(whole)),
             )
             more = self._pruned(_Outcome(whole, steps[-1].errors, outcome.with_steps(*steps), ()))
-            if _signature(more.model.effects) not in visited:
+            if _signature(more.model.effects) not in visited and not _spoils(more.errors, outcome.errors):
                 return more
         return None
 
@@ -656,6 +656,8 @@ class _Rounds:
             if not _weighted_better(model, outcome.model):
                 continue
             errors = self.data.errors(model)
+            if _spoils(errors, outcome.errors):
+                continue
             # the loser is a rival from now on
             rivals_of_winner = (step.trial, *(t for t in step.rivals if t.effect is not best.rival.effect))
             new = dataclasses.replace(step, trial=best.rival, rivals=rivals_of_winner)
@@ -726,6 +728,11 @@ def _trusting(regression: Regression, model: Identification) -> Identification:
 def _weighted_better(new: Identification, old: Identification) -> bool:
     """Whether the log-likelihood of white residuals grew: one joint may gain what another does not lose."""
     return bool(np.log(new.solution.sigma).sum() < np.log(old.solution.sigma).sum() - 1e-6)
+
+
+def _spoils(new: RoleErrors, old: RoleErrors) -> bool:
+    """Whether a robot does worse on the recordings that were fitted, every row counted, than chance would explain."""
+    return new.identification.relative_error > WORSE * old.identification.relative_error
 
 
 def _physical(effect: Effect) -> bool:

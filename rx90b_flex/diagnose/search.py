@@ -619,6 +619,8 @@ class Search:
         p_value, objection, colour, left_over = self._evidence(effect, base, rows, beside, beta)
         if effect.by_clock and self._follows_motion(base.residual[rows], effect):
             objection = "its line lies among those of the motion itself"
+        elif effect.by_clock and len(self.by_recording) < FEWEST_RECORDINGS:
+            objection = "one recording cannot tell whether its phase holds in another"
         found = effect.with_coefficients(beta)
         if not objection and not found.possible():
             objection = "its values do not go together with what its torque assumes"
