@@ -35,6 +35,9 @@ MEMBER = 0.01  # p-value, not corrected, of a member
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
 SHAPES_KNOWN = 1.0  # standard deviation of a shape's logarithm before the data: what they leave open must not run away
 CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
+PHASE_CARRIED = (
+    0.7  # of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less
+)
 LEAK = 0.02  # of a recording that is left out as a whole
 LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
 LOST_PART = 0.005  # of its squared error, and this much: less is no reason
@@ -156,7 +159,7 @@ class Trial:
             return "parts of the data that were held out disagree on it"
         if self.worst > 1.0:
             return "it raises the error of a recording that was left out"
-        if self.carried < CARRIED:
+        if self.carried < (PHASE_CARRIED if self.effect.by_clock else CARRIED):
             return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
         return ""
 

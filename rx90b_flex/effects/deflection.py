@@ -242,7 +242,8 @@ class _Steps:
         right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
         right = right.reshape(-1, right.shape[2])
         if self.weight.shape[1] == 1:
-            return np.asarray(forward_substituted(*self.banded, right)).reshape(force.shape)
+            diagonal, first, second = self.banded
+            return np.asarray(forward_substituted(diagonal, first, second, right)).reshape(force.shape)
         try:
             out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)
         except linalg.LinAlgError:

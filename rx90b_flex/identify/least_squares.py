@@ -427,7 +427,7 @@ class _ByJoint:
     def of_dense(places: Indices, columns: Array) -> _ByJoint:
         """From columns (N, joints, k) that stand in `places` (k,), without what is zero."""
         touched = columns.any(axis=0)
-        pairs = [(places[t], np.ascontiguousarray(columns[:, j, t])) for j, t in enumerate(touched)]
+        pairs = [(places[t], np.ascontiguousarray(columns[:, j, t])) for j, t in enumerate(np.atleast_2d(touched))]
         return _ByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
 
     def beside(self, other: _ByJoint) -> _ByJoint:
