@@ -256,12 +256,8 @@ def _part(home: Path, name: str) -> Iterator[Path]:
     for left in _parts(home, name):
         if not (left / "old").is_dir():  # else it still says that what lies beside it is half of a result
             _remove_if_abandoned(left)
-    part = home / f".{name}-{secrets.token_hex(8)}.part"
-    part.mkdir()
-    held = os.open(part, os.O_RDONLY)
+    part, held = _new_part(home, name)
     try:
-        with contextlib.suppress(OSError):  # where a file system has no locks, others leave it alone as well
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield part
         for left in _parts(home, name):
             _remove_if_abandoned(left)
@@ -271,6 +267,22 @@ def _part(home: Path, name: str) -> Iterator[Path]:
     finally:
         os.close(held)
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _new_part(home: Path, name: str) -> tuple[Path, int]:
+    """A new folder and the lock on it; another one where a run that cleans up took it away before it was locked."""
+    while True:
+        part = home / f".{name}-{secrets.token_hex(8)}.part"
+        part.mkdir()
+        try:
+            held = os.open(part, os.O_RDONLY)
+        except FileNotFoundError:
+            continue
+        with contextlib.suppress(OSError):  # where a file system has no locks, others leave it alone as well
+            fcntl.flock(held, fcntl.LOCK_EX)
+        if part.is_dir():
+            return part, held
+        os.close(held)
 
 
 def _parts(home: Path, name: str) -> list[Path]:
