@@ -45,12 +45,14 @@ SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical 
 REFINED = 16  # trials whose shape parameters are refined at the most
 FEWEST_REFINED = 6  # and at the least
 UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the least
+BEGINNINGS = 3  # of a refinement of several shapes
 REFINEMENTS = 15  # steps of a refinement
 SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
 BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
+ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 BATCH_BYTES = 64e6
 
 
@@ -470,7 +472,9 @@ class Search:
             starts = self._starts(effect)
             if len(starts) == 0:
                 continue  # this motion is too small for any of its shapes to show
-            best = max(self._over_shapes(effect, starts, base), key=lambda pair: pair[0])
+            looks = sorted(self._over_shapes(effect, starts, base), key=lambda pair: -pair[0])
+            best = looks[0]
+            self._other_starts[best[1]] = self._apart([e for _, e in looks])[1:]
             # an effect that replaces another starts from a worse base: count only what it adds to the present model
             lost = float(base.squares.sum() - bases[None].squares.sum())
             rough.append((best[0] - lost, best[1], base))
@@ -573,11 +577,34 @@ class Search:
                 continue
             yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
 
+    @cached_property
+    def _other_starts(self) -> dict[Effect, list[Effect]]:
+        """Of effects as a first look likes them best, where else a refinement may begin."""
+        return {}
+
+    def _apart(self, looks: Sequence[Effect]) -> list[Effect]:
+        """The first of effects that differ in their shapes by more than a refinement's step; one of a single shape stands for all."""
+        if len(self.free(looks[0])) < 2:
+            return [looks[0]]
+        spread = looks[0].shape_spread(self.longest)
+        out: list[Effect] = []
+        for effect in looks:
+            if all((np.abs(effect.shape - e.shape) > spread).any() for e in out):
+                out.append(effect)
+            if len(out) == BEGINNINGS:
+                break
+        return out
+
     def _refined(self, effect: Effect, base: Base) -> Effect:
-        """The shapes that gain most: Gauss-Newton steps with everything linear projected out (variable projection)."""
-        free = self.free(effect)
-        if not len(free):
+        """The shapes that gain most: from the best of a first look, and from others where several shapes make valleys."""
+        if not len(self.free(effect)):
             return effect
+        tried = [self._refined_from(e, base) for e in (effect, *self._other_starts.get(effect, ()))]
+        return max(tried, key=lambda pair: pair[0])[1]
+
+    def _refined_from(self, effect: Effect, base: Base) -> tuple[float, Effect]:
+        """Gain and shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""
+        free = self.free(effect)
         low, high = effect.shape_range(self.longest)[:, free]
         logs = bool((low > 0).all())
         to, back = (np.log, np.exp) if logs else (np.asarray, np.asarray)
@@ -602,7 +629,7 @@ class Search:
                 damping *= 16
             if abs(won) < SETTLED * max(best.gain, 1.0):
                 break
-        return self._shaped(effect, np.clip(back(x), low, high))
+        return best.gain, self._shaped(effect, np.clip(back(x), low, high))
 
     def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> Trial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
@@ -748,7 +775,10 @@ class Search:
         tests = free + len(shapes)
         p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
         objection = ""
-        wrong = np.flatnonzero(beta < effect.coefficient_bounds - SIGN_T * std)
+        # what the base explains wholly is left at zero, up to rounding
+        size = np.sqrt(np.maximum(own[:k], 1e-300))
+        rounding = ROUNDING * np.linalg.norm(beta * size) / size
+        wrong = np.flatnonzero(beta < effect.coefficient_bounds - SIGN_T * std - rounding)
         if len(wrong):
             i = wrong[0]
             unit = effect.coefficient_units[i]

@@ -14,7 +14,10 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
 HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
-ANGLES, RATIOS = 8, (0.4, 0.75, 0.93)  # geometries from which a search begins
+ANGLES, RATIOS = (
+    16,
+    (0.4, 0.75, 0.93),
+)  # geometries from which a search begins: springs whose ends nearly meet make narrow valleys
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +191,7 @@ class _SearchedSpring(_SpringOfTwoLevers):
         return np.array([0.4, 0.15])
 
     def independent_shapes(self, motion: Motion) -> int:
-        return ANGLES
+        return ANGLES // 2  # neighbouring ones are much alike
 
     def geometry(self) -> tuple[float, float]:
         angle, ratio = self.shape
