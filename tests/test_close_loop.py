@@ -18,7 +18,7 @@ from scipy import signal
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.output import closed_loop_json, write_result
-from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.diagnose.trial import Trial
 from rx90b_flex.effects import catalogue
 
 RATE_HZ, CUTOFF_HZ, PERIOD_S = 100.0, 15.0, 8.0

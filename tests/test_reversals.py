@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rx90b_flex.diagnose.reversals import trust
-from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.diagnose.trial import Trial
 from rx90b_flex.effects.friction import CoulombFriction, ViscousFriction
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression

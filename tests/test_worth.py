@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.search import Search, Trial
+from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.trial import Trial
 from rx90b_flex.effects import Sites
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.search import JUST_AS_GOOD, Base, Search, Trial
+from rx90b_flex.diagnose.base import Base
+from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.trial import JUST_AS_GOOD, Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.identify.coloured import scatter

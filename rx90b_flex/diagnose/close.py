@@ -23,7 +23,8 @@ from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
-from rx90b_flex.diagnose.search import SIGNIFICANCE, Search, Trial, added, choose
+from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.trial import SIGNIFICANCE, Trial, added, choose
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects import Effect, Sites

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.diagnose.residual import Replay
-from rx90b_flex.diagnose.search import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
 from rx90b_flex.diagnose.spring_look import spring_words
+from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.flexibility import DAMPING_TIME, DriveFlexibility
 from rx90b_flex.effects.motion import Array

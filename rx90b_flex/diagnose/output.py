@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Predictio
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.residual import RoleErrors
-from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.diagnose.trial import Trial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate

@@ -10,35 +10,23 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
+from rx90b_flex.diagnose.trial import Trial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
 from rx90b_flex.identify.least_squares import (
     CORRELATION_S,
     Identification,
-    NormalEquations,
     absorbed_each,
     shared_values,
-    solve_weighted,
 )
 from rx90b_flex.identify.regression import Regression
 
-SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
-SMALLEST_GAIN = 0.02  # of the squared error of all joints that an effect touches; less is not worth a name
-GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
-REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
-AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
-JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
 FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
-MEMBER = 0.01  # p-value, not corrected, of a member
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
 SHAPES_KNOWN = 1.0  # standard deviation of a shape's logarithm before the data: what they leave open must not run away
-CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
-PHASE_CARRIED = (
-    0.7  # of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less
-)
-LEAK = 0.02  # of a recording that is left out as a whole
 LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
 LOST_PART = 0.005  # of its squared error, and this much: less is no reason
 SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
@@ -51,297 +39,8 @@ SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
 BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
-DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 BATCH_BYTES = 64e6
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One effect, tried in one place.
-
-    Attributes
-    ----------
-    effect : Effect
-        With the values that fit best beside the present model.
-    gain : float
-        Drop of the weighted squared error on held-out blocks, in units of residual variance.
-    block_gains : array, shape (blocks,)
-    p_value : float
-        That nothing is there, corrected for the number of trials.
-    size : int
-        Parameters that it adds to the model.
-    share : float
-        Gain over the squared error of the joints that it touches.
-    lawful : bool
-        Whether its values are such as it can have, and this data can tell them.
-    colour : float
-        Variance of its torque's product with the residual, over what white noise would give.
-    objection : str
-        Why its values are not lawful; empty where they are.
-    small : str
-        Why it is not worth a name by its own rule (`Effect.too_small`); empty where it is.
-    worst : float
-        Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
-    carried : float
-        Part of the gain on held-out blocks that is left where whole recordings are held out.
-    members : tuple of Trial
-        Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
-    """
-
-    effect: Effect
-    gain: float
-    block_gains: Array
-    p_value: float
-    size: int
-    share: float
-    lawful: bool
-    colour: float = 1.0
-    objection: str = ""
-    worst: float = 0.0
-    carried: float = 1.0
-    members: tuple[Trial, ...] = ()
-    small: str = ""
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """What it adds: one effect, or a family's."""
-        return tuple(m.effect for m in self.members) or (self.effect,)
-
-    @property
-    def gain_t(self) -> float:
-        """Mean over standard error of the blocks' gains, as signed roots: an effect that acts much in one block and
-        little in others, such as a saturation, differs between them without being less sure.
-        """
-        roots = np.sign(self.block_gains) * np.sqrt(np.abs(self.block_gains))
-        error = roots.std(ddof=1) / np.sqrt(len(roots))
-        return float(roots.mean() / error) if error > 0 else np.inf
-
-    @property
-    def replicated(self) -> bool:
-        """Whether several held-out blocks show it, each beyond its own noise, and what the others lose is within theirs.
-
-        A gain g of an effect that is there has the variance 4 g `colour`. An effect that acts in bursts leaves some blocks
-        without a gain; their spread says little of it, but every block that has one is an experiment of its own.
-        """
-        if self.effect.last_resort:
-            return False  # a curve of no known law has nothing but carrying over everywhere to speak for it
-        shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
-        lost = -float(np.minimum(self.block_gains, 0.0).sum())
-        return bool(shown.sum() >= REPLICAS and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))
-
-    @property
-    def sure_gain(self) -> float:
-        """Gain less twice its standard error: what it explains beyond the luck of a few blocks.
-
-        Zero for one that is only `replicated`: it gives way to all that every block shows.
-        """
-        if self.gain <= 0:
-            return self.gain
-        sure = self.gain * (1.0 - GAIN_T / max(self.gain_t, 1e-9))
-        return max(sure, 0.0) if self.replicated else sure
-
-    @property
-    def accepted(self) -> bool:
-        """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
-        return not self.refusal
-
-    @property
-    def refusal(self) -> str:
-        """Why it is not accepted, in words; empty where it is."""
-        if not self.lawful:
-            return self.objection or "its values are not such as it can have"
-        if self.p_value >= SIGNIFICANCE:
-            return f"chance would do as well (p = {self.p_value:.2g})"
-        if self.share <= SMALLEST_GAIN:
-            return f"it explains {max(self.share, 0.0):.1%} of the squared error, too little for a name"
-        if self.small:
-            return self.small
-        if not (self.gain_t > GAIN_T or self.replicated):
-            return "parts of the data that were held out disagree on it"
-        if self.worst > 1.0:
-            return "it raises the error of a recording that was left out"
-        if self.carried < (PHASE_CARRIED if self.effect.by_clock else CARRIED):
-            return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
-        return ""
-
-    def belongs(self, tests: int) -> bool:
-        """Whether it may be one of a family: by itself as likely as a hypothesis that nobody had to search for."""
-        return (
-            self.lawful
-            and self.gain > 0
-            and self.share > SMALLEST_GAIN
-            and not self.small
-            and self.p_value < MEMBER * tests
-            and self.worst <= 1.0
-        )
-
-    def no_better_than(self, other: Trial) -> bool:
-        """Whether held-out blocks cannot tell that this one explains more than the other."""
-        if other.gain >= JUST_AS_GOOD * self.gain:
-            return True
-        difference = self.block_gains - other.block_gains
-        spread = difference.std(ddof=1) * np.sqrt(len(difference))
-        return bool(other.gain >= AS_GOOD * self.gain and difference.sum() <= GAIN_T * spread)
-
-
-@dataclass(frozen=True, eq=False)
-class _Shared:
-    """Columns of the present model and their products, which all bases have in common."""
-
-    columns: Array  # (joints, N, p): one joint's rows lie together in memory
-    target: Array  # (joints, N)
-    weight: Array
-    blocks: tuple[slice, ...]
-    precision: Array  # (p,) inverse variance of coefficients before the data: of shapes, which may change by their size
-
-    @cached_property
-    def normal(self) -> NormalEquations:
-        return NormalEquations.of(self.columns.transpose(1, 0, 2), self.target.T, self.blocks)
-
-
-@dataclass(frozen=True, eq=False)
-class Base:
-    """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
-
-    shared: _Shared
-    kept: Indices  # places of the base's columns among the shared ones
-    prior: Array
-    leak: float = 0.0  # part of a block that is held out which a fit to the others sees all the same
-
-    @property
-    def weight(self) -> Array:
-        """Inverse variance of each joint's residual."""
-        return self.shared.weight
-
-    @property
-    def size(self) -> int:
-        """Number of columns."""
-        return len(self.kept)
-
-    @cached_property
-    def grams(self) -> Array:
-        """Weighted Gram matrices, shape (blocks, p, p)."""
-        whole = np.einsum("j,bjpq->bpq", self.weight, self.shared.normal.gram)
-        whole = whole + np.diag(self.shared.precision) / len(whole)
-        return whole[:, self.kept[:, None], self.kept]
-
-    @cached_property
-    def crosses(self) -> Array:
-        return np.einsum("j,bjp->bp", self.weight, self.shared.normal.cross)[:, self.kept]
-
-    @cached_property
-    def powers(self) -> Array:
-        return self.shared.normal.power @ self.weight
-
-    @cached_property
-    def whole(self) -> tuple[Array, Array]:
-        """Coefficients and pseudo-inverse on all blocks."""
-        theta, inverse, _, _ = solve_weighted(self.grams.sum(axis=0), self.crosses.sum(axis=0), self.prior)
-        return theta, inverse
-
-    @cached_property
-    def without(self) -> list[tuple[Array, Array]]:
-        """Coefficients and pseudo-inverse with each block held out."""
-        gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
-        out = []
-        for g, c in zip(self.grams, self.crosses, strict=True):
-            part = 1.0 - self.leak
-            theta, inverse, _, _ = solve_weighted(gram - part * g, cross - part * c, self.prior)
-            out.append((theta, inverse))
-        return out
-
-    @cached_property
-    def held_out(self) -> Array:
-        """Weighted squared error on each block when it is held out, shape (blocks,)."""
-        parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
-        return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
-
-    def grouped(self, groups: Sequence[Indices]) -> Base:
-        """With blocks put together, of which a fit to the others sees a trace: what they leave open must not run away."""
-        normal = self.shared.normal
-        gram, cross, power, counts = (
-            np.array([x[at].sum(axis=0) for at in groups])
-            for x in (normal.gram, normal.cross, normal.power, normal.counts)
-        )
-        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared), leak=LEAK)
-        other.shared.__dict__["normal"] = NormalEquations(gram, cross, power, counts)
-        return other
-
-    @cached_property
-    def residual(self) -> Array:
-        """What the base leaves of the torque, shape (joints, N)."""
-        return self.shared.target - self._times(self.whole[0])
-
-    def _times(self, theta: Array) -> Array:
-        """The base's columns times coefficients (p,) or (p, k); shape (joints, N) or (joints, N, k)."""
-        full = np.zeros((self.shared.columns.shape[2], *theta.shape[1:]))
-        full[self.kept] = theta
-        return self.shared.columns @ full
-
-    @cached_property
-    def squares(self) -> Array:
-        """Weighted squared error of each joint on all blocks."""
-        return self.weight * (self.residual**2).sum(axis=1)
-
-    def with_base(self, rows: Indices, columns: Array, samples: slice = slice(None)) -> Array:
-        """Weighted products of the base's columns with candidate ones (N, rows, k); shape (p, k)."""
-        out = np.zeros((self.shared.columns.shape[2], columns.shape[2]))
-        for i, j in enumerate(rows):  # none where a candidate has nothing to act on
-            out += self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i])
-        return out[self.kept]
-
-    def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:
-        """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
-        weight = self.weight[rows]
-        c = columns[block]
-        y = self.shared.target[rows, block]
-        return (
-            self.with_base(rows, columns, block),
-            np.einsum("j,jn,njk->k", weight, y, c, optimize=True),
-            np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
-        )
-
-    def apart(self, rows: Indices, columns: Array) -> Array:
-        """What of candidate columns (N, rows, k) the base does not explain, shape (joints, N, k)."""
-        _, inverse = self.whole
-        out = -self._times(inverse @ self.with_base(rows, columns))
-        out[rows] += columns.transpose(1, 0, 2)
-        return out
-
-    def projected(self, rows: Indices, columns: Array) -> tuple[Array, Array, Array]:
-        """Weighted Gram matrix of candidate columns (N, rows, k) less the base's part, and with it, (k, k); score (k,)."""
-        weighted = columns * np.sqrt(self.weight[rows])[:, None]
-        flat = weighted.transpose(1, 0, 2).reshape(-1, columns.shape[2])
-        own = flat.T @ flat
-        with_base = self.with_base(rows, columns)
-        return own - with_base.T @ self.whole[1] @ with_base, own, self._score(rows, columns)
-
-    def gains(self, rows: Indices, columns: Array, k: int) -> Array:
-        """Drop of the weighted squared error for many candidates of k columns each; (N, rows, M * k) -> (M,)."""
-        _, inverse = self.whole
-        many = columns.shape[2] // k
-        with_base = self.with_base(rows, columns).reshape(-1, many, k)
-        shaped = columns.reshape(len(columns), len(rows), many, k)
-        own = np.einsum("j,njmk,njml->mkl", self.weight[rows], shaped, shaped)
-        left = own - np.einsum("pmk,pml->mkl", with_base, np.tensordot(inverse, with_base, axes=1))
-        score = self._score(rows, columns).reshape(many, k)
-        return np.array([s @ _solve(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
-
-    def _score(self, rows: Indices, columns: Array) -> Array:
-        out = np.zeros(columns.shape[2])
-        for i, j in enumerate(rows):
-            out += self.weight[j] * (self.residual[j] @ columns[:, i])
-        return out
-
-
-def _solve(left: Array, own: Array, score: Array) -> Array:
-    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
-    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
-    kept = values > DETERMINED
-    basis = vectors[:, kept]
-    return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,14 +81,14 @@ class Search:
         return np.asarray(self.model.residual + self.model.columns @ self.model.theta)
 
     @cached_property
-    def shared(self) -> _Shared:
+    def shared(self) -> SharedColumns:
         """Columns and target in the form that trials use."""
         columns = np.ascontiguousarray(self.model.all_columns.transpose(1, 0, 2))
         shapes = self.model.shapes
         sizes = shapes.per_step(shapes.values(self.model.effects))
         precision = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
         target = np.ascontiguousarray(self.target.T)
-        return _Shared(columns, target, self.model.solution.sigma**-2.0, self.blocks, precision)
+        return SharedColumns(columns, target, self.model.solution.sigma**-2.0, self.blocks, precision)
 
     @cached_property
     def present(self) -> Base:
@@ -644,7 +343,7 @@ class Search:
         b, y, d = (np.array(part) for part in zip(*per_block, strict=True))
         theta, inverse = base.whole
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
-        beta = _solve(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
+        beta = solve_beside(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
         p_value, objection, colour, left_over = self._evidence(effect, base, rows, beside, beta)
         if effect.by_clock and self._follows_motion(base.residual[rows], effect):
@@ -727,14 +426,14 @@ class Search:
         if len(rows) == 0:  # this motion does not show it
             return base.residual
         left, own, score = base.projected(rows, columns)
-        return base.residual - base.apart(rows, columns) @ _solve(left, own, score)
+        return base.residual - base.apart(rows, columns) @ solve_beside(left, own, score)
 
     def _held_out(self, base: Base, b: Array, y: Array, d: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
         out = np.empty(len(b))
         for i, (theta, inverse) in enumerate(base.without):
             bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x[i] for x in (b, y, d))
-            beta = _solve(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
+            beta = solve_beside(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
             new = theta - inverse @ (bb @ beta)
             out[i] = (
                 base.powers[i]
@@ -849,14 +548,14 @@ class _Look:
         if len(rows) == 0:
             return _Look(0.0, np.eye(len(steps)), np.zeros(len(steps)))
         left, own, score = base.projected(rows, columns)
-        beta = _solve(left[:k, :k], own[:k, :k], score[:k])
+        beta = solve_beside(left[:k, :k], own[:k, :k], score[:k])
         # derivatives as combinations of the columns: what is left of them needs no second look at the data
         further = np.zeros((columns.shape[2], len(steps)))
         further[:k] = -beta[:, None] / steps
         for i, step in enumerate(steps):
             further[k * (i + 1) : k * (i + 2), i] = beta / step
         mixed = left[:k] @ further
-        taken = np.array([_solve(left[:k, :k], own[:k, :k], m) for m in mixed.T]).T
+        taken = np.array([solve_beside(left[:k, :k], own[:k, :k], m) for m in mixed.T]).T
         return _Look(
             float(score[:k] @ beta),
             further.T @ left @ further - mixed.T @ taken,
@@ -886,39 +585,3 @@ def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) 
     combined = along.T @ beta
     statistic = combined @ np.linalg.pinv(along.T @ covariance @ along, rcond=1e-10, hermitian=True) @ combined
     return float(statistic), int(kept.sum()), covariance
-
-
-def family(members: Sequence[Trial], kinds: int) -> Trial:
-    """Several trials as one: gains add up, and Fisher's method puts their p-values together; `kinds` families were tried."""
-    chance = -2.0 * float(np.log(np.maximum([m.p_value for m in members], 1e-300)).sum())
-    gain = float(sum(m.gain for m in members))
-    touched_squares = sum(m.gain / m.share for m in members)
-    return dataclasses.replace(
-        members[0],
-        gain=gain,
-        block_gains=np.sum([m.block_gains for m in members], axis=0),
-        p_value=min(1.0, kinds * float(stats.chi2.sf(chance, 2 * len(members)))),
-        size=sum(m.size for m in members),
-        share=gain / touched_squares,
-        colour=max(m.colour for m in members),
-        worst=max(m.worst for m in members),
-        carried=sum(m.carried * m.gain for m in members) / gain,
-        members=tuple(members),
-    )
-
-
-def choose(trials: Sequence[Trial]) -> Trial | None:
-    """The trial to add: the largest sure held-out gain, or a simpler one that the data cannot tell from it."""
-    accepted = [t for t in trials if t.accepted]
-    if not accepted:
-        return None
-    best = max(accepted, key=lambda t: (t.sure_gain, t.gain))
-    as_good = [t for t in accepted if t is best or (t.size <= best.size and best.no_better_than(t))]
-    # where one block outweighs the others no gain is sure: of those that explain it alike, the one that they show too
-    return min(as_good, key=lambda t: (t.size, -t.sure_gain, -t.gain_t))
-
-
-def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:
-    """The list of effects with a new one, which takes the place of what it replaces."""
-    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.replaces)]
-    return (*kept, new)

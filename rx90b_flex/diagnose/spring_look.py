@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy import stats
 
-from rx90b_flex.diagnose.search import SIGNIFICANCE
+from rx90b_flex.diagnose.trial import SIGNIFICANCE
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.coloured import residual_spectrum, scatter, widening
 from rx90b_flex.identify.least_squares import CORRELATION_S, Identification

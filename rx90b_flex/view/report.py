@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from rx90b_flex.diagnose import evidence, search
+from rx90b_flex.diagnose import evidence
 from rx90b_flex.diagnose.close import ClosedLoop, FoundEffect
 from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.motion import MotionErrors
-from rx90b_flex.diagnose.search import Trial
+from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
 from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import SMALLEST_PART
@@ -106,7 +106,6 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
         facts=_facts(result),
         version=package_version(),
-        search=search,
         evidence=evidence,
         near_floor=NEAR_FLOOR,
         segment_s=plots.SEGMENT_S,
@@ -445,7 +444,7 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
     else:
         floor = "from the sensor noise that the campaign file states, after the low-pass"
     low_pass = "none" if campaign.cutoff_hz is None else f"{campaign.cutoff_hz:g} Hz, zero phase, on every signal"
-    asked = f"p < {search.SIGNIFICANCE:g}, corrected for {result.last_round.tests} independent trials a round"
+    asked = f"p < {SIGNIFICANCE:g}, corrected for {result.last_round.tests} independent trials a round"
     declared = [effect_words(e) for e in result.source.effects]
     links = "identified, over base parameters" if result.model.links_fitted else "known: kept from the URDF"
     return [
@@ -462,7 +461,7 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
         ("Significance", asked),
         (
             "Also asked of an effect",
-            f"held-out gain above {search.GAIN_T:g} standard errors and above {100 * search.SMALLEST_GAIN:g} % of the "
+            f"held-out gain above {GAIN_T:g} standard errors and above {100 * SMALLEST_GAIN:g} % of the "
             f"squared error of its joints; {100 * SMALLEST_PART:g} % off the error of one of them (of a delay: a part of a "
             "sample); values that its physics allows",
         ),

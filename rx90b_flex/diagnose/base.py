@@ -1,0 +1,175 @@
+"""The present model as normal equations, block by block: what a candidate is held against."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.identify.least_squares import NormalEquations, solve_weighted
+
+LEAK = 0.02  # of a recording that is left out as a whole
+DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
+
+
+@dataclass(frozen=True, eq=False)
+class SharedColumns:
+    """Columns of the present model and their products, which all bases have in common."""
+
+    columns: Array  # (joints, N, p): one joint's rows lie together in memory
+    target: Array  # (joints, N)
+    weight: Array
+    blocks: tuple[slice, ...]
+    precision: Array  # (p,) inverse variance of coefficients before the data: of shapes, which may change by their size
+
+    @cached_property
+    def normal(self) -> NormalEquations:
+        return NormalEquations.of(self.columns.transpose(1, 0, 2), self.target.T, self.blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """The present model (perhaps without an effect that a candidate replaces), with all that a trial needs of it."""
+
+    shared: SharedColumns
+    kept: Indices  # places of the base's columns among the shared ones
+    prior: Array
+    leak: float = 0.0  # part of a block that is held out which a fit to the others sees all the same
+
+    @property
+    def weight(self) -> Array:
+        """Inverse variance of each joint's residual."""
+        return self.shared.weight
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return len(self.kept)
+
+    @cached_property
+    def grams(self) -> Array:
+        """Weighted Gram matrices, shape (blocks, p, p)."""
+        whole = np.einsum("j,bjpq->bpq", self.weight, self.shared.normal.gram)
+        whole = whole + np.diag(self.shared.precision) / len(whole)
+        return whole[:, self.kept[:, None], self.kept]
+
+    @cached_property
+    def crosses(self) -> Array:
+        return np.einsum("j,bjp->bp", self.weight, self.shared.normal.cross)[:, self.kept]
+
+    @cached_property
+    def powers(self) -> Array:
+        return self.shared.normal.power @ self.weight
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array]:
+        """Coefficients and pseudo-inverse on all blocks."""
+        theta, inverse, _, _ = solve_weighted(self.grams.sum(axis=0), self.crosses.sum(axis=0), self.prior)
+        return theta, inverse
+
+    @cached_property
+    def without(self) -> list[tuple[Array, Array]]:
+        """Coefficients and pseudo-inverse with each block held out."""
+        gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
+        out = []
+        for g, c in zip(self.grams, self.crosses, strict=True):
+            part = 1.0 - self.leak
+            theta, inverse, _, _ = solve_weighted(gram - part * g, cross - part * c, self.prior)
+            out.append((theta, inverse))
+        return out
+
+    @cached_property
+    def held_out(self) -> Array:
+        """Weighted squared error on each block when it is held out, shape (blocks,)."""
+        parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
+        return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
+
+    def grouped(self, groups: Sequence[Indices]) -> Base:
+        """With blocks put together, of which a fit to the others sees a trace: what they leave open must not run away."""
+        normal = self.shared.normal
+        gram, cross, power, counts = (
+            np.array([x[at].sum(axis=0) for at in groups])
+            for x in (normal.gram, normal.cross, normal.power, normal.counts)
+        )
+        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared), leak=LEAK)
+        other.shared.__dict__["normal"] = NormalEquations(gram, cross, power, counts)
+        return other
+
+    @cached_property
+    def residual(self) -> Array:
+        """What the base leaves of the torque, shape (joints, N)."""
+        return self.shared.target - self._times(self.whole[0])
+
+    def _times(self, theta: Array) -> Array:
+        """The base's columns times coefficients (p,) or (p, k); shape (joints, N) or (joints, N, k)."""
+        full = np.zeros((self.shared.columns.shape[2], *theta.shape[1:]))
+        full[self.kept] = theta
+        return self.shared.columns @ full
+
+    @cached_property
+    def squares(self) -> Array:
+        """Weighted squared error of each joint on all blocks."""
+        return self.weight * (self.residual**2).sum(axis=1)
+
+    def with_base(self, rows: Indices, columns: Array, samples: slice = slice(None)) -> Array:
+        """Weighted products of the base's columns with candidate ones (N, rows, k); shape (p, k)."""
+        out = np.zeros((self.shared.columns.shape[2], columns.shape[2]))
+        for i, j in enumerate(rows):  # none where a candidate has nothing to act on
+            out += self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i])
+        return out[self.kept]
+
+    def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:
+        """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
+        weight = self.weight[rows]
+        c = columns[block]
+        y = self.shared.target[rows, block]
+        return (
+            self.with_base(rows, columns, block),
+            np.einsum("j,jn,njk->k", weight, y, c, optimize=True),
+            np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
+        )
+
+    def apart(self, rows: Indices, columns: Array) -> Array:
+        """What of candidate columns (N, rows, k) the base does not explain, shape (joints, N, k)."""
+        _, inverse = self.whole
+        out = -self._times(inverse @ self.with_base(rows, columns))
+        out[rows] += columns.transpose(1, 0, 2)
+        return out
+
+    def projected(self, rows: Indices, columns: Array) -> tuple[Array, Array, Array]:
+        """Weighted Gram matrix of candidate columns (N, rows, k) less the base's part, and with it, (k, k); score (k,)."""
+        weighted = columns * np.sqrt(self.weight[rows])[:, None]
+        flat = weighted.transpose(1, 0, 2).reshape(-1, columns.shape[2])
+        own = flat.T @ flat
+        with_base = self.with_base(rows, columns)
+        return own - with_base.T @ self.whole[1] @ with_base, own, self._score(rows, columns)
+
+    def gains(self, rows: Indices, columns: Array, k: int) -> Array:
+        """Drop of the weighted squared error for many candidates of k columns each; (N, rows, M * k) -> (M,)."""
+        _, inverse = self.whole
+        many = columns.shape[2] // k
+        with_base = self.with_base(rows, columns).reshape(-1, many, k)
+        shaped = columns.reshape(len(columns), len(rows), many, k)
+        own = np.einsum("j,njmk,njml->mkl", self.weight[rows], shaped, shaped)
+        left = own - np.einsum("pmk,pml->mkl", with_base, np.tensordot(inverse, with_base, axes=1))
+        score = self._score(rows, columns).reshape(many, k)
+        return np.array([s @ solve_beside(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
+
+    def _score(self, rows: Indices, columns: Array) -> Array:
+        out = np.zeros(columns.shape[2])
+        for i, j in enumerate(rows):
+            out += self.weight[j] * (self.residual[j] @ columns[:, i])
+        return out
+
+
+def solve_beside(left: Array, own: Array, score: Array) -> Array:
+    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+    kept = values > DETERMINED
+    basis = vectors[:, kept]
+    return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale

@@ -1,0 +1,190 @@
+"""What was tried, what it gained, and why it was or was not accepted."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+
+SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
+SMALLEST_GAIN = 0.02  # of the squared error of all joints that an effect touches; less is not worth a name
+GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
+REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
+AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
+JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
+MEMBER = 0.01  # p-value, not corrected, of a member
+CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
+PHASE_CARRIED = (
+    0.7  # of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One effect, tried in one place.
+
+    Attributes
+    ----------
+    effect : Effect
+        With the values that fit best beside the present model.
+    gain : float
+        Drop of the weighted squared error on held-out blocks, in units of residual variance.
+    block_gains : array, shape (blocks,)
+    p_value : float
+        That nothing is there, corrected for the number of trials.
+    size : int
+        Parameters that it adds to the model.
+    share : float
+        Gain over the squared error of the joints that it touches.
+    lawful : bool
+        Whether its values are such as it can have, and this data can tell them.
+    colour : float
+        Variance of its torque's product with the residual, over what white noise would give.
+    objection : str
+        Why its values are not lawful; empty where they are.
+    small : str
+        Why it is not worth a name by its own rule (`Effect.too_small`); empty where it is.
+    worst : float
+        Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
+    carried : float
+        Part of the gain on held-out blocks that is left where whole recordings are held out.
+    members : tuple of Trial
+        Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
+    """
+
+    effect: Effect
+    gain: float
+    block_gains: Array
+    p_value: float
+    size: int
+    share: float
+    lawful: bool
+    colour: float = 1.0
+    objection: str = ""
+    worst: float = 0.0
+    carried: float = 1.0
+    members: tuple[Trial, ...] = ()
+    small: str = ""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What it adds: one effect, or a family's."""
+        return tuple(m.effect for m in self.members) or (self.effect,)
+
+    @property
+    def gain_t(self) -> float:
+        """Mean over standard error of the blocks' gains, as signed roots: an effect that acts much in one block and
+        little in others, such as a saturation, differs between them without being less sure.
+        """
+        roots = np.sign(self.block_gains) * np.sqrt(np.abs(self.block_gains))
+        error = roots.std(ddof=1) / np.sqrt(len(roots))
+        return float(roots.mean() / error) if error > 0 else np.inf
+
+    @property
+    def replicated(self) -> bool:
+        """Whether several held-out blocks show it, each beyond its own noise, and what the others lose is within theirs.
+
+        A gain g of an effect that is there has the variance 4 g `colour`. An effect that acts in bursts leaves some blocks
+        without a gain; their spread says little of it, but every block that has one is an experiment of its own.
+        """
+        if self.effect.last_resort:
+            return False  # a curve of no known law has nothing but carrying over everywhere to speak for it
+        shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
+        lost = -float(np.minimum(self.block_gains, 0.0).sum())
+        return bool(shown.sum() >= REPLICAS and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))
+
+    @property
+    def sure_gain(self) -> float:
+        """Gain less twice its standard error: what it explains beyond the luck of a few blocks.
+
+        Zero for one that is only `replicated`: it gives way to all that every block shows.
+        """
+        if self.gain <= 0:
+            return self.gain
+        sure = self.gain * (1.0 - GAIN_T / max(self.gain_t, 1e-9))
+        return max(sure, 0.0) if self.replicated else sure
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
+        return not self.refusal
+
+    @property
+    def refusal(self) -> str:
+        """Why it is not accepted, in words; empty where it is."""
+        if not self.lawful:
+            return self.objection or "its values are not such as it can have"
+        if self.p_value >= SIGNIFICANCE:
+            return f"chance would do as well (p = {self.p_value:.2g})"
+        if self.share <= SMALLEST_GAIN:
+            return f"it explains {max(self.share, 0.0):.1%} of the squared error, too little for a name"
+        if self.small:
+            return self.small
+        if not (self.gain_t > GAIN_T or self.replicated):
+            return "parts of the data that were held out disagree on it"
+        if self.worst > 1.0:
+            return "it raises the error of a recording that was left out"
+        if self.carried < (PHASE_CARRIED if self.effect.by_clock else CARRIED):
+            return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
+        return ""
+
+    def belongs(self, tests: int) -> bool:
+        """Whether it may be one of a family: by itself as likely as a hypothesis that nobody had to search for."""
+        return (
+            self.lawful
+            and self.gain > 0
+            and self.share > SMALLEST_GAIN
+            and not self.small
+            and self.p_value < MEMBER * tests
+            and self.worst <= 1.0
+        )
+
+    def no_better_than(self, other: Trial) -> bool:
+        """Whether held-out blocks cannot tell that this one explains more than the other."""
+        if other.gain >= JUST_AS_GOOD * self.gain:
+            return True
+        difference = self.block_gains - other.block_gains
+        spread = difference.std(ddof=1) * np.sqrt(len(difference))
+        return bool(other.gain >= AS_GOOD * self.gain and difference.sum() <= GAIN_T * spread)
+
+
+def family(members: Sequence[Trial], kinds: int) -> Trial:
+    """Several trials as one: gains add up, and Fisher's method puts their p-values together; `kinds` families were tried."""
+    chance = -2.0 * float(np.log(np.maximum([m.p_value for m in members], 1e-300)).sum())
+    gain = float(sum(m.gain for m in members))
+    touched_squares = sum(m.gain / m.share for m in members)
+    return dataclasses.replace(
+        members[0],
+        gain=gain,
+        block_gains=np.sum([m.block_gains for m in members], axis=0),
+        p_value=min(1.0, kinds * float(stats.chi2.sf(chance, 2 * len(members)))),
+        size=sum(m.size for m in members),
+        share=gain / touched_squares,
+        colour=max(m.colour for m in members),
+        worst=max(m.worst for m in members),
+        carried=sum(m.carried * m.gain for m in members) / gain,
+        members=tuple(members),
+    )
+
+
+def choose(trials: Sequence[Trial]) -> Trial | None:
+    """The trial to add: the largest sure held-out gain, or a simpler one that the data cannot tell from it."""
+    accepted = [t for t in trials if t.accepted]
+    if not accepted:
+        return None
+    best = max(accepted, key=lambda t: (t.sure_gain, t.gain))
+    as_good = [t for t in accepted if t is best or (t.size <= best.size and best.no_better_than(t))]
+    # where one block outweighs the others no gain is sure: of those that explain it alike, the one that they show too
+    return min(as_good, key=lambda t: (t.size, -t.sure_gain, -t.gain_t))
+
+
+def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:
+    """The list of effects with a new one, which takes the place of what it replaces."""
+    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.replaces)]
+    return (*kept, new)
