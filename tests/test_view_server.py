@@ -16,7 +16,8 @@ import pytest
 from rx90b_flex.view.meshcat import View
 
 STARTS = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which a run under nohup hands down as ignored
 from rx90b_flex.view.meshcat import View
 window = View("empty", (), ()).serve().window
 print(window.server_proc.pid, window.web_url, flush=True)
