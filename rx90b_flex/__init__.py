@@ -75,6 +75,9 @@ class _Package(ModuleType):
         if not (isinstance(value, ModuleType) and name in _FOLDERS):
             super().__setattr__(name, value)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return import_module, (self.__name__,)  # functions that use it go to other processes
+
 
 sys.modules[__name__].__class__ = _Package
 
