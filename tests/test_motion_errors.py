@@ -36,7 +36,8 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> rf.ClosedLoop:
         run = simulate(true, load_cs8(), excited, noise=Noise(torque=0.5, position=1e-6), rng=rng, role=role)  # type: ignore[arg-type]
         recordings.append(dataclasses.replace(run.recording, name=f"run_{number}"))
     save_robot(declared, folder, "declared.toml", allow_inconsistent=True)
-    return rf.close_loop(write_campaign(folder, "declared.toml", recordings, cutoff_hz=20.0))
+    # the motion is the same in every recording, which the look at the data refuses: what is asked here is about motion
+    return rf.close_loop(write_campaign(folder, "declared.toml", recordings, cutoff_hz=20.0), despite_faults=True)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
-from rx90b_flex.diagnose.trial import Trial, family
+from rx90b_flex.diagnose.trial import AS_GOOD, Trial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
@@ -299,7 +299,8 @@ class Search:
         if not len(self.free(effect)):
             return effect
         tried = [self._refined_from(e, base) for e in (effect, *self._other_starts.get(effect, ()))]
-        return max(tried, key=lambda pair: pair[0])[1]
+        # one that ran into an end of its range explains a little more by playing another effect's part
+        return max(tried, key=lambda pair: pair[0] * (AS_GOOD if self._at_bound(pair[1]) else 1.0))[1]
 
     def _refined_from(self, effect: Effect, base: Base) -> tuple[float, Effect]:
         """Gain and shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""
