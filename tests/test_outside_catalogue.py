@@ -98,6 +98,7 @@ def closed(folder: Path, outside: Outside, seed: int) -> rf.ClosedLoop:
 def test_what_is_not_in_the_catalogue_is_not_explained(outside, tmp_path):
     results = [closed(tmp_path / str(seed), outside, seed) for seed in SEEDS]
     for seed, r in zip(SEEDS, results, strict=True):
-        print(outside.__name__, seed, r.verdict, [e.effect.label for e in r.effects], r.unexplained.where[:2])
-    honest = [r.verdict in ("unexplained", "partly_explained") for r in results]
+        print(outside.__name__, seed, r.verdict, [e.effect.label for e in r.effects])
+    # an encoder that slips may also be told as a fault of the data
+    honest = [r.verdict in ("unexplained", "partly_explained", "data_fault") for r in results]
     assert np.mean(honest) >= FEWEST
