@@ -293,13 +293,7 @@ def test_identified_arm_is_as_good_as_the_true_arm_on_other_motion(name: str, fo
 
 
 @pytest.mark.parametrize("name", slow_but("own_file"))
-def test_closing_the_loop_finds_what_was_hidden(name: str, folder: Path, request: pytest.FixtureRequest) -> None:
-    if (
-        name == "tiago"
-    ):  # Stribeck's velocity runs to the end of what the log tells, with a power of 0.3: a curve takes its place at first
-        request.applymarker(
-            pytest.mark.xfail(reason="a friction curve is named beside the Stribeck friction", strict=True)
-        )
+def test_closing_the_loop_finds_what_was_hidden(name: str, folder: Path) -> None:
     result = rf.close_loop(campaign(name, folder, True))
     (found,) = result.effects
     truly = hidden(arm(name, folder))

@@ -149,10 +149,10 @@ class Search:
         """Places of the shape parameters that a trial is free to choose."""
         return np.array([i for i, k in enumerate(effect.shape_keys) if k not in self._shared_values], dtype=np.intp)
 
-    def _shaped(self, effect: Effect, values: Array) -> Effect:
-        """With other values of the free shapes."""
+    def _shaped(self, effect: Effect, values: Array, free: Indices | None = None) -> Effect:
+        """With other values of the free shapes, or of some of them."""
         shape = effect.shape.copy()
-        shape[self.free(effect)] = values
+        shape[self.free(effect) if free is None else free] = values
         return effect.with_shape(shape)
 
     def run(self, progress: Callable[[float], None] | None = None) -> list[Trial]:
@@ -298,13 +298,32 @@ class Search:
         """The shapes that gain most: from the best of a first look, and from others where several shapes make valleys."""
         if not len(self.free(effect)):
             return effect
-        tried = [self._refined_from(e, base) for e in (effect, *self._other_starts.get(effect, ()))]
-        # one that ran into an end of its range explains a little more by playing another effect's part
-        return max(tried, key=lambda pair: pair[0] * (AS_GOOD if self._at_bound(pair[1]) else 1.0))[1]
-
-    def _refined_from(self, effect: Effect, base: Base) -> tuple[float, Effect]:
-        """Gain and shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""
         free = self.free(effect)
+        tried = [self._refined_from(e, base, free) for e in (effect, *self._other_starts.get(effect, ()))]
+        # one that ran into an end of its range explains a little more by playing another effect's part
+        best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self._at_bound(pair[1]) else 1.0))[1]
+        if not self._at_bound(best):
+            return best
+        simpler, left = self._plainer(effect, free)
+        if len(left) in (0, len(free)):
+            return best
+        _, plain = self._refined_from(simpler, base, left)
+        return best if self._at_bound(plain) else plain
+
+    def _plainer(self, effect: Effect, free: Indices) -> tuple[Effect, Indices]:
+        """The plain member of a family whose law has powers, each as it mostly is, and the shapes that it leaves free.
+
+        Beside what is wrong elsewhere a power may run anywhere; with all else in the model it is fitted again.
+        """
+        powers = np.array([i for i in free if effect.shape_names()[i] == "power"], dtype=np.intp)
+        if not len(powers):
+            return effect, free
+        shape = effect.shape.copy()
+        shape[powers] = effect.usual_shape()[powers]
+        return effect.with_shape(shape), np.setdiff1d(free, powers)
+
+    def _refined_from(self, effect: Effect, base: Base, free: Indices) -> tuple[float, Effect]:
+        """Gain and some of the shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""
         low, high = effect.shape_range(self.longest)[:, free]
         logs = bool((low > 0).all())
         to, back = (np.log, np.exp) if logs else (np.asarray, np.asarray)
@@ -314,7 +333,7 @@ class Search:
 
         def looked_at(x: Array) -> _Look:
             shapes = [np.clip(back(x + step), low, high) for step in np.vstack([0 * x, np.diag(DIFFERENCE * farthest)])]
-            rows, columns = self.regression.compact([self._shaped(effect, s) for s in shapes])
+            rows, columns = self.regression.compact([self._shaped(effect, s, free) for s in shapes])
             return _Look.at(base, rows, columns, len(effect.coefficients), DIFFERENCE * farthest)
 
         x = to(start)
@@ -329,7 +348,7 @@ class Search:
                 damping *= 16
             if abs(won) < SETTLED * max(best.gain, 1.0):
                 break
-        return best.gain, self._shaped(effect, np.clip(back(x), low, high))
+        return best.gain, self._shaped(effect, np.clip(back(x), low, high), free)
 
     def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> Trial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
@@ -503,9 +522,7 @@ class Search:
         names = [effect.shape_names()[i] for i in shapes]
         keys = [effect.shape_keys[i] for i in shapes]
         for name, key, x, a, b in zip(names, keys, at, low, high, strict=True):
-            if (
-                x <= 1.01 * a and key is None
-            ):  # what effects share is as sharp as can be, and no reason against one of them
+            if x <= 1.01 * a and key is None:  # what effects share may be as sharp as can be
                 return f"at its bound: this log does not resolve a {name} below {a:.3g}"
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"

@@ -277,7 +277,12 @@ class Effect(ABC):
 
     def shape_starts(self, motion: Motion) -> Array:
         """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
-        return np.array([[p.start for _, p in self._flat("shape")]])
+        return self.usual_shape()[None]
+
+    @classmethod
+    def usual_shape(cls) -> Array:
+        """Values of the shape parameters where nothing is known, shape (s,)."""
+        return np.array([p.start for _, p in cls._flat("shape")])
 
     def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """Shapes to begin from where the residual helps to find them, shape (M, s).

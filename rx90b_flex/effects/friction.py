@@ -12,8 +12,9 @@ import numpy as np
 from rx90b_flex.effects.effect import FRICTION, JointEffect, linear, shape
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
+from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
 
+FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
@@ -227,9 +228,10 @@ class StribeckFriction(VelocityFriction, DryFriction):
         return float(self.known_coefficients()[0])
 
     def own_range(self, motion: Motion) -> Array:
-        low, high = turnover_range(motion.joint(self.joint))
+        at = motion.joint(self.joint)
+        low, _ = turnover_range(at)
         out = self.shape_bounds()
-        out[:, 0] = FADES * low, max(4.0 * high, 8.0 * FADES * low)
+        out[:, 0] = FADES * low, max(FADED * Resolution.of(at).speed, 8.0 * FADES * low)
         return out
 
     def _fade(self, v: Array) -> Array:
