@@ -75,8 +75,10 @@ def _run(work: Array, sections: Array, steady: Array) -> None:
 
 
 @compiled
-def dahl(q: Array, deflection: float) -> Array:
-    """Dahl's friction over its torque along angles q (N,), rad, exact between samples of monotone motion; shape (N,)."""
+def _along(q: Array, deflection: float, slips: bool) -> Array:
+    """Hysteresis over its torque along angles q (N,), rad: from each turn towards 1 or -1, at once at its end if it slips, ever
+    more slowly if not.
+    """
     out = np.zeros(len(q))
     direction = 0.0
     at = turned = 0.0
@@ -93,43 +95,20 @@ def dahl(q: Array, deflection: float) -> Array:
                 out[:i] = s
                 started = True
             direction = s
-        out[i] = s - (s - at) * np.exp(-abs(q[i] - turned) / deflection)
+        if slips:
+            out[i] = min(max(at + (q[i] - turned) / deflection, -1.0), 1.0)
+        else:
+            out[i] = s - (s - at) * np.exp(-abs(q[i] - turned) / deflection)
     return out
+
+
+@compiled
+def dahl(q: Array, deflection: float) -> Array:
+    """Dahl's friction over its torque along angles q (N,), rad, exact between samples of monotone motion; shape (N,)."""
+    return _along(q, deflection, False)
 
 
 @compiled
 def maxwell(q: Array, deflection: float) -> Array:
     """Torque over its limit of a spring in series with dry friction, along angles q (N,), rad; shape (N,)."""
-    out = np.zeros(len(q))
-    direction = 0.0
-    at = turned = 0.0
-    started = False
-    for i in range(1, len(q)):
-        step = q[i] - q[i - 1]
-        s = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else direction)
-        if s == 0.0:
-            continue
-        if s != direction:
-            at = out[i - 1] if started else s
-            turned = q[i - 1]
-            if not started:
-                out[:i] = s
-                started = True
-            direction = s
-        out[i] = min(max(at + (q[i] - turned) / deflection, -1.0), 1.0)
-    return out
-
-
-@compiled
-def forward_substituted(diagonal: Array, first: Array, second: Array, right: Array) -> Array:
-    """x (N, k) of ``diagonal[i] x[i] + first[i - 1] x[i - 1] + second[i - 2] x[i - 2] = right[i]``, all but x (N,)."""
-    out = np.empty_like(right)
-    for c in range(right.shape[1]):
-        for i in range(len(right)):
-            left = right[i, c]
-            if i > 0:
-                left -= first[i - 1] * out[i - 1, c]
-            if i > 1:
-                left -= second[i - 2] * out[i - 2, c]
-            out[i, c] = left / diagonal[i]
-    return out
+    return _along(q, deflection, True)

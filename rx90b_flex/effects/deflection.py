@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from rx90b_flex.compiled.signals import forward_substituted
+from rx90b_flex.compiled.torsion import torsion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
@@ -158,6 +158,12 @@ def _places(motion: Motion, springs: Sequence[Spring]) -> Indices:
 
 def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, by_a: Array, time: Array) -> Array:
     """Torsions (N, m) under a load (N, m), for derivatives (N, m, m) of the load by angle, velocity and acceleration."""
+    if len(springs) == 1:
+        (s,) = springs
+        alone = (np.ascontiguousarray(by[:, 0, 0]) for by in (by_q, by_v, by_a))
+        limits = (LEAST_INERTIA, FASTEST, FIRST, SECOND, CORRECTIONS, 1e3 * LARGEST)
+        values = (float(s.stiffness), float(s.lag), float(s.cubic))
+        return torsion_alone(np.ascontiguousarray(load[:, 0]), *alone, values, _step(time), *limits)[:, None]
     cubic = np.array([s.cubic for s in springs])
     at_angle, at_rate = _with_springs(springs, by_q, by_v)
     steps = _steps(springs, by_q, by_v, by_a, time)
@@ -241,9 +247,6 @@ class _Steps:
         smooth = w * (right[2:] + right[:-2]) + (1.0 - 2.0 * w) * right[1:-1]
         right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
         right = right.reshape(-1, right.shape[2])
-        if self.weight.shape[1] == 1:
-            diagonal, first, second = self.banded
-            return np.asarray(forward_substituted(diagonal, first, second, right)).reshape(force.shape)
         try:
             out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)
         except linalg.LinAlgError:

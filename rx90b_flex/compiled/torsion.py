@@ -1,0 +1,121 @@
+"""The torsion of one flexible drive along a motion, sample by sample: `effects.deflection` for a single joint."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+compiled = numba.njit(cache=True, error_model="numpy")
+
+
+@compiled
+def steps_alone(
+    at_angle: Array, at_rate: Array, by_a: Array, step: float, least: float, fastest: float
+) -> tuple[Array, Array, Array, Array, bool]:
+    """The oscillator's equations: factors of x[n], x[n - 1], x[n - 2] in row n, weights, and whether the joint swings at all.
+
+    Parameters
+    ----------
+    at_angle, at_rate, by_a : array, shape (N,)
+        Stiffness, damping and inertia along the motion.
+    step : float
+        Time between samples, s; zero where they are not a motion in time.
+    least : float
+        Part of the median inertia that is stepped on with at least.
+    fastest : float
+        Frequency, rad a sample, above which the torsion follows the torque at once.
+    """
+    samples = len(at_angle)
+    typical = np.median(by_a)
+    inertia = by_a.copy()
+    if typical > 0.0:
+        inertia = np.maximum(inertia, least * typical)
+    fast = np.empty(samples)
+    for i in range(samples):
+        fast[i] = at_angle[i] * step**2 / inertia[i] if inertia[i] > 0.0 else 0.0
+    swings = bool(step > 0.0 and typical > 0.0 and np.median(fast) < fastest**2)
+    now, last, before, weight = at_angle.copy(), np.zeros(samples), np.zeros(samples), np.zeros(samples)
+    if not swings:
+        return now, last, before, weight, swings
+    for i in range(1, samples - 1):
+        angle = np.sqrt(min(max(fast[i], 1e-6), fastest**2))
+        turn = 2.0 - 2.0 * np.cos(angle)
+        w = (1.0 - turn / angle**2) / turn
+        mass, rate = inertia[i] / step**2, at_rate[i] / (2.0 * step)
+        weight[i + 1] = w
+        now[i + 1] = mass + rate + w * at_angle[i]
+        last[i + 1] = -2.0 * mass + (1.0 - 2.0 * w) * at_angle[i]
+        before[i + 1] = mass - rate + w * at_angle[i]
+    return now, last, before, weight, swings
+
+
+@compiled
+def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool, force: Array) -> Array:
+    """Torsions (N,) under forces (N,), by the equations of `steps_alone`."""
+    out = np.empty(len(force))
+    for i in range(len(force)):
+        if swings and i > 1:
+            w = weight[i]
+            right = w * (force[i] + force[i - 2]) + (1.0 - 2.0 * w) * force[i - 1]
+            out[i] = (right - last[i] * out[i - 1] - before[i] * out[i - 2]) / now[i]
+        else:
+            out[i] = force[i] / now[i]
+    return out
+
+
+@compiled
+def rates(x: Array, step: float, first: Array, second: Array) -> tuple[Array, Array]:
+    """First and second derivatives by time of uniform samples (N,), central with the given weights, ends continued oddly."""
+    samples, beside = len(x), len(first) // 2
+    v, a = np.zeros(samples), np.zeros(samples)
+    if step == 0.0:
+        return v, a
+    for i in range(samples):
+        for k in range(len(first)):
+            at = i + beside - k
+            if at < 0:
+                value = 2.0 * x[0] - x[-at]
+            elif at >= samples:
+                value = 2.0 * x[samples - 1] - x[2 * samples - 2 - at]
+            else:
+                value = x[at]
+            v[i] += first[k] * value
+            a[i] += second[k] * value
+        v[i] /= step
+        a[i] /= step**2
+    return v, a
+
+
+@compiled
+def torsion_alone(
+    load: Array,
+    by_q: Array,
+    by_v: Array,
+    by_a: Array,
+    spring: tuple[float, float, float],
+    step: float,
+    least: float,
+    fastest: float,
+    first: Array,
+    second: Array,
+    corrections: int,
+    largest: float,
+) -> Array:
+    """Torsion (N,), rad, of one drive under a load (N,), N m; `spring` has its stiffness, lag and cubic part.
+
+    Zero where no drive twists like that: values from which a fit turns back.
+    """
+    stiffness, lag, cubic = spring
+    at_angle, at_rate = by_q + stiffness, by_v + stiffness * lag
+    now, last, before, weight, swings = steps_alone(at_angle, at_rate, by_a, step, least, fastest)
+    torsion = stepped(now, last, before, weight, swings, -load)
+    for _ in range(corrections):
+        if not np.isfinite(torsion).all() or np.abs(torsion).max() > largest:
+            return np.zeros_like(load)
+        v, a = rates(torsion, step, first, second)
+        asked = load + cubic * torsion**3 + at_angle * torsion + at_rate * v + by_a * a
+        torsion = torsion + stepped(now, last, before, weight, swings, -asked)
+    return torsion
