@@ -18,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -160,10 +161,10 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     """Torsions (N, m) under a load (N, m), for derivatives (N, m, m) of the load by angle, velocity and acceleration."""
     if len(springs) == 1:
         (s,) = springs
-        alone = (np.ascontiguousarray(by[:, 0, 0]) for by in (by_q, by_v, by_a))
-        limits = (LEAST_INERTIA, FASTEST, FIRST, SECOND, CORRECTIONS, 1e3 * LARGEST)
-        values = (float(s.stiffness), float(s.lag), float(s.cubic))
-        return torsion_alone(np.ascontiguousarray(load[:, 0]), *alone, values, _step(time), *limits)[:, None]
+        along = [np.ascontiguousarray(x) for x in (load[:, 0], by_q[:, 0, 0], by_v[:, 0, 0], by_a[:, 0, 0])]
+        limits: tuple[Any, ...] = (LEAST_INERTIA, FASTEST, FIRST, SECOND, CORRECTIONS, 1e3 * LARGEST)
+        spring: Any = (float(s.stiffness), float(s.lag), float(s.cubic))
+        return np.asarray(torsion_alone(*along, spring, _step(time), *limits))[:, None]
     cubic = np.array([s.cubic for s in springs])
     at_angle, at_rate = _with_springs(springs, by_q, by_v)
     steps = _steps(springs, by_q, by_v, by_a, time)
