@@ -162,9 +162,10 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     if len(springs) == 1:
         (s,) = springs
         along = [np.ascontiguousarray(x) for x in (load[:, 0], by_q[:, 0, 0], by_v[:, 0, 0], by_a[:, 0, 0])]
-        limits: tuple[Any, ...] = (LEAST_INERTIA, FASTEST, FIRST, SECOND, CORRECTIONS, 1e3 * LARGEST)
-        spring: Any = (float(s.stiffness), float(s.lag), float(s.cubic))
-        return np.asarray(torsion_alone(*along, spring, _step(time), *limits))[:, None]
+        limits = (LEAST_INERTIA, FASTEST, FIRST, SECOND, CORRECTIONS, 1e3 * LARGEST)
+        spring = (float(s.stiffness), float(s.lag), float(s.cubic))
+        alone: Any = torsion_alone  # typed by numba, not by mypy
+        return np.asarray(alone(*along, spring, _step(time), *limits))[:, None]
     cubic = np.array([s.cubic for s in springs])
     at_angle, at_rate = _with_springs(springs, by_q, by_v)
     steps = _steps(springs, by_q, by_v, by_a, time)
