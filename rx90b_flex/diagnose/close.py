@@ -576,7 +576,7 @@ class _Rounds:
             self.tell(
                 f"adding {best.effect.label}" + (f" and {len(best.members) - 1} alike" if best.members else ""), done
             )
-            candidate = self._identified(effects, model)
+            candidate = self._identified(effects, model, best.effects)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 continue
             if not all(_physical(_find(candidate.effects, e)) for e in best.effects):
@@ -604,7 +604,7 @@ class _Rounds:
         """
         for first in [t for t in trials if t.lawful and t.share > MUCH and not t.members][:PAIRS]:
             self.tell(f"trying effects beside {first.effect.label}", done)
-            half = self._identified(added(outcome.model.effects, first.effect), outcome.model)
+            half = self._identified(added(outcome.model.effects, first.effect), outcome.model, first.effects)
             search = Search(half, self.sites)
             beside = search.run()
             second = choose([t for t in beside if not t.members])
@@ -613,7 +613,9 @@ class _Rounds:
                 continue
             if len(added([first.effect], second.effect)) < 2:
                 continue  # one stands in for the other
-            whole = _trusting(self.data.regression, self._identified(added(half.effects, second.effect), half))
+            whole = _trusting(
+                self.data.regression, self._identified(added(half.effects, second.effect), half, second.effects)
+            )
             again = Search(whole, self.sites).without(_find(whole.effects, first.effect))
             if not again.accepted:
                 continue
@@ -629,10 +631,26 @@ class _Rounds:
     def _tell_part(self, text: str, done: float, fraction: float) -> None:
         self.tell(text, done + 0.15 * (0.9 - done) * fraction)
 
-    def _identified(self, effects: Sequence[Effect], start: Identification) -> Identification:
-        """With the rows weighted as they are in the model to compare with."""
+    def _identified(
+        self, effects: Sequence[Effect], start: Identification, new: Sequence[Effect] = ()
+    ) -> Identification:
+        """With the rows weighted as they are in the model to compare with.
+
+        A declared effect that goes beyond what it can be beside `new` ones is not there: the shapes are fitted again without it.
+        """
         regression = self.data.regression.trusting(start.regression.trust)
-        return identify(regression, effects, fit_links=self.fit_links, start=start)
+        model = identify(regression, effects, fit_links=self.fit_links, start=start)
+        own = {e.label for e in self.data.regression.robot.effects} - {e.label for e in new}
+        gone = [e for e in model.impossible() if e.label in own]
+        if not gone:
+            return model
+        kept = [e for e in model.effects if e not in gone]
+        other = identify(regression, kept, fit_links=self.fit_links, start=model)
+        better = (
+            self.data.errors(other).identification.relative_error
+            < self.data.errors(model).identification.relative_error
+        )
+        return other if better else model
 
     def _at_floor(self, outcome: _Outcome) -> bool:
         floor = self.data.noise_floor(outcome.model, self.campaign)
@@ -653,7 +671,9 @@ class _Rounds:
                 continue
             best = min(better, key=lambda c: c.behind)
             self.tell(f"comparing {named.label} with {best.rival.effect.label}", 0.92)
-            model = self._identified(swapped(outcome.model.effects, named, best, search), outcome.model)
+            model = self._identified(
+                swapped(outcome.model.effects, named, best, search), outcome.model, best.rival.effects
+            )
             if not _weighted_better(model, outcome.model):
                 continue
             errors = self.data.errors(model)

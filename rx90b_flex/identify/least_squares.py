@@ -31,6 +31,7 @@ ROUNDING = 1.0e-12  # length of a column over the longest one's below which ther
 DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
 LARGEST_DAMPING = 1.0e7
 SETTLED = 1.0e-5  # part of the squares below which another step is not worth while
+BEYOND = 2.0  # standard deviations beyond a bound that are no chance
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
 
 
@@ -262,6 +263,17 @@ class Identification:
             k = len(effect.coefficients)
             at = first - self.first_column(0)
             out.append(effect.with_coefficients(self.theta[first : first + k] + change[at : at + k]))
+        return tuple(out)
+
+    def impossible(self) -> tuple[Effect, ...]:
+        """Effects of one coefficient which the data puts beyond what it can be, by more than chance explains."""
+        out = []
+        for i, effect in enumerate(self.effects):
+            if len(effect.coefficients) == 1:
+                at = self.first_column(i)
+                spread = BEYOND * np.sqrt(max(self.covariance[at, at], 0.0))
+                if self.solution.determined[at] and self.theta[at] < effect.coefficient_bounds[0] - spread:
+                    out.append(effect)
         return tuple(out)
 
     @property
