@@ -26,6 +26,7 @@ from rx90b_flex.identify.regression import Regression
 FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
+PARTS = 3  # of a single recording, left out in turn instead
 SHAPES_KNOWN = 1.0  # standard deviation of a shape's logarithm before the data: what they leave open must not run away
 LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
 LOST_PART = 0.005  # of its squared error, and this much: less is no reason
@@ -70,9 +71,11 @@ class Search:
         return self.regression.blocks()
 
     @cached_property
-    def by_recording(self) -> tuple[Indices, ...]:
-        """Which blocks each recording holds."""
+    def longest_parts(self) -> tuple[Indices, ...]:
+        """Which blocks each recording holds; of a single one its first, middle and last blocks."""
         starts = np.array([b.start for b in self.blocks])
+        if len(self.regression.spans) < FEWEST_RECORDINGS:
+            return tuple(np.array_split(np.arange(len(starts)), PARTS))
         return tuple(np.flatnonzero((starts >= s.start) & (starts < s.stop)) for s in self.regression.spans)
 
     @cached_property
@@ -368,7 +371,7 @@ class Search:
         p_value, objection, colour, left_over = self._evidence(effect, base, rows, beside, beta)
         if effect.by_clock and self._follows_motion(base.residual[rows], effect):
             objection = "its line lies among those of the motion itself"
-        elif effect.by_clock and len(self.by_recording) < FEWEST_RECORDINGS:
+        elif effect.by_clock and len(self.regression.spans) < FEWEST_RECORDINGS:
             objection = "one recording cannot tell whether its phase holds in another"
         found = effect.with_coefficients(beta)
         if not objection and not found.possible():
@@ -392,13 +395,13 @@ class Search:
     def _left_out(
         self, base: Base, present: Base, products: tuple[Array, ...], chance: float, gain: float
     ) -> tuple[float, float]:
-        """`worst` and `carried` where whole recordings are left out; nothing against it where there are too few."""
-        if len(self.by_recording) < FEWEST_RECORDINGS or gain <= 0:
+        """`worst` and `carried` where whole recordings, or parts of a single one, are left out; nothing against it where it is short."""
+        if (len(self.blocks) < 2 * PARTS and len(self.regression.spans) < FEWEST_RECORDINGS) or gain <= 0:
             return 0.0, 1.0
-        b, y, d = (np.array([part[at].sum(axis=0) for at in self.by_recording]) for part in products)
-        before = present.grouped(self.by_recording)
-        lost = self._held_out(base.grouped(self.by_recording), b, y, d) - before.held_out
-        parts = np.array([len(at) for at in self.by_recording]) / len(self.blocks)
+        b, y, d = (np.array([part[at].sum(axis=0) for at in self.longest_parts]) for part in products)
+        before = present.grouped(self.longest_parts)
+        lost = self._held_out(base.grouped(self.longest_parts), b, y, d) - before.held_out
+        parts = np.array([len(at) for at in self.longest_parts]) / len(self.blocks)
         # what a fit to the others costs a recording by chance: as much as it is longer than they are together
         spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
         return float((lost / np.maximum(spread, 1e-300)).max()), float(-lost.sum() / gain)
