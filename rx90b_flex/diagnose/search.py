@@ -395,7 +395,7 @@ class Search:
     def _left_out(
         self, base: Base, present: Base, products: tuple[Array, ...], chance: float, gain: float
     ) -> tuple[float, float]:
-        """`worst` and `carried` where whole recordings, or parts of a single one, are left out; nothing against it where it is short."""
+        """`worst` and `carried` where whole recordings, or parts of a single one, are left out; none if it is short."""
         if (len(self.blocks) < 2 * PARTS and len(self.regression.spans) < FEWEST_RECORDINGS) or gain <= 0:
             return 0.0, 1.0
         b, y, d = (np.array([part[at].sum(axis=0) for at in self.longest_parts]) for part in products)
