@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
@@ -23,6 +24,17 @@ _RESAMPLE_ATTENUATION_DB = 100.0
 _RESAMPLE_PASS = 0.8
 # `noise_cutoff_hz`: a spectrum this many times the noise floor is signal; noise that adds less than this part
 # to the acceleration does not matter.
+ACCURACY = 8  # order of the differences of a motion
+FEWEST_OF_QUARTIC = 8  # samples that a continuation goes through
+PLAIN = (
+    (34, 4),
+    (24, 4),
+    (16, 4),
+    (11, 4),
+    (8, 4),
+    (ACCURACY + 2, ACCURACY + 1),
+)  # the last as off-centre differences have it
+FORETOLD = 8  # times that a continuation is tried on samples that are known
 FEWEST_SAMPLES = 64  # that noise can be told from motion in
 _SIGNAL_OVER_FLOOR = 4.0
 _NEGLIGIBLE_NOISE = 1e-3
@@ -180,35 +192,81 @@ def motion(position: ArrayLike, sample_rate_hz: float, cutoff_hz: float | None =
     ValueError
         As `lowpass` and `differentiate`.
     """
+    position = _samples(position)
     if cutoff_hz is None:
-        q, margin = _samples(position).copy(), 0
+        margin = ACCURACY // 2
+        q = _continued(position, margin, margin, PLAIN) if len(position) > 2 * ACCURACY else position.copy()
+        margin = (len(q) - len(position)) // 2
     else:
-        position = _samples(position)
-        minimum = minimum_samples(cutoff_hz, sample_rate_hz)
-        if len(position) < minimum:
+        margin = minimum_samples(cutoff_hz, sample_rate_hz)
+        if len(position) < margin:
             lowpass(position, cutoff_hz, sample_rate_hz)  # refuses, and says why
-        margin = minimum
-        q = lowpass(_continued(position, margin), cutoff_hz, sample_rate_hz)
+        ahead = math.ceil(sample_rate_hz / (2.0 * cutoff_hz))
+        q = lowpass(_continued(position, margin, ahead, _spans(margin)), cutoff_hz, sample_rate_hz)
     inside = slice(margin, len(q) - margin)
     return Motion(
         q[inside],
-        differentiate(q, sample_rate_hz)[inside],
-        differentiate(q, sample_rate_hz, derivative=2)[inside],
+        differentiate(q, sample_rate_hz, ACCURACY)[inside],
+        differentiate(q, sample_rate_hz, ACCURACY, derivative=2)[inside],
     )
 
 
-def _continued(position: Array, margin: int) -> Array:
-    """Positions continued at both ends by the quartic that fits the `margin` samples there best.
+def _continued(position: Array, margin: int, ahead: int, ways: Sequence[tuple[int, int]]) -> Array:
+    """Positions continued by `margin` samples at both ends, each by the polynomial through its last samples that foretells best.
 
-    A reflection has no acceleration at the end, and off-centre differences amplify noise; a fitted quartic keeps the
-    acceleration that the motion has there and how it changes, and amplifies noise no more than the inside does.
+    A reflection has no acceleration at the end, and off-centre differences amplify noise; a fitted polynomial keeps the
+    acceleration that the motion has there and how it changes. Through many samples it amplifies noise no more than the inside
+    does, but cannot follow a motion that turns within them: which of the `ways` (samples, degree) serves is told by the samples
+    before the end, which are foretold `ahead` samples at a time from those before them.
     """
-    t = np.linspace(-1.0, 1.0, margin)
-    fit = np.vander(t, 5)
-    beyond = np.vander(1.0 + (1 + np.arange(margin)) * (t[1] - t[0]), 5) @ np.linalg.pinv(fit)
-    after = np.tensordot(beyond, position[-margin:], axes=1)
-    before = np.tensordot(beyond, position[:margin][::-1], axes=1)[::-1]
-    return np.concatenate([before, position, after])
+    before = _beyond(position[::-1], margin, ahead, ways)[::-1]
+    return np.concatenate([before, position, _beyond(position, margin, ahead, ways)])
+
+
+def _beyond(position: Array, margin: int, ahead: int, ways: Sequence[tuple[int, int]]) -> Array:
+    """What comes after the last sample, (margin, ...)."""
+    samples = position.reshape(len(position), -1)
+    ways = [way for way in ways if way[0] + 2 * ahead <= len(samples)] or [ways[-1]]
+    scores = (
+        np.array([_foretold(samples, way, ahead) for way in ways]) if len(ways) > 1 else np.zeros((1, samples.shape[1]))
+    )
+    out = np.empty((margin, samples.shape[1]))
+    for column, best in enumerate(scores.argmin(axis=0)):
+        span, degree = ways[best]
+        further = min(span, margin)
+        longer = np.r_[samples[:, column], _polynomial(span, degree, further) @ samples[-span:, column]]
+        # as far ahead as it was fitted; then by odd reflection
+        rest = np.arange(margin - further)
+        out[:further, column] = longer[len(samples) :]
+        out[further:, column] = 2.0 * longer[-1] - longer[len(longer) - 2 - rest]
+    return out.reshape(margin, *position.shape[1:])
+
+
+def _spans(margin: int) -> list[tuple[int, int]]:
+    """Numbers of samples through which a quartic may go, the largest first, each with its degree."""
+    out = [margin]
+    while 0.7 * out[-1] >= FEWEST_OF_QUARTIC:
+        out.append(int(0.7 * out[-1]))
+    return [(span, 4) for span in out]
+
+
+def _foretold(samples: Array, way: tuple[int, int], ahead: int) -> Array:
+    """Squared error of each column, where samples near the end are foretold from those before them."""
+    span, degree = way
+    weights = _polynomial(span, degree, ahead)
+    earlier = np.unique(np.linspace(0, min(2 * ahead, len(samples) - ahead - span), FORETOLD).astype(int))
+    ends = len(samples) - ahead - earlier
+    error = [weights @ samples[end - span : end] - samples[end : end + ahead] for end in ends]
+    return np.asarray(np.square(error).sum(axis=(0, 1)) / len(ends))
+
+
+@functools.cache
+def _polynomial(span: int, degree: int, ahead: int) -> Array:
+    """Weights (ahead, span) of samples in the values of the polynomial that fits them best, at the samples after them."""
+    t = np.linspace(-1.0, 1.0, span)
+    later = 1.0 + (1 + np.arange(ahead)) * (t[1] - t[0])
+    fitted, after = (np.polynomial.chebyshev.chebvander(x, degree) for x in (t, later))
+    return np.asarray(after @ np.linalg.pinv(fitted))
 
 
 def decimation_factor(cutoff_hz: float, sample_rate_hz: float, margin: float = 4.0) -> int:
