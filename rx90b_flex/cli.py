@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -300,7 +301,9 @@ def frf(
 
     check_folder(out, MOTOR_SIGNALS, overwrite, [campaign])
     if not 0.0 < low_hz < high_hz:
-        raise ValueError(f"the band is {low_hz:g} to {high_hz:g} Hz; expected a low and a higher frequency above 0")
+        raise ValueError(
+            f"--low-hz and --high-hz are {low_hz:g} and {high_hz:g}; expected a low and a higher frequency above 0"
+        )
     if link_mass_std < 0.0 or bending_alike_std < 0.0:
         raise ValueError(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
@@ -618,6 +621,9 @@ def _describe(effect: object) -> str:
     return f"{effect.type_name()} on {' + '.join(effect.joints) or 'the robot'}: {values}"
 
 
+_FILE_NAME = re.compile(r"\.(toml|urdf|csv|gz|txt|tsv|parquet|mat|mcap|db3|json|xml|sdf)\b")
+
+
 class _Command(typer.core.TyperCommand):
     """A command whose numbers are finite, and whose seeds a generator takes."""
 
@@ -633,7 +639,26 @@ class _Command(typer.core.TyperCommand):
                 raise ValueError(f"{parameter.opts[0]} is a number of {len(str(value))} digits; expected a smaller one")
             if parameter.name == "seed" and isinstance(value, int) and value < 0:
                 raise ValueError(f"{parameter.opts[0]} is {value}; expected 0 or more")
-        return super().invoke(ctx)
+        try:
+            return super().invoke(ctx)
+        except ValueError as error:
+            raise ValueError(_with_its_place(str(error), ctx)) from error
+
+
+def _with_its_place(message: str, ctx: Any) -> str:
+    """A message that names an option (what the package calls ``count`` is ``--count`` here) or a file.
+
+    Where it does neither, what the command works on stands before it.
+    """
+    for option in (parameter.opts[0] for parameter in ctx.command.params):
+        word = option.removeprefix("--").replace("-", "_")
+        if option.startswith("--") and re.match(rf"{word}( is |: )", message):
+            return option + message.removeprefix(word)
+    values = [ctx.params.get(parameter.name) for parameter in ctx.command.params]
+    given = [x for v in values for x in (v if isinstance(v, list | tuple) else [v]) if isinstance(x, str | Path)]
+    if not given or "--" in message or _FILE_NAME.search(message) or any(str(x) in message for x in given):
+        return message
+    return f"{given[0]}: {message}"
 
 
 for _module in (camera, check_path, export, static, view):

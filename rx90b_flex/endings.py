@@ -91,11 +91,19 @@ def _one_line(text: str) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Warnings of libraries are for who programs, unless asked for by ``python -W`` or PYTHONWARNINGS."""
+    """Warnings of libraries are for who programs, unless asked for by ``python -W`` or PYTHONWARNINGS.
+
+    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch.
+    """
+    said = sys.unraisablehook
     with warnings.catch_warnings():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")
-        yield
+            sys.unraisablehook = lambda _: None
+        try:
+            yield
+        finally:
+            sys.unraisablehook = said
 
 
 def _close_output() -> None:

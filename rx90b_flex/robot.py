@@ -609,9 +609,9 @@ def load_robot(source: str | os.PathLike[str] | Robot) -> Robot:
     path = Path(source)
     if path.suffix == ".toml":
         return _from_file(path)
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike the path's own method, no error where the name is too long for any file
         raise ValueError(f"{path} is a folder; expected a robot file or a URDF")
-    if path.suffix or path.exists():
+    if path.suffix or os.path.exists(path):
         return _from_urdf(path, path.stem, None, "fitted")
     raise ValueError(f"unknown robot {text!r}: no such file, and {_near_robots(text)}")
 

@@ -152,7 +152,7 @@ def test_a_long_period_has_finer_lines_and_more_swings_keep_the_joints_near() ->
         (["--peak", "45,45,500"], "peak torque of joint_3 is 500 N m"),
         (["--peak", "45,45"], "2 peak torques for 3 joints"),
         (["--high-hz", "130"], "the band is 2.5 to 130 Hz"),
-        (["--period-s", "4.0011"], "period_s is 4.0011: expected a whole number of samples at 250 Hz"),
+        (["--period-s", "4.0011"], "--period-s is 4.0011: expected a whole number of samples at 250 Hz"),
         (["--speed", "9"], "pose 1: joint_1 moves from"),
         (["--matrix", "unit"], "matrix is 'unit'; expected ones, hadamard, identity"),
         (["--joints", "joint_9"], "joint_9"),

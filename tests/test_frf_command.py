@@ -105,7 +105,7 @@ def test_a_stage_that_fails_is_left_out_with_its_reason(campaign):
 def test_bad_input_is_one_line_and_nothing_is_written(campaign, tmp_path, monkeypatch, capsys):
     for arguments, words in (
         ([str(tmp_path / "none.toml")], "none.toml"),
-        ([str(campaign), "--low-hz", "50", "--high-hz", "20"], "the band is 50 to 20 Hz"),
+        ([str(campaign), "--low-hz", "50", "--high-hz", "20"], "--low-hz and --high-hz are 50 and 20"),
         ([str(campaign), "--controller", str(tmp_path / "c.toml")], "no such controller file"),
     ):
         monkeypatch.setattr("sys.argv", ["rx90b-flex", "frf", *arguments, "--out", str(tmp_path / "out")])

@@ -88,7 +88,7 @@ def test_what_cannot_be_is_named(
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2
-    assert "mains_hz is 400; expected above 0 and below Nyquist, 125 Hz" in capsys.readouterr().err
+    assert "--mains-hz is 400; expected above 0 and below Nyquist, 125 Hz" in capsys.readouterr().err
     one = dataclasses.replace(
         CLEAN[0],
         time=CLEAN[0].time[:SAMPLES],

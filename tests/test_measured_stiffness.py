@@ -191,14 +191,10 @@ def test_markers_give_the_stiffness_of_the_three_hinges(
     assert content["base_calibrated"] and "bend_2" in found.out
 
 
-def test_poses_at_rest_are_enough(tmp_path: Path, command: Command, robot: Robot) -> None:
-    """Poses under weight alone, without times; the base is calibrated from the same markers.
-
-    Weight bends the joint of the forearm's own line both ways, but hardly turns it about that: the drive's stiffness is not told, and
-    keeps its declared value.
-    """
-    rng, joint = np.random.default_rng(8), "joint_4"
-    pose = rng.uniform(-1.2, 1.2, (400, len(robot.joints)))
+def write_poses(folder: Path, robot: Robot, joint: str, count: int) -> None:
+    """Markers beside a joint in poses at rest under weight alone, without times."""
+    rng = np.random.default_rng(8)
+    pose = rng.uniform(-1.2, 1.2, (count, len(robot.joints)))
     still = robot.with_effects([e for e in robot.effects if e.part != "friction"])
     q = carried_motion(still, pose, 0 * pose, 0 * pose).q
     camera = Camera.looking(CAMERA_AT, LOOKING_AT)
@@ -211,10 +207,20 @@ def test_poses_at_rest_are_enough(tmp_path: Path, command: Command, robot: Robot
         read[1:] += 1e-3 * STD_MM * rng.standard_normal(read[1:].shape)
         for m in range(3):
             table |= {f"{side}_{m + 1}_{axis}_mm": 1e3 * read[:, m, i] for i, axis in enumerate("xyz")}
-    pd.DataFrame(table).to_csv(tmp_path / "markers.csv", index=False)
-    (tmp_path / "camera.toml").write_text(
+    pd.DataFrame(table).to_csv(folder / "markers.csv", index=False)
+    (folder / "camera.toml").write_text(
         f'robot = "{ROBOT}"\njoint = "{joint}"\nfile = "markers.csv"\nstd_mm = {STD_MM.tolist()}\nframe_std_rad = 3e-3\n'
     )
+
+
+def test_poses_at_rest_are_enough(tmp_path: Path, command: Command, robot: Robot) -> None:
+    """The base is calibrated from the same markers.
+
+    Weight bends the joint of the forearm's own line both ways, but hardly turns it about that: the drive's stiffness is not told, and
+    keeps its declared value.
+    """
+    joint = "joint_4"
+    write_poses(tmp_path, robot, joint, 400)
     found = command("camera", tmp_path / "camera.toml", "--out", tmp_path / "out")
     assert (found.status, found.err) == (0, "")
     for entry in json.loads((tmp_path / "out" / "camera.json").read_text())["stiffness"]:

@@ -175,7 +175,7 @@ def test_a_robot_whose_drives_weigh_nothing_is_named(command: Command, tmp_path:
     drive = 'type = "drive_flexibility"\njoint = "joint_2"\nstiffness = 1e5\ndamping = 100.0\n'
     (tmp_path / "own.toml").write_text(f'urdf = "own.urdf"\n[[effects]]\n{drive}')
     said = refused(command, tmp_path, "view", tmp_path / "own.toml", "--out", tmp_path / "view.html")
-    assert said.startswith("rx90b-flex: own: nothing with mass moves with ")
+    assert said.startswith(f"rx90b-flex: {tmp_path / 'own.toml'}: own: nothing with mass moves with ")
     assert "flex: " in refused(
         command, tmp_path, "simulate", tmp_path / "flex.urdf", "--harmonics", "--out", tmp_path / "run"
     )

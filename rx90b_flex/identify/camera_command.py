@@ -20,6 +20,7 @@ pose at rest.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -127,7 +128,7 @@ def read_markers(path: Path) -> MarkerRecording:
         if not isinstance(keys.get(key), str):
             raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
     beside = path.parent / keys["robot"]
-    robot = load_robot(beside if beside.is_file() else keys["robot"])
+    robot = load_robot(beside if os.path.isfile(beside) else keys["robot"])
     joint = keys["joint"]
     if joint not in robot.joints:
         raise ValueError(f"{path}: unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}")

@@ -22,6 +22,7 @@ A file of tests (TOML)::
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +116,7 @@ def _robot_source(path: Path, robot: Any) -> str:
     if not isinstance(robot, str):
         raise ValueError(f"{path}: robot is {robot!r}; expected a text")
     beside = path.parent / robot
-    return str(beside) if beside.is_file() else robot
+    return str(beside) if os.path.isfile(beside) else robot
 
 
 def _known(where: str, keys: Mapping[str, Any], known: tuple[str, ...]) -> None:

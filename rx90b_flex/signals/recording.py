@@ -261,7 +261,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     return Campaign(
         path=path,
         robot=layout.robot,
-        robot_source=beside if beside.is_file() else layout.robot,
+        robot_source=beside if os.path.isfile(beside) else layout.robot,
         sample_rate_hz=layout.sample_rate_hz,
         joints=layout.joints,
         recordings=tuple(recordings),

@@ -30,6 +30,7 @@ from rx90b_flex.simulate.trajectories import (
     straight_line,
 )
 
+LARGEST = 1e9  # s, rad, rad/s, N m: what no trajectory holds
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
 BUILT_IN = ("line", "excitation", "square-wave", "harmonics")
 
@@ -163,8 +164,12 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     table = read_table(path, wanted)
     time = table.columns(["time"])[:, 0]
     for name, values in zip(wanted, table.columns(wanted).T, strict=True):
-        if not np.isfinite(values).all():
-            raise ValueError(f"{path}: column {name!r}, row {int(np.argmin(np.isfinite(values))) + 1}: not a number")
+        meant = np.abs(values) < LARGEST
+        if not meant.all():
+            row = int(np.argmin(meant))
+            raise ValueError(
+                f"{path}: column {name!r}, row {row + 1}: {values[row]:g}; expected a number below {LARGEST:g}"
+            )
     steps = np.diff(time)
     if len(time) < 10 or not (steps > 0).all() or np.ptp(steps) > 1e-3 * steps.mean():
         raise ValueError(f"{path}: column 'time': expected 10 or more samples at even, rising times")
