@@ -7,13 +7,15 @@ import os
 import shutil
 import sys
 import tempfile
+from functools import cache
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+import typer.main
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from test_cli import tree
-from wrong_inputs import Case, cases, laid_out, write_inputs
+from wrong_inputs import CALLS, SLOW_CALLS, Call, Case, cases, laid_out, write_inputs
 
 from rx90b_flex import cli
 from rx90b_flex.robot import load_robot
@@ -63,13 +65,13 @@ def no_number(word: str) -> None:
     pytest.fail(f"a result holds {word}")
 
 
-def check_result(case: Case, out: Path) -> None:
+def check_result(case: Case, status: int, out: Path) -> None:
     """What was written can be used: JSON without nan, robots and campaigns that load."""
     for path in out.rglob("*.json") if out.is_dir() else ():
         json.loads(path.read_text(), parse_constant=no_number)
     if case.call.words[0] == "import":
         load_campaign(out / "campaign.toml")
-    elif case.call.words[0] in ("identify", "simulate"):
+    elif case.call.words[0] in ("identify", "simulate") and status == 0:
         load_robot(out / "robot.toml")
 
 
@@ -93,19 +95,38 @@ def judged(case: Case, inputs: Path) -> None:
             if case.file is not None:
                 named = {case.file, *case.call.words, "nowhere", "robot_declared"}  # the robot's file leads to the URDF
                 assert any(Path(name).stem in complained for name in named), complained
+            else:
+                option, _, value = case.words[0].partition("=")
+                meant = (
+                    option.split("-")[2],
+                    value or "''",
+                    "band",
+                    *(Path(name).stem for name in case.call.words[1:2]),
+                )
+                assert any(word[:200] in complained for word in meant), complained
         else:
             assert status in (0, 1), (status, complained)
             assert complained == "", complained
-            check_result(case, home / case.call.out)
+            check_result(case, status, home / case.call.out)
     finally:
         shutil.rmtree(home)
 
 
-@pytest.mark.parametrize("examples", [40, *(pytest.param(n, marks=pytest.mark.long) for n in (300, 3000))])
-def test_a_wrong_input_is_refused_in_a_line_or_gives_a_result(inputs: Path, examples: int) -> None:
+PARTS = [pytest.param(0, 300, CALLS, id="300")] + [
+    pytest.param(part, 750, (*CALLS * 4, *SLOW_CALLS), id=f"3000, part {part}", marks=pytest.mark.slow)
+    for part in (1, 2, 3, 4)
+]
+
+
+@pytest.mark.parametrize(("part", "examples", "calls"), PARTS)
+def test_a_wrong_input_is_refused_in_a_line_or_gives_a_result(
+    inputs: Path, monkeypatch: pytest.MonkeyPatch, part: int, examples: int, calls: tuple[Call, ...]
+) -> None:
+    monkeypatch.setattr(typer.main, "get_command", cache(typer.main.get_command))  # 20 ms a case
+
+    @seed(part)
     @settings(
         max_examples=examples,
-        derandomize=True,
         deadline=None,
         database=None,
         phases=(Phase.generate,),
@@ -114,6 +135,6 @@ def test_a_wrong_input_is_refused_in_a_line_or_gives_a_result(inputs: Path, exam
     )
     @given(st.data())
     def run(data: st.DataObject) -> None:
-        judged(data.draw(cases(inputs)), inputs)
+        judged(data.draw(cases(inputs, calls)), inputs)
 
     run()

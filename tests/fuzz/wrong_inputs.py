@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import linear_campaign
 import numpy as np
 import pandas as pd
 from hypothesis import strategies as st
 from scipy.io import savemat
 from test_cli import write_campaign
+from test_importers import lerobot
+from test_measured_stiffness import write_poses, write_test
+
+from rx90b_flex.robot import load_robot, robots_folder
 
 TOKENS = (
     "", "0", "-1", "1e400", "-1e308", "nan", "inf", "9" * 400, "1_000", "١", "[]", "[[]]", "{}", "true", '"x"', '""', "'", '"', "é",
@@ -35,6 +41,7 @@ NUMBERS = (
     "3.5",
     "[/bold]",
 )
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 WORDS = (
     "",
     "x",
@@ -64,8 +71,16 @@ robot = "rx90b_3dof"
 """
 MODES = """joints = ["joint_1"]
 [[pose]]
-angles_deg = [0.0, 90.0, 0.0]
-frequencies_hz = [12.0, 15.0]
+angles_deg = { joint_2 = 90.0 }
+resonance = { hz = [20.0, 30.0], std_hz = [0.1, 0.1] }
+antiresonance.joint_1 = { hz = [15.0], std_hz = [0.1] }
+"""
+WEIGHTS = """robot = "rx90b_4dof"
+[[test]]
+coordinate = "joint_2:torsion"
+file = "weights.csv"
+frame = "tool0"
+angles_deg = [0, 90]
 """
 
 
@@ -82,6 +97,19 @@ def write_inputs(folder: Path) -> None:
     rows = "".join(f"{t:.2f},{0.01 * np.sin(t):.6f}\n" for t in time)
     (folder / "swing.csv").write_text("time,joint_1\n" + rows)
     assert campaign.name == "campaign.toml"
+    places = "".join(f"0.5,{y:.4f},0.35\n" for y in np.linspace(-0.01, 0.01, 30))
+    (folder / "measured.csv").write_text("x,y,z\n" + places)
+    shutil.copy(robots_folder() / "cs8.toml", folder / "controller.toml")
+    write_test(folder, "weights", 1e5, 1.0, np.random.default_rng(0))
+    (folder / "weights.toml").write_text(WEIGHTS)
+    write_poses(folder, load_robot("rx90b_4dof"), "joint_4", 30)
+    lerobot(folder)
+    arm = linear_campaign.viscous_robot()
+    runs = linear_campaign.recordings_at(
+        arm, linear_campaign.BENT[0], np.random.default_rng(0), realisations=2, noise=1e-4
+    )
+    (folder / "periodic").mkdir()
+    linear_campaign.write(folder / "periodic", arm, runs)
 
 
 @dataclass(frozen=True)
@@ -99,6 +127,7 @@ def _numbers(*options: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
 
 
 _OF_A_CAMPAIGN = ("campaign.toml", "robot_declared.toml", "two_joints.urdf", "log_1.csv", "log_2.csv")
+_FLEXIBLE = ("periodic/robot.toml", "periodic/robot.urdf")
 _ROBOT = ("robot_declared.toml", "two_joints.urdf")
 _IMPORT = (
     *_numbers("--rate", "--gear", "--offset"),
@@ -106,6 +135,10 @@ _IMPORT = (
 )
 _ONE_RUN = ("--no-correct", "--no-contributions")
 _PATH = (*_numbers("--tolerance-mm", "--speed-mm-s", "--iterations", "--jobs"), ("--robot", WORDS))
+_VIEW = (*_numbers("--pose", "--count", "--magnify"), ("--tip", WORDS), ("--beside", WORDS))
+_FRF = _numbers("--low-hz", "--high-hz", "--mains-hz", "--link-mass-std", "--bending-alike-std", "--seed", "--jobs")
+_EPISODE = "data/chunk-000/episode_000000.parquet"
+_PERIODIC = tuple(f"periodic/{name}" for name in ("campaign.toml", "robot.toml", "run_001_2_minus.parquet"))
 _SIMULATE = _numbers("--torque-noise", "--position-noise", "--velocity-noise", "--periods", "--seed")
 _EXCITE = (
     *_numbers(
@@ -120,14 +153,34 @@ CALLS = (
         Call(("import", log, "--robot", "robot_declared.toml"), (log, *_ROBOT), _IMPORT)
         for log in ("log_1.csv", "log_1.csv", "log.parquet", "log.mat")
     ),
+    Call(("import", _EPISODE, "--robot", "rx90b_3dof"), (_EPISODE, "meta/info.json"), _IMPORT),
     *(Call(("flexify", "robot_declared.toml"), _ROBOT, (("--torsion", WORDS), ("--bending", WORDS)), "out.urdf"),) * 2,
     Call(("check-path", "path.toml", *_ONE_RUN), ("path.toml",), _PATH),
     Call(("check-path", "points.csv", "--speed-mm-s", "100", "--robot", "rx90b_3dof", *_ONE_RUN), ("points.csv",)),
+    Call(("check-path", "path.toml", "--measured", "measured.csv"), ("measured.csv", "path.toml")),
     Call(("simulate", "rx90b_3dof", "--trajectory", "swing.csv"), ("swing.csv",), _SIMULATE),
+    Call(
+        ("simulate", "rx90b", "--trajectory", "swing.csv", "--controller", "controller.toml"),
+        ("controller.toml", "swing.csv"),
+    ),
     Call(("excite", "rx90b_3dof", "--realisations", "1", "--periods", "1"), (), _EXCITE),
     Call(("frf", "campaign.toml", "--no-replay"), _OF_A_CAMPAIGN, _numbers("--low-hz", "--high-hz", "--mains-hz")),
     Call(("close-loop", "modes.toml", "--robot", "rx90b_3dof"), ("modes.toml",), _numbers("--model-error")),
-    Call(("view", "robot_declared.toml"), _ROBOT, _numbers("--pose", "--count", "--magnify"), "out.html"),
+    Call(("check", "campaign.toml"), _OF_A_CAMPAIGN),
+    Call(("view", "periodic/robot.toml"), _FLEXIBLE, _VIEW, "out.html"),
+    Call(("view", "robot_declared.toml", "--flexible"), _ROBOT, _VIEW, "out.html"),
+    Call(("view", "campaign.toml"), _OF_A_CAMPAIGN, (("--recording", WORDS), *_VIEW), "out.html"),
+    Call(("static", "weights.toml"), ("weights.toml", "weights.csv")),
+    Call(("camera", "camera.toml"), ("camera.toml", "markers.csv")),
+    *(
+        Call(("export", "periodic/robot.toml", "--format", kind), _FLEXIBLE, (("--format", WORDS),), f"out.{kind}")
+        for kind in ("urdf", "mjcf", "sdf")
+    ),
+)
+# those that take seconds where what is wrong does no harm
+SLOW_CALLS = (
+    Call(("close-loop", "campaign.toml"), _OF_A_CAMPAIGN, _numbers("--seed", "--model-error")),
+    Call(("frf", "periodic/campaign.toml", "--no-replay", "--jobs", "1"), _PERIODIC, _FRF),
 )
 
 
@@ -167,7 +220,9 @@ def _a_dangling_link(path: Path) -> None:
 def changes(draw: st.DrawFn, source: Path) -> tuple[Callable[[Path], None], str]:
     """Something that is done to a file, and in words."""
     content = source.read_bytes()
-    kind = draw(st.sampled_from(["token", "token", "token", "line", "cut", "bytes", "other"]))
+    kind = draw(
+        st.sampled_from(["token", "token", "token", "number", "number", "column", "line", "cut", "bytes", "other"])
+    )
     if kind == "other":
         return draw(
             st.sampled_from([(_removed, "removed"), (_a_folder, "a folder"), (_a_dangling_link, "a dangling link")])
@@ -185,7 +240,16 @@ def changes(draw: st.DrawFn, source: Path) -> tuple[Callable[[Path], None], str]
             altered[at] = draw(st.integers(0, 255))
         return (lambda path: _rewritten(path, bytes(altered))), "bytes altered"
     row = draw(st.integers(0, min(len(lines), 40) - 1))
-    if kind == "line":
+    if kind == "column" and source.suffix == ".csv":
+        value, column = draw(st.sampled_from(NUMBERS)), draw(st.integers(0, lines[0].count(",")))
+        cells = [line.split(",") for line in lines]
+        changed = [lines[0], *(",".join([*c[:column], value, *c[column + 1 :]]) for c in cells[1:])]
+        how = f"column {column + 1} all {value!r}"
+    elif kind in ("number", "column") and (found := list(NUMBER.finditer(lines[row]))):
+        one, value = draw(st.sampled_from(found)), draw(st.sampled_from(NUMBERS))
+        how = f"{one[0]} becomes {value!r}"
+        changed = [*lines[:row], lines[row][: one.start()] + value + lines[row][one.end() :], *lines[row + 1 :]]
+    elif kind == "line":
         how = draw(st.sampled_from(["twice", "gone", "moved"]))
         changed = (
             lines[:row]
@@ -207,9 +271,9 @@ def changes(draw: st.DrawFn, source: Path) -> tuple[Callable[[Path], None], str]
 
 
 @st.composite
-def cases(draw: st.DrawFn, inputs: Path) -> Case:
-    """A case, from files that lie in `inputs`."""
-    call = draw(st.sampled_from(CALLS))
+def cases(draw: st.DrawFn, inputs: Path, calls: Sequence[Call] = CALLS) -> Case:
+    """A case of one of the calls, from files that lie in `inputs`."""
+    call = draw(st.sampled_from(calls))
     if call.options and (not call.files or draw(st.integers(0, 2)) == 0):
         option, values = draw(st.sampled_from(call.options))
         value = draw(st.sampled_from(values))
