@@ -546,7 +546,7 @@ class _Rounds:
             model, number = outcome.model, len(outcome.steps)
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
-            trials = Search(model, self.sites).run(told)
+            trials = list(Search(model, self.sites).run(told))
             more = self._one_more(outcome, trials, done, visited) or self._two_together(outcome, trials, done, visited)
             if more is None:
                 curves = Search(model, self.sites, last_resort=True).run()
@@ -559,9 +559,12 @@ class _Rounds:
         return outcome
 
     def _one_more(
-        self, outcome: _Outcome, trials: Sequence[Trial], done: float, visited: set[_Signature]
+        self, outcome: _Outcome, trials: list[Trial], done: float, visited: set[_Signature]
     ) -> _Outcome | None:
-        """With the best addition that still helps once everything is fitted again; None where none does."""
+        """With the best addition that still helps once everything is fitted again; None where none does.
+
+        One whose shape then runs into an end of what the log tells stays among the `trials`, with that as its objection.
+        """
         model, left = outcome.model, list(trials)
         for _ in range(TRIES):
             best = choose(left)
@@ -579,8 +582,13 @@ class _Rounds:
             candidate = self._identified(effects, model, best.effects)
             if candidate.relative_error >= model.relative_error and not _weighted_better(candidate, model):
                 continue
-            if not all(_physical(_find(candidate.effects, e)) for e in best.effects):
+            fitted = [_find(candidate.effects, e) for e in best.effects]
+            if not all(_physical(e) for e in fitted):
                 continue  # fitted with all the rest, it has values that it cannot have
+            ends = [text for e in fitted if (text := Search(candidate, self.sites).at_bound(e))]
+            if ends:
+                trials[trials.index(best)] = dataclasses.replace(best, lawful=False, objection=ends[0])
+                continue
             candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
             if _spoils(errors, outcome.errors):

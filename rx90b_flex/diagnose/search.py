@@ -304,14 +304,14 @@ class Search:
         free = self.free(effect)
         tried = [self._refined_from(e, base, free) for e in (effect, *self._other_starts.get(effect, ()))]
         # one that ran into an end of its range explains a little more by playing another effect's part
-        best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self._at_bound(pair[1]) else 1.0))[1]
-        if not self._at_bound(best):
+        best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))[1]
+        if not self.at_bound(best):
             return best
         simpler, left = self._plainer(effect, free)
         if len(left) in (0, len(free)):
             return best
         _, plain = self._refined_from(simpler, base, left)
-        return best if self._at_bound(plain) else plain
+        return best if self.at_bound(plain) else plain
 
     def _plainer(self, effect: Effect, free: Indices) -> tuple[Effect, Indices]:
         """The plain member of a family whose law has powers, each as it mostly is, and the shapes that it leaves free.
@@ -513,11 +513,11 @@ class Search:
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             if not certain > SIGN_T**2 * k:
                 objection = "with its shape open too, nothing of it is certain"
-        objection = self._at_bound(effect) or objection
+        objection = self.at_bound(effect) or objection
         white = float(beta @ bread[:k, :k] @ beta)
         return p_value, objection, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0, left_over
 
-    def _at_bound(self, effect: Effect) -> str:
+    def at_bound(self, effect: Effect) -> str:
         """Which shape ran into an end of what this log can tell, in words; empty where none did."""
         shapes = self.free(effect)
         low, high = effect.shape_range(self.longest)[:, shapes]

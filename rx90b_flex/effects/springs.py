@@ -65,7 +65,7 @@ class JointSpring(JointEffect):
 
     def with_coefficients(self, values: Sequence[float] | Array) -> Self:
         stiffness, preload = (float(x) for x in values)
-        rest = preload / stiffness if stiffness != 0 else np.nan
+        rest = preload / stiffness if stiffness != 0 else 0.0  # without stiffness any angle is one of rest
         return dataclasses.replace(
             self,
             stiffness=None if np.isnan(stiffness) else stiffness,
