@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from rx90b_flex.effects.effect import Effect, JointEffect, Sites, derived, linear
 from rx90b_flex.effects.law import Law
@@ -22,7 +23,9 @@ from rx90b_flex.effects.ripple import PeriodicEffect
 
 STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
 WIDEST_GAP = 0.1  # rad, up to which the first order says what lost motion does
-LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other
+LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other in a simulation,
+LOAD_PART = 0.02  # and within this part of the load's root mean square in a log
+KICK_S = 0.03  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,7 +219,8 @@ class _VaryingRatio(Effect):
 class Backlash(JointEffect):
     """Lost motion: as the load changes sign the link goes from one end of the gap to the other.
 
-    The link's angle is the motor's less ``gap / 2 * tanh(load / LOAD_SCALE)``; the load is the torque that the links ask for.
+    The link's angle is the motor's less ``gap / 2 * tanh(load / scale)``; the load is the torque that the links ask for, the scale
+    a small part of it.
 
     Signature
     ---------
@@ -243,7 +247,8 @@ class Backlash(JointEffect):
 
     def columns(self, motion: Motion) -> Array:
         place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
-        side = -0.5 * np.tanh(motion.on_tree.load()[:, place] / LOAD_SCALE)
+        load = _smoothed(np.asarray(motion.on_tree.load())[:, place], motion.time)
+        side = -0.5 * np.tanh(load / max(LOAD_PART * float(np.sqrt(np.mean(load**2))), 1e-9))
         deltas: list[Array] = [side]
         for _ in range(2):
             deltas.append(_rate(deltas[-1], motion.time))
@@ -353,3 +358,9 @@ def _rate(x: Array, time: Array) -> Array:
     """Derivative by time of uniform samples; zero where they are not a motion in time."""
     step = time[1] - time[0] if len(time) > 1 else 0.0
     return np.gradient(x, step) if step > 0 else np.zeros_like(x)
+
+
+def _smoothed(x: Array, time: Array) -> Array:
+    """Uniform samples (N,) under a Gaussian of `KICK_S`; as they are where they are not a motion in time."""
+    step = time[1] - time[0] if len(time) > 1 else 0.0
+    return np.asarray(gaussian_filter1d(x, KICK_S / step, mode="nearest")) if step > 0 else x
