@@ -12,10 +12,17 @@ compiled = numba.njit(cache=True, error_model="numpy")
 
 
 @compiled
+def samples_of_a_swing(fast: Array) -> int:
+    """From its squared frequency, (rad a sample)^2, along a motion (N,)."""
+    return int(2.0 * np.pi / np.sqrt(max(np.median(fast), 1e-6)))
+
+
+@compiled
 def steps_alone(
     at_angle: Array, at_rate: Array, by_a: Array, step: float, least: float, fastest: float
-) -> tuple[Array, Array, Array, Array, bool]:
-    """The oscillator's equations: factors of x[n], x[n - 1], x[n - 2] in row n, weights, and whether the joint swings at all.
+) -> tuple[Array, Array, Array, Array, bool, int]:
+    """The oscillator's equations: factors of x[n], x[n - 1], x[n - 2] in row n, weights, whether the joint
+    swings at all, and the samples of a swing.
 
     Parameters
     ----------
@@ -39,7 +46,8 @@ def steps_alone(
     swings = bool(step > 0.0 and typical > 0.0 and np.median(fast) < fastest**2)
     now, last, before, weight = at_angle.copy(), np.zeros(samples), np.zeros(samples), np.zeros(samples)
     if not swings:
-        return now, last, before, weight, swings
+        return now, last, before, weight, swings, 0
+    swing = samples_of_a_swing(fast)
     for i in range(1, samples - 1):
         angle = np.sqrt(min(max(fast[i], 1e-6), fastest**2))
         turn = 2.0 - 2.0 * np.cos(angle)
@@ -49,15 +57,35 @@ def steps_alone(
         now[i + 1] = mass + rate + w * at_angle[i]
         last[i + 1] = -2.0 * mass + (1.0 - 2.0 * w) * at_angle[i]
         before[i + 1] = mass - rate + w * at_angle[i]
-    return now, last, before, weight, swings
+    return now, last, before, weight, swings, swing
 
 
 @compiled
-def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool, force: Array) -> Array:
+def begun_on_a_line(force: Array, samples: int) -> Array:
+    """The first two values (2,) of the straight line through the first samples of a force (N,): as if it had come slowly.
+
+    What the first samples are off by themselves, a log's noise at its end, would else set the link swinging.
+    """
+    many = max(2, min(samples, len(force)))
+    middle, mean = (many - 1) / 2.0, 0.0
+    slope, square = 0.0, 0.0
+    for i in range(many):
+        mean += force[i] / many
+        slope += (i - middle) * force[i]
+        square += (i - middle) ** 2
+    return np.array([mean - slope / square * middle, mean - slope / square * (middle - 1.0)])
+
+
+@compiled
+def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool, swing: int, force: Array) -> Array:
     """Torsions (N,) under forces (N,), by the equations of `steps_alone`."""
     out = np.empty(len(force))
-    for i in range(len(force)):
-        if swings and i > 1:
+    if swings:
+        begun = begun_on_a_line(force, swing)
+        for i in range(2):
+            out[i] = begun[i] / now[i]
+    for i in range(2 if swings else 0, len(force)):
+        if swings:
             w = weight[i]
             right = w * (force[i] + force[i - 2]) + (1.0 - 2.0 * w) * force[i - 1]
             out[i] = (right - last[i] * out[i - 1] - before[i] * out[i - 2]) / now[i]
@@ -110,12 +138,12 @@ def torsion_alone(
     """
     stiffness, lag, cubic = spring
     at_angle, at_rate = by_q + stiffness, by_v + stiffness * lag
-    now, last, before, weight, swings = steps_alone(at_angle, at_rate, by_a, step, least, fastest)
-    torsion = stepped(now, last, before, weight, swings, -load)
+    now, last, before, weight, swings, swing = steps_alone(at_angle, at_rate, by_a, step, least, fastest)
+    torsion = stepped(now, last, before, weight, swings, swing, -load)
     for _ in range(corrections):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > largest:
             return np.zeros_like(load)
         v, a = rates(torsion, step, first, second)
         asked = load + cubic * torsion**3 + at_angle * torsion + at_rate * v + by_a * a
-        torsion = torsion + stepped(now, last, before, weight, swings, -asked)
+        torsion = torsion + stepped(now, last, before, weight, swings, swing, -asked)
     return torsion

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from rx90b_flex.compiled.torsion import torsion_alone
+from rx90b_flex.compiled.torsion import begun_on_a_line, samples_of_a_swing, torsion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
@@ -204,6 +204,7 @@ class _Steps:
     bands: tuple[int, int]
     weight: Array  # (N, m)
     swings: Array  # (m,), 1 where a joint swings, 0 where it follows at once
+    swing: tuple[int, ...]  # samples of a swing, (m,)
 
     @staticmethod
     def of(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> _Steps:
@@ -240,7 +241,8 @@ class _Steps:
                     row = bands[1] + shift * m + i - j
                     first = (start - shift) * m + j
                     banded[row, first : first + m * len(source) : m] = source[:, i, j]
-        return _Steps(banded, bands, weight, swings)
+        swing = tuple(samples_of_a_swing(np.ascontiguousarray(x)) for x in fast.T)
+        return _Steps(banded, bands, weight, swings, swing)
 
     def solve(self, force: Array) -> Array:
         """Deflections (N, m, ...) under forces (N, m, ...)."""
@@ -248,6 +250,11 @@ class _Steps:
         w = self.weight[1:-1, :, None]
         smooth = w * (right[2:] + right[:-2]) + (1.0 - 2.0 * w) * right[1:-1]
         right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
+        for j in np.flatnonzero(self.swings):
+            for k in range(right.shape[2]):
+                right[:2, j, k] = begun_on_a_line(
+                    np.ascontiguousarray(force.reshape(right.shape)[:, j, k]), self.swing[j]
+                )
         right = right.reshape(-1, right.shape[2])
         try:
             out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)
