@@ -417,7 +417,9 @@ def flexify(
     """
     from rx90b_flex import flexify as virtual
     from rx90b_flex.robot import load_robot
+    from rx90b_flex.signals.single import check_file
 
+    check_file(out, robot)
     loaded = load_robot(robot)
     places = loaded.flexible_places()
     if torsion or bending or base:

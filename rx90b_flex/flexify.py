@@ -655,17 +655,11 @@ def write_urdf(urdf: yourdfpy.URDF, path: str | Path) -> None:
     Raises
     ------
     ValueError
-        If the directory does not exist or cannot be written.
+        If the path is no place for a file, or cannot be written.
     """
-    path = Path(path)
-    text = to_xml(urdf)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
+    from rx90b_flex.signals.single import write_file
+
+    write_file(Path(path), to_xml(urdf))
 
 
 def _write_angles(element: Any, origin: Vector | None) -> None:

@@ -64,6 +64,8 @@ def options_of(
             raise ValueError(f"--columns {text}: expected SIGNAL=NAME,NAME,...")
         chosen[signal.strip()] = _listed(names)
     gears = tuple(_numbers("--gear", row) for row in (gear or "").split(";") if row.strip())
+    if joints is not None and not _listed(joints):
+        raise ValueError(f"--joints {joints}: expected names with commas between")
     return Options(chosen, _listed(joints or ""), rate, degrees, gears, _numbers("--offset", offset or ""), topic)
 
 

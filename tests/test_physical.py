@@ -235,5 +235,5 @@ def test_a_solver_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
         raise cvxpy.error.SolverError("Solver 'CLARABEL' failed.\nTry another solver.")
 
     monkeypatch.setattr(cvxpy.Problem, "solve", fail)
-    with pytest.raises(ValueError, match=r"no physically consistent parameters found: Solver 'CLARABEL' failed. Try"):
+    with pytest.raises(ValueError, match=r"no physically consistent parameters found: the solver gave up$"):
         consistent_parameters(-np.ones(10), np.eye(10), np.zeros(10))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import independent as ind
@@ -151,6 +153,62 @@ def test_a_mass_beyond_measure_is_named_with_file_and_joint(campaign: Path, comm
     assert "two_joints.urdf" in said and "inertial parameter" in said
 
 
+def test_recordings_to_fit_in_which_nothing_moves_are_a_fault_of_the_data(
+    campaign: Path, command: Command, tmp_path: Path
+) -> None:
+    change_logs(campaign.parent, ("log_1.csv",), angle_0=0.3, angle_1=0.3)
+    for name in ("check", "identify", "close-loop"):
+        found = command(name, campaign, "--out", tmp_path / name)
+        assert (found.status, found.err) == (1, "") and "No joint moves" in " ".join(found.out.split())
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "said"),
+    [
+        ("time", lambda x: 0.0 * x, "1 rows at different times"),
+        ("time", lambda x: 1e12 * x, "1e-10 samples a second; expected 0.1 to 1e+06"),
+        ("time", lambda x: 1e-12 * x, "1e+14 samples a second; expected 0.1 to 1e+06"),
+        ("moment_1", lambda x: 1e200 * x, "column 'moment_1', row 1: -1.84527e+200; expected below 1e+09"),
+    ],
+)
+def test_a_log_in_no_unit_that_is_used_is_not_imported(
+    campaign: Path, command: Command, tmp_path: Path, column: str, change: Callable[[np.ndarray], np.ndarray], said: str
+) -> None:
+    log = campaign.parent / "log_1.csv"
+    change_logs(campaign.parent, ("log_1.csv",), **{column: change(pd.read_csv(log)[column].to_numpy())})
+    robot = campaign.parent / "robot_declared.toml"
+    assert said in refused(command, tmp_path, "import", log, "--robot", robot, "--out", tmp_path / "out")
+
+
+def test_a_clock_that_stands_is_named(campaign: Path, command: Command, tmp_path: Path) -> None:
+    change_logs(campaign.parent, ("log_1.csv",), time=1.0)
+    said = refused(command, tmp_path, "identify", campaign, "--out", tmp_path / "out")
+    assert "log_1.csv: column 'time': times that never change contradict sample_rate_hz = 100" in said
+
+
+def test_no_names_for_joints_are_no_joints(campaign: Path, command: Command, tmp_path: Path) -> None:
+    log, robot = campaign.parent / "log_1.csv", campaign.parent / "robot_declared.toml"
+    words = ("import", log, "--robot", robot, "--joints", ",")
+    assert "--joints ,: expected names" in refused(command, tmp_path, *words, "--out", tmp_path / "out")
+
+
+def test_a_number_in_a_trajectory_that_none_can_be_is_named(command: Command, tmp_path: Path) -> None:
+    rows = [f"{k / 100:.2f},{'-1e308' if k == 10 else '0'}\n" for k in range(20)]
+    (tmp_path / "swing.csv").write_text("time,joint_1\n" + "".join(rows))
+    words = ("simulate", "rx90b_3dof", "--trajectory", tmp_path / "swing.csv")
+    said = refused(command, tmp_path, *words, "--out", tmp_path / "out")
+    assert "swing.csv: column 'joint_1', row 11: -1e+308; expected a number below 1e+09" in said
+
+
+def test_rows_of_other_bytes_and_too_few_cells_are_one_line(campaign: Path, command: Command, tmp_path: Path) -> None:
+    """A row that is no text reaches a callback of the reader, whose errors Python prints."""
+    log = campaign.parent / "log_1.csv"
+    log.write_bytes(
+        b"\n".join(line if k != 250 else b"\xe6\xff" for k, line in enumerate(log.read_bytes().split(b"\n")))
+    )
+    assert "log_1.csv" in refused(command, tmp_path, "identify", campaign, "--out", tmp_path / "out")
+
+
 def test_a_joint_that_never_moves_is_no_reason_to_fail(campaign: Path, command: Command, tmp_path: Path) -> None:
     """The shoulder stands on its brake: its log has the torque that holds it, and no friction."""
     hold_the_shoulder(campaign.parent)
@@ -224,6 +282,26 @@ def test_a_path_through_a_file_and_a_dangling_link_are_one_line(
     for out in (through, link):
         for arguments in (["identify", campaign], ["demo"], ["check-path", "line"], ["excite", "rx90b_3dof"]):
             assert str(out) in refused(command, tmp_path, *arguments, "--out", out)
+
+
+FILE_COMMANDS = (
+    ("flexify", "robot_declared.toml"),
+    ("view", "robot_declared.toml", "--flexible"),
+    ("export", "rx90b_rigid", "--format", "urdf"),
+)
+
+
+@pytest.mark.parametrize("words", FILE_COMMANDS, ids=lambda words: words[0])
+def test_a_file_never_takes_the_place_of_what_is_none_or_of_what_is_read(
+    campaign: Path, command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: Sequence[str]
+) -> None:
+    monkeypatch.chdir(campaign.parent)
+    os.mkfifo("pipe")  # as a device is
+    Path("link").symlink_to("nowhere")
+    own = ("robot_declared.toml", "two_joints.urdf") if words[1] in os.listdir() else ()
+    for out in (".", "pipe", "link", "campaign.toml/x.urdf", *own):
+        assert out in refused(command, tmp_path, *words, "--out", out)
+    assert stat.S_ISFIFO(os.stat("pipe").st_mode)
 
 
 def test_an_import_never_takes_the_place_of_a_log_that_it_reads(

@@ -36,7 +36,11 @@ def view_command(
     In a browser, or (--out) as one HTML file that opens offline.
     """
     from rx90b_flex.early import check_robot, read_campaign
+    from rx90b_flex.signals.single import check_file
 
+    if out is not None:
+        for given in [source, *([beside] if beside else [])]:
+            check_file(out, given)
     for given in [source, *([beside] if beside else [])]:
         inside = Path(given) / "campaign.toml" if Path(given).is_dir() else Path(given)
         if inside.is_file() and inside.suffix == ".toml" and b"[[recording]]" in inside.read_bytes():

@@ -404,8 +404,8 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and the check is below
             problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
-    except cp.error.SolverError as error:
-        raise ValueError(f"no physically consistent parameters found: {' '.join(str(error).split())}") from None
+    except cp.error.SolverError:
+        raise ValueError("no physically consistent parameters found: the solver gave up") from None
     status = str(problem.status)
     if z.value is None:
         raise ValueError(f"no physically consistent parameters found: the solver says {status!r}")

@@ -41,6 +41,8 @@ SHORT_S = 10.0  # s of identification below which intervals are wide
 FEWEST_S = 4.0  # s of identification, of which close-loop holds parts out
 FEWEST_SAMPLES = 64  # below which there is no spectrum to tell noise from motion
 MIXED = 8.0  # times the motion of another file, in the numbers of both: they are in different units
+LARGEST = 1e9  # of any number that is read, in the unit of its column
+SLOWEST_HZ, FASTEST_HZ = 0.1, 1e6  # rates that a log may have
 
 # words in names, in lower case
 # fmt: off
@@ -635,9 +637,12 @@ def _check_finite(log: Log, names: Sequence[str], time: Array) -> None:
     if not np.isfinite(time).all():
         raise ValueError(f"{log.path}: row {int(np.argmin(np.isfinite(time))) + 1}: no time")
     for name in names:
-        bad = np.isinf(log.column(name))
+        bad = np.abs(log.column(name)) > LARGEST
         if bad.any():
-            raise ValueError(f"{log.path}: column {name!r}, row {int(np.argmax(bad)) + 1}: infinite")
+            row = int(np.argmax(bad))
+            found = log.column(name)[row]
+            said = "infinite" if np.isinf(found) else f"{found:g}; expected below {LARGEST:g}"
+            raise ValueError(f"{log.path}: column {name!r}, row {row + 1}: {said}")
 
 
 def _uniform(
@@ -645,6 +650,11 @@ def _uniform(
 ) -> tuple[float, dict[str, Array], Array]:
     """Rate, values and times on a uniform grid."""
     printed = float(np.max(printed_resolution(time, False)))  # s: times may be off the grid by as much
+    mean = (len(time) - 1) / time[-1]
+    if not SLOWEST_HZ <= mean <= FASTEST_HZ:
+        raise ValueError(
+            f"{log.path}: times: {mean:.3g} samples a second; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g}; are they in another unit?"
+        )
     rate = _round_rate((len(time) - 1) / time[-1], printed / time[-1])
     grid = np.arange(len(time)) / rate
     if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):

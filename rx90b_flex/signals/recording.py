@@ -686,11 +686,11 @@ def _check_uniform(file: Path, time: Array, rate: float, resolution: Array, firs
     else:
         contradicts = abs(typical - period) > 0.05 * period + float(np.max(rounding)) / len(steps)
     if contradicts:
+        found = f"steps of {typical:.6g} s ({1.0 / typical:.6g} Hz)" if typical > 0.0 else "times that never change"
         raise DataFaultError(
-            f"{file}: column 'time': steps of {typical:.6g} s ({1.0 / typical:.6g} Hz) contradict"
-            f" sample_rate_hz = {rate:g} ({period:.6g} s)",
+            f"{file}: column 'time': {found} contradict sample_rate_hz = {rate:g} ({period:.6g} s)",
             "sample_rate",
-            factor=rate * typical,
+            factor=rate * typical or None,
         )
     if fine:
         bad = np.abs(steps - period) > 0.01 * period + rounding

@@ -131,7 +131,7 @@ def write_table(path: Path, names: Sequence[str], values: NDArray[np.float64]) -
     write_whole(path, write)
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Call `write` with a temporary name beside `path`, then rename: readers never see half a file."""
     temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:

@@ -9,7 +9,7 @@ from typing import Literal
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.signals.tables import write_whole
+from rx90b_flex.signals.single import check_file, write_file
 from rx90b_flex.simulators.held import Lost, held_by
 from rx90b_flex.simulators.mjcf import MJCF, mjcf_text
 from rx90b_flex.simulators.sdf import SDF, sdf_text
@@ -64,36 +64,10 @@ def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[
     if format not in FORMATS:
         raise ValueError(f"format is {format!r}; {close_match(str(format), list(FORMATS))}")
     path = Path(path)
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder; expected a file to write")
-    if not isinstance(robot, Robot):
-        _refuse_own(robot, path)
-        robot = load_robot(robot)
+    check_file(path, None if isinstance(robot, Robot) else robot)
+    robot = load_robot(robot)
     how, text_of = FORMATS[format]
     held = held_by(robot, how)
     text, more = text_of(held)
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    try:
-        write_whole(path, write)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
+    write_file(path, text)
     return Exported(path, format, (*held.lost, *more))
-
-
-def _refuse_own(source: str | os.PathLike[str], path: Path) -> None:
-    """Not over the robot's own file, nor over the URDF that it names."""
-    given = Path(source)
-    if not given.is_file():
-        return
-    own = [given]
-    if given.suffix == ".toml":
-        from rx90b_flex.files.toml import read_toml
-
-        urdf = read_toml(given, "robot file").get("urdf")
-        own += [given.parent / urdf] if isinstance(urdf, str) else []
-    for file in own:
-        if path.resolve() == file.resolve():
-            raise ValueError(f"{path}: is the robot's own file; expected another one to write")

@@ -14,6 +14,7 @@ from rx90b_flex.default_flexibility import default_words, with_default_flexibili
 from rx90b_flex.interrupts import calm
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign
+from rx90b_flex.signals.single import check_file
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.command import STATE_FILE
 from rx90b_flex.tip import tip_words, with_tip
@@ -160,8 +161,7 @@ def write_view(view: View, path: Path) -> None:
     ValueError
         A path that cannot be written.
     """
-    if path.is_dir():
-        raise ValueError(f"{path}: is a folder; expected an HTML file to write")
+    check_file(path)
     try:
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
         view.save_html(path)

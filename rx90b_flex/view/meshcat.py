@@ -31,10 +31,10 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.linearize import ComplexArray
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
-from rx90b_flex.signals.tables import write_whole
+from rx90b_flex.signals.single import write_file
 from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.view import scene
-from rx90b_flex.view.page import template, write_text
+from rx90b_flex.view.page import template
 from rx90b_flex.view.server import start_server
 
 MAGNIFY = 100.0
@@ -180,7 +180,7 @@ class View:
         """Write `html` to a file; it appears whole or not at all."""
         path = Path(path)
         text = self.html()
-        write_whole(path, lambda temporary: write_text(temporary, text))
+        write_file(path, text)
         return path
 
     def serve(self) -> meshcat.Visualizer:

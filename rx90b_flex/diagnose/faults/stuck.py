@@ -77,10 +77,10 @@ def _stretches(position: Array, need: int) -> list[int]:
 
 def no_excitation(recordings: Sequence[Recording]) -> list[DataFault]:
     """Joints that move too little to tell anything; all of them, and the data are of no use."""
-    reach = moves(recordings)
+    reach, fitted = moves(recordings), moves([r for r in recordings if r.role == "identification"] or recordings)
     names = recordings[0].joints
-    if (reach < HARDLY).all():
-        message = f"No joint moves by more than {reach.max():.2g} rad: record a motion that uses the joints' range."
+    if (fitted < HARDLY).all():
+        message = f"No joint moves by more than {fitted.max():.2g} rad in what is fitted: record a motion that uses their range."
         return [DataFault("no_excitation", None, names, None, None, message)]
     hardly = tuple(j for j, r in zip(names, reach, strict=True) if NEVER < r < HARDLY)
     if not hardly:

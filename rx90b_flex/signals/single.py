@@ -1,0 +1,52 @@
+"""A single file that somebody names for what a command writes: the URDF of ``flexify`` and ``export``, the page of ``view``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from rx90b_flex.files.toml import read_toml
+from rx90b_flex.signals.tables import write_whole
+
+
+def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None:
+    """Refuse what is no place for a file: a folder, a device, a link to nowhere; and what is read.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; one that is there is replaced.
+    source : str or path, optional
+        What is read, which must not be replaced, nor the URDF that it names where it is a robot file.
+
+    Raises
+    ------
+    ValueError
+        One line that names the path.
+    """
+    if os.path.lexists(path) and not path.is_file():
+        kind = "a folder" if path.is_dir() else "no regular file"
+        raise ValueError(f"{path} is {kind}; expected a file to write")
+    if source is None or not os.path.isfile(source):
+        return
+    own = [Path(source)]
+    if own[0].suffix == ".toml":
+        urdf = read_toml(own[0], "robot file").get("urdf")
+        own += [own[0].parent / urdf] if isinstance(urdf, str) else []
+    if any(path.resolve() == file.resolve() for file in own):
+        raise ValueError(f"{path}: is what this run reads; expected another file to write")
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write text as UTF-8; the file appears whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        One line that names the path: it is no place for a file, or cannot be written.
+    """
+    try:
+        check_file(path)
+        write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {error.strerror}") from None
