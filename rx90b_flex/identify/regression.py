@@ -29,6 +29,7 @@ from rx90b_flex.signals import (
 # Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
 # columns are low-passed once, as the torque is, and not twice.
 POSITION_CUTOFF_RATIO = 2.0
+ABOVE_NOISE = 1.5  # times the low-pass that is best for a noisy position's acceleration: velocities bear more
 # Columns are worked out at this many times the cutoff at least: products of filtered signals stay free of aliasing.
 WORKING_RATE_RATIO = 20.0
 # Later times are dates, s.
@@ -91,7 +92,8 @@ class Stretch:
         """Velocity from positions that keep another octave, at the working rate, (N_working, joints), rad/s."""
         if self.cutoff_hz is None:
             return self.motion.v
-        rate, cutoff = self.recording.sample_rate_hz, WIDER * POSITION_CUTOFF_RATIO * self.cutoff_hz
+        rate = self.recording.sample_rate_hz
+        cutoff = WIDER * (_position_cutoff(self.recording.position, rate, self.cutoff_hz) or rate)
         velocity = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
         order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
         return np.asarray(velocity[:: self.working_factor][:, order])
@@ -192,9 +194,11 @@ def _clock_zero(time: Array) -> float:
 
 
 def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> float | None:
+    """Low-pass of positions, Hz: well above the torque's, but not so far above where their noise begins to rule the acceleration."""
     if cutoff_hz is None:
         return noise_cutoff_hz(position, rate)
-    wide = POSITION_CUTOFF_RATIO * cutoff_hz
+    noise = noise_cutoff_hz(position, rate) if len(position) >= filters.FEWEST_SAMPLES else None
+    wide = min(POSITION_CUTOFF_RATIO * cutoff_hz, np.inf if noise is None else ABOVE_NOISE * noise)
     return wide if wide < 0.4 * rate else None
 
 
