@@ -25,7 +25,7 @@ STEEPEST = 0.25  # change of the angle's error with the angle, up to which the f
 WIDEST_GAP = 0.1  # rad, up to which the first order says what lost motion does
 LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other in a simulation,
 LOAD_PART = 0.02  # and within this part of the load's root mean square in a log
-KICK_S = 0.03  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
+KICK_S = 0.05  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
 
 
 @dataclass(frozen=True, kw_only=True)
