@@ -83,10 +83,16 @@ def equivalent(hidden: Row, found: Row) -> bool:
 
 
 def right_in_effect(row: Row) -> bool:
-    """What was hidden, or what is declared equivalent to it, and beside it nothing but what dry friction truly is here."""
+    """What was hidden, or what is declared equivalent to it, and beside it nothing but what dry friction truly is here.
+
+    Dry friction that is hidden follows this run's law: the law's own name is right for it.
+    """
     left = list(row["found"])
     for h in row["hidden"]:
-        hit = next((f for f in left if same(h, f)), None) or next((f for f in left if equivalent(h, f)), None)
+        own = [f for f in left if h["type"] == "coulomb_friction" and h["joints"] == f["joints"] and own_law(row, f)]
+        hit = next((f for f in left if same(h, f)), None) or next(
+            (f for f in left if equivalent(h, f) or f in own), None
+        )
         if hit is None:
             return False
         left.remove(hit)
