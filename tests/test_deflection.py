@@ -81,3 +81,14 @@ def test_a_declared_drive_stands_on_the_rigid_tree_and_goes_back_into_the_flexib
     assert [e.type_name() for e in standing] == ["drive_flexibility"]
     assert [e.in_tree(rest) for e in standing] == [drive]
     assert over_time.model.nv == robot.tree.nv
+
+
+def test_noise_at_the_start_of_a_log_does_not_set_a_link_swinging(bench):
+    plain = bench.said({SHOULDER: 400.0})
+    rng = np.random.default_rng(0)
+    rough = dataclasses.replace(bench.motion, a=bench.motion.a.copy())
+    rough.a[:ENDS] += rng.normal(scale=0.3 * np.abs(bench.motion.a).max(), size=(ENDS, 2))
+    noisy = dataclasses.replace(bench, motion=rough).said({SHOULDER: 400.0})
+    # a third of the largest acceleration, off in the first samples alone
+    later = slice(4 * ENDS, None)
+    assert np.linalg.norm((noisy - plain)[later]) < 0.1 * np.linalg.norm(plain[later])

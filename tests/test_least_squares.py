@@ -190,6 +190,22 @@ def test_a_joint_that_stands_still_leaves_its_friction_without_a_value(arm, robo
 # ---- weights ------------------------------------------------------------------------------------------------
 
 
+def test_friction_below_zero_is_named_as_impossible_and_what_noise_alone_puts_there_is_not(arm, robot):
+    rng = np.random.default_rng(2)
+    noise = rng.normal(size=(1600, 2)) * NOISE
+
+    def driven(m: ind.Motion, load: np.ndarray) -> np.ndarray:
+        """Takes away the elbow's dry friction and half as much again: no gear does that."""
+        return -1.5 * COULOMB[1] * np.sign(m.v) * [0.0, 1.0]
+
+    def without(m: ind.Motion, load: np.ndarray) -> np.ndarray:
+        return -COULOMB[1] * np.sign(m.v) * [0.0, 1.0]
+
+    wrong, none = (identify(data(arm, robot, noise, x), FRICTION, fit_links=True) for x in (driven, without))
+    assert [e.label for e in wrong.impossible()] == ["elbow.coulomb_friction"]
+    assert none.impossible() == ()
+
+
 def test_each_joint_is_weighted_by_its_own_noise(arm, robot):
     noise = ind.white(np.random.default_rng(2), 3000, NOISE)
     model = identify(data(arm, robot, noise), FRICTION, fit_links=True)
