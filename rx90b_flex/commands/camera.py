@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+from rx90b_flex.commands.shared import Out, Overwrite, fitted_into
 
 
 def add(app: typer.Typer) -> None:
@@ -25,21 +25,12 @@ def camera_command(
     On the links beside a joint, along a motion or in poses at rest: torsion and both bendings with their standard deviations, in the
     robot's file, too.
     """
-    from rx90b_flex.signals.folders import CAMERA, check_folder, fill_folder
+    from rx90b_flex.signals.folders import CAMERA, check_folder
 
     check_folder(out, CAMERA, overwrite, [markers])
     from rx90b_flex.identify.camera_command import fit_markers, read_markers, write_camera
     from rx90b_flex.view.camera_report import headline, write_camera_report
 
-    with progress() as tell:
-        tell("reading", 0.1)
-        result = fit_markers(read_markers(markers))
-
-        def fill(folder: Path) -> None:
-            write_camera(result, folder)
-            write_camera_report(result, folder / "report.html")
-
-        fill_folder(out, fill, CAMERA, overwrite)
-    for line in headline(result):
-        say(line)
-    say(f"Report: {out / 'report.html'}")
+    fitted_into(
+        out, CAMERA, overwrite, lambda: fit_markers(read_markers(markers)), write_camera, write_camera_report, headline
+    )

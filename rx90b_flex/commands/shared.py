@@ -52,6 +52,32 @@ def say(text: str) -> None:
     Console().print(text, soft_wrap=True, markup=False, highlight=False)
 
 
+def fitted_into(
+    out: Path,
+    results: Any,
+    overwrite: bool,
+    fit: Callable[[], Any],
+    write: Callable[[Any, Path], None],
+    report: Callable[[Any, Path], None],
+    headline: Callable[[Any], Sequence[str]],
+) -> None:
+    """Fit, fill the folder with what `write` and `report` make of it, and say the headline. `results` names the folder's files."""
+    from rx90b_flex.signals.folders import fill_folder
+
+    with progress() as tell:
+        tell("reading", 0.1)
+        result = fit()
+
+        def fill(folder: Path) -> None:
+            write(result, folder)
+            report(result, folder / "report.html")
+
+        fill_folder(out, fill, results, overwrite)
+    for line in headline(result):
+        say(line)
+    say(f"Report: {out / 'report.html'}")
+
+
 def show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], right: Sequence[str] = ()) -> None:
     """A table on standard output; columns of the names in `right` stand to the right."""
     from rich.console import Console

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+from rx90b_flex.commands.shared import Out, Overwrite, fitted_into
 
 
 def add(app: typer.Typer) -> None:
@@ -25,21 +25,12 @@ def static_command(
     Loads up and down again, deformations, and where the lever is not given the pose: stiffnesses with their standard deviations, in
     the robot's file, too.
     """
-    from rx90b_flex.signals.folders import STATIC, check_folder, fill_folder
+    from rx90b_flex.signals.folders import STATIC, check_folder
 
     check_folder(out, STATIC, overwrite, [tests])
     from rx90b_flex.identify.static_command import fit_tests, read_static_tests, write_static
     from rx90b_flex.view.static_report import headline, write_static_report
 
-    with progress() as tell:
-        tell("reading", 0.1)
-        result = fit_tests(read_static_tests(tests))
-
-        def fill(folder: Path) -> None:
-            write_static(result, folder)
-            write_static_report(result, folder / "report.html")
-
-        fill_folder(out, fill, STATIC, overwrite)
-    for line in headline(result):
-        say(line)
-    say(f"Report: {out / 'report.html'}")
+    fitted_into(
+        out, STATIC, overwrite, lambda: fit_tests(read_static_tests(tests)), write_static, write_static_report, headline
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -14,10 +15,8 @@ from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
 HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
-ANGLES, RATIOS = (
-    16,
-    (0.4, 0.75, 0.93),
-)  # geometries from which a search begins: springs whose ends nearly meet make narrow valleys
+# geometries from which a search begins: springs whose ends nearly meet make narrow valleys
+ANGLES, RATIOS = 16, (0.4, 0.75, 0.93)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,13 +133,13 @@ class _SpringOfTwoLevers(JointEffect):
     def type_name(cls) -> str:
         return GravitySpring.type_name()
 
+    @abstractmethod
     def geometry(self) -> tuple[float, float]:
         """Nearer lever over the farther one, and the angle, rad."""
-        raise NotImplementedError
 
+    @abstractmethod
     def pulls(self) -> tuple[float, float]:
         """Stiffness times both levers, and what the pull has beyond stiffness times length, times both levers; N m and N m^2."""
-        raise NotImplementedError
 
     def _spring(self) -> tuple[float, float, float, float]:
         """Stiffness (N/m), prestress (N), nearer over farther lever, angle (rad)."""

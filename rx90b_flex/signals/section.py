@@ -100,5 +100,6 @@ class CampaignSection:
 
 
 def shown(value: object) -> str:
+    """A value as a message shows it: on one line, cut where it is long."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
