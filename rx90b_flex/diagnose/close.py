@@ -407,7 +407,8 @@ def _closed(
     declared = _trusting(data.regression, identify(data.regression, data.regression.robot.effects, fit_links=fit_links))
     before = data.errors(declared)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
-    rounds = _Rounds(data, campaign, sites, fit_links, tell)
+    gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" for j in f.joints)
+    rounds = _Rounds(data, campaign, sites, fit_links, tell, gains)
     outcome = rounds.settled(rounds.run(declared, before))
     model, after = outcome.model, outcome.errors
     floor = data.noise_floor(model, campaign)
@@ -533,6 +534,7 @@ class _Rounds:
     sites: Sites
     fit_links: bool
     tell: Progress
+    gains: frozenset[str] = frozenset()  # joints whose torque has another gain, as the look at the data found
 
     def run(self, declared: Identification, before: RoleErrors) -> _Outcome:
         """Add effects until nothing more is significant, or the noise floor is reached. No model is visited twice."""
@@ -567,7 +569,10 @@ class _Rounds:
         """
         model, left = outcome.model, list(trials)
         for _ in range(TRIES):
-            best = choose(left)
+            # first the data: of torques with another gain only the ratio shows, and the look at the data says whose it is
+            best = choose([t for t in left if t.effect.multiplies and set(t.effect.joints) <= self.gains]) or choose(
+                left
+            )
             if best is None:
                 return None
             left.remove(best)
