@@ -114,3 +114,9 @@ def test_documentation_builds_without_warning(tmp_path: Path) -> None:
     assert done.returncode == 0 and not done.stderr, done.stderr
     for name in catalogue():
         assert (tmp_path / "html" / "effects" / f"{name}.html").exists()
+
+
+def test_every_benchmark_stands_once_in_their_list() -> None:
+    folder = DOCS.parents[1] / "benchmarks"
+    named = re.findall(r"^\| `(\w+\.py)", (folder / "README.md").read_text(), re.MULTILINE)
+    assert sorted(named) == sorted(p.name for p in folder.glob("*.py"))
