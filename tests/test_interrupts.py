@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from test_cli import tree, write_campaign
 
@@ -238,7 +239,7 @@ main()
 
 @pytest.mark.parametrize(
     "name",
-    ["import", pytest.param("identify", marks=pytest.mark.long), pytest.param("simulate", marks=pytest.mark.long)],
+    ["import", *(pytest.param(n, marks=pytest.mark.long) for n in ("identify", "close-loop", "simulate", "excite"))],
 )
 def test_a_disk_that_is_full_at_any_size_of_file_is_one_line_and_leaves_nothing(tmp_path: Path, name: str) -> None:
     arguments, out = commands(tmp_path)[name], tmp_path / "results" / "out"
@@ -257,3 +258,39 @@ def test_a_disk_that_is_full_at_any_size_of_file_is_one_line_and_leaves_nothing(
         )
         assert done.returncode == 2 and done.stderr.count("\n") == 1 and "out" in done.stderr, done.stderr
         assert tree(tmp_path) == before
+
+
+# ---- no memory ------------------------------------------------------------------------------------------------
+
+SHORT = """
+import resource, sys
+from rx90b_flex import cli, importing
+with open("/proc/self/statm") as file:
+    taken = int(file.read().split()[0]) * resource.getpagesize()
+limit = taken + (int(sys.argv.pop(1)) << 20)
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+cli.main()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="how much memory a process has is asked of Linux")
+@pytest.mark.parametrize("megabytes", [40, 120, 250])
+def test_a_log_for_which_there_is_no_memory_is_one_line(tmp_path: Path, megabytes: int) -> None:
+    write_campaign(tmp_path / "data")
+    count = 4_000_000  # samples: 160 MB in five columns
+    time_s = np.arange(count) / 100.0
+    names = ("time", "angle_0", "angle_1", "moment_0", "moment_1")
+    columns = (time_s, *(np.round(np.sin(time_s * k), 2) for k in (1, 2, 3, 4)))
+    pd.DataFrame(dict(zip(names, columns, strict=True))).to_parquet(tmp_path / "log.parquet")
+    before = set(os.listdir(tmp_path))
+    words = ["import", str(tmp_path / "log.parquet"), "--robot", str(tmp_path / "data" / "robot_declared.toml")]
+    done = subprocess.run(
+        [sys.executable, "-c", SHORT, str(megabytes), *words, "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+        check=False,
+    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, (done.returncode, done.stderr)
+    assert "memory" in done.stderr or "log.parquet" in done.stderr
+    assert set(os.listdir(tmp_path)) == before
