@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, stats
 
 from rx90b_flex.effects import catalogue
 from rx90b_flex.identify.least_squares import identify
@@ -280,3 +280,21 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
     """What acts much in one block and little in others differs between held-out blocks without being less sure."""
     found = study.run_case(study.Case("hidden", name, 10.0, 0, "ur10", "sign"))
     assert counting.right(found), found["found"]
+
+
+@pytest.mark.slow
+def test_where_nothing_is_hidden_next_to_nothing_is_named():
+    """Eight runs, over arms and forms of friction: limits that what is promised fails in one case of 1000.
+
+    Promised: at most 5 % of runs name what is not there; 95 % intervals hold the truth in 93 % and more. Intervals of one run hang
+    together, so that each run counts with one, drawn at random. Other noise, positions in steps and motions without a stated period
+    take minutes a run, and are the benchmark's.
+    """
+    arms = itertools.cycle(("ur10", "panda", "z1"))
+    forms = itertools.cycle(friction.FORMS)
+    cases = [study.Case("nothing", "nothing", 0.0, 8000 + k, next(arms), next(forms)) for k in range(8)]
+    rows = [study.run_case(case) for case in cases]
+    assert sum(bool(counting.added(row)) for row in rows) <= stats.binom.isf(1e-3, len(rows), 0.05)
+    rng = np.random.default_rng(8000)
+    drawn_z = [abs(rng.choice([z for _, z in row["declared_z"]])) for row in rows if row["declared_z"]]
+    assert sum(z < counting.INTERVAL for z in drawn_z) >= stats.binom.ppf(1e-3, len(drawn_z), 0.93)
