@@ -601,8 +601,10 @@ class _Rounds:
             singles = best.members or (best,)
             rivals = tuple(t for t in trials if not t.members and t not in singles)
             # what was asked of a family was asked of all its members together
-            told = (dataclasses.replace(t, p_value=min(t.p_value, best.p_value)) for t in singles)
-            steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in told)
+            told = [dataclasses.replace(t, p_value=min(t.p_value, best.p_value)) for t in singles]
+            # a declared effect that was left out for a while is no finding
+            new = [t for t in told if t.effect.label not in self._declared]
+            steps = tuple(_Step(t, rivals, errors, before=outcome.errors) for t in new)
             more = self._pruned(_Outcome(candidate, errors, outcome.with_steps(*steps), ()), len(steps))
             if _signature(more.model.effects) not in visited and not _spoils(more.errors, outcome.errors):
                 return more
@@ -615,12 +617,12 @@ class _Rounds:
 
         Worth a try where a lawful effect explains much: what keeps it from being sure is then no noise.
         """
-        for first in [t for t in trials if t.lawful and t.share > MUCH and not t.members][:PAIRS]:
+        for first in [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]:
             self.tell(f"trying effects beside {first.effect.label}", done)
             half = self._identified(added(outcome.model.effects, first.effect), outcome.model, first.effects)
             search = Search(half, self.sites)
             beside = search.run()
-            second = choose([t for t in beside if not t.members])
+            second = choose(self._new(beside))
             # as many pairs might have been tried as there are trials
             if second is None or second.p_value * search.tests > SIGNIFICANCE:
                 continue
@@ -641,6 +643,14 @@ class _Rounds:
                 return more
         return None
 
+    def _new(self, trials: Sequence[Trial]) -> list[Trial]:
+        """Single effects that the robot does not declare."""
+        return [t for t in trials if not t.members and t.effect.label not in self._declared]
+
+    @property
+    def _declared(self) -> frozenset[str]:
+        return frozenset(e.label for e in self.data.regression.robot.effects)
+
     def _tell_part(self, text: str, done: float, fraction: float) -> None:
         self.tell(text, done + 0.15 * (0.9 - done) * fraction)
 
@@ -653,8 +663,7 @@ class _Rounds:
         """
         regression = self.data.regression.trusting(start.regression.trust)
         model = identify(regression, effects, fit_links=self.fit_links, start=start)
-        own = {e.label for e in self.data.regression.robot.effects} - {e.label for e in new}
-        gone = [e for e in model.impossible() if e.label in own]
+        gone = [e for e in model.impossible() if e.label in self._declared - {n.label for n in new}]
         if not gone:
             return model
         kept = [e for e in model.effects if e not in gone]
@@ -711,7 +720,7 @@ class _Rounds:
 
         A curve of no known law makes nothing needless that has a name.
         """
-        if any(s.trial.effect.last_resort for s in outcome.steps[-latest:]):
+        if any(s.trial.effect.last_resort for s in outcome.steps[len(outcome.steps) - latest :]):
             return outcome
         model = outcome.model
         search = Search(model, self.sites)
