@@ -465,8 +465,8 @@ def test_the_command_writes_the_file_and_says_what_it_cannot_hold(name: str, tmp
         (["rx90b", "--format", "mjcf", "--out", "no/a.xml"], "no/a.xml"),
         (["rx90b", "--format", "mjcf", "--out", "."], "is a folder"),
         (["unknown.toml", "--format", "sdf", "--out", "a.sdf"], "joint_1.viscous_friction: coefficient has no value"),
-        (["unknown.toml", "--format", "sdf", "--out", "unknown.toml"], "own file"),
-        (["unknown.toml", "--format", "urdf", "--out", "own.urdf"], "own file"),
+        (["unknown.toml", "--format", "sdf", "--out", "unknown.toml"], "is what this run reads"),
+        (["unknown.toml", "--format", "urdf", "--out", "own.urdf"], "is what this run reads"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(
