@@ -590,11 +590,12 @@ class _Rounds:
             fitted = [_find(candidate.effects, e) for e in best.effects]
             if not all(_physical(e) for e in fitted):
                 continue  # fitted with all the rest, it has values that it cannot have
+            candidate = _trusting(self.data.regression, candidate)
+            fitted = [_find(candidate.effects, e) for e in best.effects]
             ends = [text for e in fitted if (text := Search(candidate, self.sites).at_bound(e))]
             if ends:
                 trials[trials.index(best)] = dataclasses.replace(best, lawful=False, objection=ends[0])
                 continue
-            candidate = _trusting(self.data.regression, candidate)
             errors = self.data.errors(candidate)
             if _spoils(errors, outcome.errors):
                 continue  # it helps where rows count, and spoils more where they do not

@@ -297,7 +297,8 @@ def square_wave(
     samples = round(period_s * rate_hz)
     if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < 4 * swings * odd_lines:
         raise ValueError(
-            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {4 * swings * odd_lines} or more"
+            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {4 * swings * odd_lines} or more "
+            f"with swings = {swings}"
         )
     if swings < 1 or swings % 2 == 0:
         raise ValueError(f"swings is {swings}; expected an odd number, 1 or more")
