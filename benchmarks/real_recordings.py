@@ -129,7 +129,7 @@ def picture(rows: Sequence[Row]) -> Figure:
     ax.invert_yaxis()
     ax.set_xlim(0, 1.18 * max(100.0, *(100 * r.after / r.declared for r in rows)))
     ax.set_xlabel(
-        "torque error on recordings that were not fitted, % of the declared model's (labels: % of the torque)",
+        "torque error on recordings that were not fitted, % of the declared model's\n(labels: % of the torque)",
         fontsize=9,
     )
     ax.spines[["top", "right"]].set_visible(False)
