@@ -16,8 +16,9 @@ from rx90b_flex import cli
 from rx90b_flex.demo import HIDDEN, NOTHING, PERIOD_S, SAMPLE_RATE_HZ, Demonstration, make_demonstration
 from rx90b_flex.effects import catalogue
 
-SEEDS = range(10)
-QUIET_SEEDS = range(50)
+# all of them by hand, so that all checks together stay short: the first few are part of them
+SEEDS = (pytest.param(range(3), marks=pytest.mark.slow), pytest.param(range(10), marks=pytest.mark.long))
+QUIET_SEEDS = (pytest.param(range(10), marks=pytest.mark.slow), pytest.param(range(50), marks=pytest.mark.long))
 
 
 def found_by(demonstration: Demonstration, folder: Path) -> list[tuple[str, tuple[str, ...]]]:
@@ -138,27 +139,27 @@ def test_a_hidden_coupling_is_found_on_its_pair_of_joints(tmp_path):
 # ---- how often, over seeds ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_where_nothing_is_hidden_nothing_is_found_in_49_of_50_seeds(tmp_path):
+@pytest.mark.parametrize("seeds", QUIET_SEEDS, ids=len)
+def test_where_nothing_is_hidden_nothing_is_found_in_49_of_50_seeds(tmp_path, seeds):
     """First, for it is the longest: the other worker has the effects in the meantime."""
     alarms = {}
-    for seed in QUIET_SEEDS:
+    for seed in seeds:
         found = found_by(make_demonstration(seed, NOTHING), tmp_path / str(seed))
         if found:
             alarms[seed] = found
-    print(f"\nnothing hidden: nothing found in {len(QUIET_SEEDS) - len(alarms)} of {len(QUIET_SEEDS)} seeds; {alarms}")
-    assert len(alarms) <= 1, alarms
+    print(f"\nnothing hidden: nothing found in {len(seeds) - len(alarms)} of {len(seeds)} seeds; {alarms}")
+    assert len(alarms) <= len(seeds) // 50, alarms
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("seeds", SEEDS, ids=len)
 @pytest.mark.parametrize("kind", HIDDEN)
-def test_a_hidden_effect_is_found_on_its_joint_in_nine_of_ten_seeds(tmp_path, kind):
+def test_a_hidden_effect_is_found_on_its_joint_in_nine_of_ten_seeds(tmp_path, kind, seeds):
     """Found: it is the first that was added, on its joint, and has not been taken out again."""
     missed = {}
-    for seed in SEEDS:
+    for seed in seeds:
         d = make_demonstration(seed, kind)
         found = found_by(d, tmp_path / str(seed))
         if found[:1] != [hidden_in(d)]:
             missed[seed] = (hidden_in(d), found)
-    print(f"\n{kind}: found in {len(SEEDS) - len(missed)} of {len(SEEDS)} seeds; missed {missed}")
-    assert len(missed) <= 1, missed
+    print(f"\n{kind}: found in {len(seeds) - len(missed)} of {len(seeds)} seeds; missed {missed}")
+    assert len(missed) <= len(seeds) // 10, missed

@@ -186,6 +186,11 @@ def test_a_clock_that_stands_is_named(campaign: Path, command: Command, tmp_path
     assert "log_1.csv: column 'time': times that never change contradict sample_rate_hz = 100" in said
 
 
+def test_no_second_folder_is_not_the_one_where_one_stands(campaign: Path, command: Command, tmp_path: Path) -> None:
+    said = refused(command, tmp_path, "view", campaign, "--beside", "", "--out", tmp_path / "out.html")
+    assert "--beside is ''; expected a folder" in said
+
+
 def test_no_names_for_joints_are_no_joints(campaign: Path, command: Command, tmp_path: Path) -> None:
     log, robot = campaign.parent / "log_1.csv", campaign.parent / "robot_declared.toml"
     words = ("import", log, "--robot", robot, "--joints", ",")

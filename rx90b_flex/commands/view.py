@@ -38,6 +38,8 @@ def view_command(
     from rx90b_flex.early import check_robot, read_campaign
     from rx90b_flex.signals.single import check_file
 
+    if beside == "":
+        raise ValueError("--beside is ''; expected a folder of `rx90b-flex simulate` or a campaign file")
     if out is not None:
         for given in [source, *([beside] if beside else [])]:
             check_file(out, given)

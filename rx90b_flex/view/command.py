@@ -77,7 +77,9 @@ def view_of(wanted: Wanted) -> View:
         rigid, *_ = without_written_hinges(robot)
         return modes_of(robot, _pose(wanted.pose, len(rigid.joints)), wanted.count, wanted.flexible, wanted.tip)
     if wanted.flexible:
-        raise ValueError("--flexible is of a robot's mode shapes; a recording has its own robot")
+        raise ValueError(
+            "--flexible is of a robot's mode shapes; recordings (--recording, --beside) have their own robot"
+        )
     if wanted.pose is not None:
         raise ValueError("--pose is of mode shapes; add --modes, or leave it out")
     run = read_run(wanted.source, wanted.recording, wanted.tip)

@@ -141,9 +141,10 @@ _EPISODE = "data/chunk-000/episode_000000.parquet"
 _PERIODIC = tuple(f"periodic/{name}" for name in ("campaign.toml", "robot.toml", "run_001_2_minus.parquet"))
 _SIMULATE = _numbers("--torque-noise", "--position-noise", "--velocity-noise", "--periods", "--seed")
 _EXCITE = (
-    *_numbers(
-        "--pose", "--peak", "--low-hz", "--high-hz", "--period-s", "--speed", "--swings", "--realisations", "--periods"
-    ),
+    *_numbers("--pose", "--peak", "--low-hz", "--high-hz", "--period-s", "--speed", "--swings"),
+    *(
+        (option, tuple(x for x in NUMBERS if x != "1_000")) for option in ("--realisations", "--periods")
+    ),  # a right one, of minutes
     *(("--joints", WORDS), ("--matrix", WORDS)),
 )
 IDENTIFY = Call(("identify", "campaign.toml"), _OF_A_CAMPAIGN)
