@@ -294,14 +294,14 @@ def square_wave(
     swings : int
         To and fro in a period; odd, so that the lines stay odd. More keep the swing of a long period small.
     """
+    if swings < 1 or swings % 2 == 0:
+        raise ValueError(f"swings is {swings}; expected an odd number, 1 or more")
     samples = round(period_s * rate_hz)
     if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < 4 * swings * odd_lines:
         raise ValueError(
             f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {4 * swings * odd_lines} or more "
             f"with swings = {swings}"
         )
-    if swings < 1 or swings % 2 == 0:
-        raise ValueError(f"swings is {swings}; expected an odd number, 1 or more")
     place = np.arange(samples) * swings % samples
     velocity, position = (wave[place] for wave in smoothed_square(samples, odd_lines))
     velocity, position = speed * velocity, speed * period_s / (2.0 * np.pi * swings) * position
