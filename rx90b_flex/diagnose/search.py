@@ -16,6 +16,7 @@ from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
 from rx90b_flex.identify.least_squares import (
+    BEYOND,
     CORRELATION_S,
     Identification,
     absorbed_each,
@@ -30,7 +31,6 @@ PARTS = 3  # of a single recording, left out in turn instead
 SHAPES_KNOWN = 1.0  # standard deviation of a shape's logarithm before the data: what they leave open must not run away
 LOST = 9.0  # times what chance costs a recording that is left out: three standard deviations
 LOST_PART = 0.005  # of its squared error, and this much: less is no reason
-SIGN_T = 2.0  # a coefficient this many standard deviations beyond its physical bound disqualifies
 REFINED = 16  # trials whose shape parameters are refined at the most
 FEWEST_REFINED = 6  # and at the least
 UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the least
@@ -299,31 +299,24 @@ class Search:
 
     def _refined(self, effect: Effect, base: Base) -> Effect:
         """The shapes that gain most: from the best of a first look, and from others where several shapes make valleys."""
-        if not len(self.free(effect)):
-            return effect
         free = self.free(effect)
+        if not len(free):
+            return effect
         tried = [self._refined_from(e, base, free) for e in (effect, *self._other_starts.get(effect, ()))]
         # one that ran into an end of its range explains a little more by playing another effect's part
         best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))[1]
         if not self.at_bound(best):
             return best
-        simpler, left = self._plainer(effect, free)
-        if len(left) in (0, len(free)):
+        # beside what is wrong elsewhere a power may run anywhere: with its usual value it is tried, with all else it is fitted again
+        usual = {
+            i: v for i, name in enumerate(effect.shape_names()) if (v := effect.usual_shapes().get(name)) is not None
+        }
+        held = np.array([i for i in free if i in usual], dtype=np.intp)
+        if len(held) in (0, len(free)):
             return best
-        _, plain = self._refined_from(simpler, base, left)
+        plainer = self._shaped(effect, np.array([usual[i] for i in held]), held)
+        _, plain = self._refined_from(plainer, base, np.setdiff1d(free, held))
         return best if self.at_bound(plain) else plain
-
-    def _plainer(self, effect: Effect, free: Indices) -> tuple[Effect, Indices]:
-        """The plain member of a family whose law has powers, each as it mostly is, and the shapes that it leaves free.
-
-        Beside what is wrong elsewhere a power may run anywhere; with all else in the model it is fitted again.
-        """
-        powers = np.array([i for i in free if effect.shape_names()[i] == "power"], dtype=np.intp)
-        if not len(powers):
-            return effect, free
-        shape = effect.shape.copy()
-        shape[powers] = effect.usual_shape()[powers]
-        return effect.with_shape(shape), np.setdiff1d(free, powers)
 
     def _refined_from(self, effect: Effect, base: Base, free: Indices) -> tuple[float, Effect]:
         """Gain and some of the shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""
@@ -500,7 +493,7 @@ class Search:
         # what the base explains wholly is left at zero, up to rounding
         size = np.sqrt(np.maximum(own[:k], 1e-300))
         rounding = ROUNDING * np.linalg.norm(beta * size) / size
-        wrong = np.flatnonzero(beta < effect.coefficient_bounds - SIGN_T * std - rounding)
+        wrong = np.flatnonzero(beta < effect.coefficient_bounds - BEYOND * std - rounding)
         if len(wrong):
             i = wrong[0]
             unit = effect.coefficient_units[i]
@@ -511,7 +504,7 @@ class Search:
         elif len(shapes) and not effect.coefficients_follow:
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
-            if not certain > SIGN_T**2 * k:
+            if not certain > BEYOND**2 * k:
                 objection = "with its shape open too, nothing of it is certain"
         objection = self.at_bound(effect) or objection
         white = float(beta @ bread[:k, :k] @ beta)

@@ -96,6 +96,8 @@ class Parameter:
         Place in the parameter vector.
     attribute : str
         Where its value stands in the effect.
+    usual : bool
+        Whether `start` is what a shape parameter mostly is: where the data lead it astray a search holds it there.
     """
 
     unit: str
@@ -106,6 +108,7 @@ class Parameter:
     size: int = 1
     rank: int = OTHER
     attribute: str = ""
+    usual: bool = False
 
 
 def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER, public: str = "") -> Any:
@@ -114,9 +117,10 @@ def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHE
     return dataclasses.field(default=None, metadata={"parameter": parameter, "public": public})
 
 
-def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1) -> Any:
+def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1, usual: bool = False) -> Any:
     """Field of an effect: a parameter that gives the force its shape."""
-    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "shape", lower, upper, start, size)})
+    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual)
+    return dataclasses.field(default=None, metadata={"parameter": parameter})
 
 
 def derived(unit: str, *, lower: float = -np.inf, size: int = 1) -> Any:
@@ -277,12 +281,12 @@ class Effect(ABC):
 
     def shape_starts(self, motion: Motion) -> Array:
         """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
-        return self.usual_shape()[None]
+        return np.array([[p.start for _, p in self._flat("shape")]])
 
     @classmethod
-    def usual_shape(cls) -> Array:
-        """Values of the shape parameters where nothing is known, shape (s,)."""
-        return np.array([p.start for _, p in cls._flat("shape")])
+    def usual_shapes(cls) -> dict[str, float]:
+        """Shape parameters that mostly have one value, and that value."""
+        return {name: p.start for name, p in cls._flat("shape") if p.usual}
 
     def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """Shapes to begin from where the residual helps to find them, shape (M, s).

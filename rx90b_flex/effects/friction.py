@@ -221,7 +221,7 @@ class StribeckFriction(VelocityFriction, DryFriction):
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     velocity: float | None = shape("rad/s", start=0.1, lower=1e-9, upper=1e3)
-    power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0)
+    power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0, usual=True)
     turnover: float | None = turnover_shape()
 
     def breakaway_torque(self) -> float:

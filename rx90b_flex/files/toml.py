@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -82,3 +83,10 @@ def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
             waiting += [(f"{at}, item {i}", inner, depth + 1) for i, inner in enumerate(item, start=1)]
         else:
             yield at, item
+
+
+def named_beside(path: Path, name: str) -> Path | str:
+    """What a file calls its robot: the path from the file's folder where there is such a file, else the name as it is."""
+    beside = path.parent / name
+    # unlike the path's own method, no error where the name is too long
+    return beside if os.path.isfile(beside) else name

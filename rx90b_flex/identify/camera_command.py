@@ -20,7 +20,6 @@ pose at rest.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +31,7 @@ from scipy.spatial.transform import Rotation
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.identify.camera import (
     FRAME_PRIOR,
     BaseCalibration,
@@ -127,8 +126,7 @@ def read_markers(path: Path) -> MarkerRecording:
     for key in ("robot", "joint", "file"):
         if not isinstance(keys.get(key), str):
             raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
-    beside = path.parent / keys["robot"]
-    robot = load_robot(beside if os.path.isfile(beside) else keys["robot"])
+    robot = load_robot(named_beside(path, keys["robot"]))
     joint = keys["joint"]
     if joint not in robot.joints:
         raise ValueError(f"{path}: unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}")

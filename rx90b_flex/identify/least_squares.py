@@ -31,7 +31,7 @@ ROUNDING = 1.0e-12  # length of a column over the longest one's below which ther
 DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
 LARGEST_DAMPING = 1.0e7
 SETTLED = 1.0e-5  # part of the squares below which another step is not worth while
-BEYOND = 2.0  # standard deviations beyond a bound that are no chance
+BEYOND = 2.0  # standard deviations beyond its bound that put a coefficient where it cannot be
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
 
 

@@ -22,7 +22,6 @@ A file of tests (TOML)::
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +33,7 @@ from scipy import special
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
@@ -115,8 +114,7 @@ def read_static_tests(path: Path) -> StaticTests:
 def _robot_source(path: Path, robot: Any) -> str:
     if not isinstance(robot, str):
         raise ValueError(f"{path}: robot is {robot!r}; expected a text")
-    beside = path.parent / robot
-    return str(beside) if os.path.isfile(beside) else robot
+    return str(named_beside(path, robot))
 
 
 def _known(where: str, keys: Mapping[str, Any], known: tuple[str, ...]) -> None:

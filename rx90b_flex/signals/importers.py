@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.signals.logs import TIME, Log, read_log, stem_of
 from rx90b_flex.signals.recording import Recording, Role, printed_resolution
-from rx90b_flex.signals.tables import suggestion
+from rx90b_flex.signals.tables import LARGEST, suggestion
 
 Array = NDArray[np.float64]
 Sureness = Literal["stated", "sure", "likely"]
@@ -41,7 +41,6 @@ SHORT_S = 10.0  # s of identification below which intervals are wide
 FEWEST_S = 4.0  # s of identification, of which close-loop holds parts out
 FEWEST_SAMPLES = 64  # below which there is no spectrum to tell noise from motion
 MIXED = 8.0  # times the motion of another file, in the numbers of both: they are in different units
-LARGEST = 1e9  # of any number that is read, in the unit of its column
 SLOWEST_HZ, FASTEST_HZ = 0.1, 1e6  # rates that a log may have
 
 # words in names, in lower case

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
@@ -58,7 +58,6 @@ _REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
 # Nor is there a torque, a speed or a current of this size; sums of squares stay finite below it.
-_LARGEST_VALUE = 1e9
 _LARGEST_DEGREES = 360.0  # beyond it, motor turns are as likely
 _OTHER_UNIT = re.compile(
     r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
@@ -257,11 +256,10 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         names.add((entry.role, name))
         recordings.append(dataclasses.replace(recording, name=name))
 
-    beside = path.parent / layout.robot
     return Campaign(
         path=path,
         robot=layout.robot,
-        robot_source=beside if os.path.isfile(beside) else layout.robot,
+        robot_source=named_beside(path, layout.robot),
         sample_rate_hz=layout.sample_rate_hz,
         joints=layout.joints,
         recordings=tuple(recordings),
@@ -613,10 +611,10 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
 def _check_sizes(file: Path, names: Sequence[str], values: Array, item: _Signal, layout: _Layout) -> None:
     largest = np.max(np.abs(values), axis=0)
     joint = int(np.argmax(largest))
-    if largest[joint] > _LARGEST_VALUE:
+    if largest[joint] > tables.LARGEST:
         raise ValueError(
             f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} on the joint side;"
-            f" SI units, below {_LARGEST_VALUE:g}, are expected"
+            f" SI units, below {tables.LARGEST:g}, are expected"
         )
 
 

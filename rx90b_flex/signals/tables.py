@@ -21,6 +21,7 @@ import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
 
 EXTENSIONS = (".csv", ".csv.gz", ".parquet")
+LARGEST = 1e9  # of any number that is read: no signal of a robot has so many SI units
 _NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 

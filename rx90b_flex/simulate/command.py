@@ -15,7 +15,7 @@ from rx90b_flex.excitation import multisine
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import write_campaign
-from rx90b_flex.signals.tables import read_table, write_table
+from rx90b_flex.signals.tables import LARGEST, read_table, write_table
 from rx90b_flex.simulate.closed_loop import Noise, Progress, Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
@@ -30,7 +30,6 @@ from rx90b_flex.simulate.trajectories import (
     straight_line,
 )
 
-LARGEST = 1e9  # s, rad, rad/s, N m: what no trajectory holds
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
 BUILT_IN = ("line", "excitation", "square-wave", "harmonics")
 
