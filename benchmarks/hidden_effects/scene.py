@@ -13,7 +13,7 @@ from independent import Array, Motion
 from scipy import signal
 
 from hidden_effects.arms import Subject, declared_robot, subject, with_links_off
-from hidden_effects.friction import DEFLECTIONS
+from hidden_effects.friction import DEFLECTIONS, dry
 from hidden_effects.kinds import KINDS, OUTSIDE_KINDS, Kind, drawn, places
 from hidden_effects.motions import Experiment, spectral
 from hidden_effects.physics import Hidden, Plant
@@ -202,7 +202,9 @@ class Measure:
             moved = lowpassed(moved)
             q, v, a = (spectral(moved, PERIOD_S, k) if k else moved for k in range(3))
             m = Motion(state.motor.time, state.motor.q + q, state.motor.v + v, state.motor.a + a)
-            nominal = nominal + plain.arm.torque(m) - state.load + v * plain.viscous
+            dry_there = dry(plain.form, m.q, m.v, plain.deflections)
+            nominal = nominal + plain.arm.torque(m) - state.load
+            nominal = nominal + (dry_there - state.dry) * plain.coulomb + v * plain.viscous
         return lowpassed(torque - nominal)
 
 

@@ -72,7 +72,7 @@ def worth_comparing(search: Search, named: Effect, winner: Trial, rivals: Sequen
         near = not effect.joints or not named.joints or bool(set(effect.joints) & set(named.joints))
         free = (type(effect), effect.place) not in present
         shut_out = any(
-            e.place == effect.place and (effect.type_name() in e.replaces or e.type_name() in effect.replaces)
+            e.place == effect.place and (effect.type_name() in e.stands_for() or e.type_name() in effect.stands_for())
             for e in others
         )
         if near and free and not shut_out and rival.gain >= MOST_OF_IT * winner.gain:
@@ -105,7 +105,7 @@ class Comparison:
         """Whether both are lawful, explain much the same, and neither does so better than chance allows."""
         mostly = self.rival.gain >= MOST_OF_IT * self.named.gain
         # a freer form of the same law, which holds it as a special case, is no other explanation
-        other = self.named.effect.type_name() not in self.rival.effect.replaces
+        other = self.named.effect.type_name() not in self.rival.effect.stands_for()
         return mostly and other and self.rival.accepted and abs(self.behind) <= APART
 
     @property
@@ -158,7 +158,7 @@ class _Beside:
     def restored(self) -> tuple[Effect, ...]:
         """Declared effects that the named one took the place of."""
         declared = self.search.regression.robot.effects
-        return tuple(e for e in declared if e.place == self.named.place and e.type_name() in self.named.replaces)
+        return tuple(e for e in declared if e.place == self.named.place and e.type_name() in self.named.stands_for())
 
     @property
     def kept(self) -> list[Effect]:
@@ -167,7 +167,7 @@ class _Beside:
 
     def base(self, candidate: Effect | None) -> Base:
         """What the candidate comes to: all of this, less what it replaces itself."""
-        out = [e for e in self.restored if candidate is None or e.type_name() not in candidate.replaces]
+        out = [e for e in self.restored if candidate is None or e.type_name() not in candidate.stands_for()]
         return self.search.base(self.named, out)
 
     def left(self, effect: Effect) -> Array:
@@ -343,6 +343,8 @@ def swapped(effects: Sequence[Effect], named: Effect, comparison: Comparison, se
     """The model's effects with the rival in the named one's place."""
     rival = comparison.rival.effect
     beside = _Beside(search, named)
-    restored = [e for e in beside.restored if e.type_name() not in rival.replaces]
-    kept = [e for e in effects if e is not named and not (e.place == rival.place and e.type_name() in rival.replaces)]
+    restored = [e for e in beside.restored if e.type_name() not in rival.stands_for()]
+    kept = [
+        e for e in effects if e is not named and not (e.place == rival.place and e.type_name() in rival.stands_for())
+    ]
     return [*kept, *restored, rival]

@@ -23,7 +23,7 @@ from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
-from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, Trial, added, choose
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
@@ -540,18 +540,18 @@ class _Rounds:
         """Add effects until nothing more is significant, or the noise floor is reached. No model is visited twice."""
         outcome = _Outcome(declared, before, (), ())
         visited = {_signature(declared.effects)}
-        while (
-            len(outcome.steps) < MOST_EFFECTS
-            and len(visited) < 2 * MOST_EFFECTS
-            and not (outcome.steps and self._at_floor(outcome))
-        ):
+        while len(outcome.steps) < MOST_EFFECTS and len(visited) < 2 * MOST_EFFECTS:
             model, number = outcome.model, len(outcome.steps)
             done = 0.1 + 0.8 * (1.0 - 0.8**number)
             told = partial(self._tell_part, f"trying effects, round {number + 1}", done)
-            trials = list(Search(model, self.sites).run(told))
-            more = self._one_more(outcome, trials, done, visited) or self._two_together(outcome, trials, done, visited)
+            at_floor = bool(outcome.steps) and self._at_floor(outcome)
+            trials = list(Search(model, self.sites, beside_motion if at_floor else laws).run(told))
+            more = self._one_more(outcome, trials, done, visited)
+            if at_floor and more is None:
+                return outcome
+            more = more or self._two_together(outcome, trials, done, visited)
             if more is None:
-                curves = Search(model, self.sites, last_resort=True).run()
+                curves = Search(model, self.sites, last_resorts).run()
                 more = self._one_more(outcome, curves, done, visited)
                 trials = sorted([*trials, *curves], key=lambda t: -t.gain)
             if more is None:
@@ -735,9 +735,17 @@ class _Rounds:
                 continue
             self.tell(f"taking out {effect.label}", 0.1 + 0.8 * (1.0 - 0.8 ** len(outcome.steps)))
             kept = [s for s in outcome.steps if s is not step]
+            model = self._identified(search.present_without(effect), model)
+            back = [e for e in model.effects if e.label in {r.label for r in search.restored(effect)} - self._declared]
+            for simpler in back:
+                # what it stands in for is a finding by itself, or none
+                again = Search(model, self.sites).without(simpler)
+                if again.accepted:
+                    kept.insert(i, dataclasses.replace(step, trial=again))
+                else:
+                    model = self._identified([e for e in model.effects if e is not simpler], model)
             if not kept:
                 return outcome
-            model = self._identified(search.present_without(effect), model)
             errors = self.data.errors(model)
             kept[-1] = dataclasses.replace(kept[-1], errors=errors)
             return self._pruned(_Outcome(model, errors, tuple(kept), ()), max(1, latest - newest))

@@ -3,8 +3,9 @@
 Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
 that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
 at the velocity of the fit and at that of positions which keep another octave, on the samples and half a sample beside them,
-for a step between two samples has an instant of its own. What they differ by behind the low-pass is a standard deviation that
-a row has beside its noise. It depends on motion and present model, not on what is tried beside it.
+for a step between two samples has an instant of its own. Hysteresis, which goes by angles, is asked for along both angles. What
+they differ by behind the low-pass is a standard deviation that a row has beside its noise. It depends on motion and present
+model, not on what is tried beside it.
 """
 
 from __future__ import annotations
@@ -34,27 +35,44 @@ def trust(regression: Regression, model: Identification) -> Array:
         Its friction steps by so much; its residual's median deviation is sigma.
     """
     sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(regression)), axis=0)
-    steep = [e for e in model.effects if e.in_dynamics and not (e.virtual or e.remembers or e.needs_model)]
+    steep = [e for e in model.effects if e.in_dynamics and not (e.virtual or e.needs_model)]
     seen = regression.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.stretches, regression.stretches, strict=True)
-    doubt = np.concatenate([_doubt(s, first.wider_velocity, steep) for s, first in pairs])[:, regression.rows]
+    doubt = np.concatenate([_doubt(s, first.wider, steep) for s, first in pairs])[:, regression.rows]
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
-def _doubt(stretch: Stretch, wide: Array, effects: list[Effect]) -> Array:
-    """What the torque may be off for want of the velocity, `wide` another guess at it; after the low-pass, (N, n), N m."""
+def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) -> Array:
+    """What the torque may be off for want of the motion; after the low-pass, (N, n), N m.
+
+    `wider` is another guess at angle and velocity.
+    """
     if stretch.cutoff_hz is None:
         return np.zeros((len(stretch), stretch.motion.q.shape[1]))
     rate = stretch.rate_hz * stretch.factor
 
-    def force(velocity: Array) -> Array:
-        moved = dataclasses.replace(stretch.motion, v=velocity)
-        return np.asarray(sum((e.force(moved) for e in effects), np.zeros_like(velocity)))
+    def force(of: list[Effect], q: Array = stretch.motion.q, v: Array = stretch.motion.v) -> Array:
+        moved = dataclasses.replace(stretch.motion, q=q, v=v)
+        return np.asarray(sum((e.force(moved) for e in of), np.zeros_like(v)))
 
-    between = interpolate.CubicSpline(np.arange(len(wide)), wide)
-    beside = 0.5 * sum(force(between(np.arange(len(wide)) + half)) for half in (-0.5, 0.5))
-    there, here = force(wide), force(stretch.motion.v)
+    angle, velocity = wider
+    by_angle, steep = ([e for e in effects if e.remembers is known] for known in (True, False))
+    between = interpolate.CubicSpline(np.arange(len(velocity)), velocity)
+    beside = 0.5 * sum(force(steep, v=between(np.arange(len(velocity)) + half)) for half in (-0.5, 0.5))
+    there, here = force(steep, v=velocity), force(steep)
     size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in (there - here, beside - there))
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
-    envelope = ndimage.maximum_filter1d(size, 2 * round(0.5 / stretch.cutoff_hz * rate) + 1, axis=0, mode="nearest")
+    width = 2 * round(0.5 / stretch.cutoff_hz * rate) + 1
+    envelope = ndimage.maximum_filter1d(size, width, axis=0, mode="nearest")
+    if by_angle:
+        noisy = force(by_angle, q=stretch.motion.q + _as_noise(angle - stretch.motion.q, stretch)) - force(by_angle)
+        around = ndimage.uniform_filter1d(lowpass(noisy, stretch.cutoff_hz, rate) ** 2, width, axis=0, mode="nearest")
+        envelope = np.hypot(envelope, np.sqrt(np.maximum(around, 0.0)))  # a running sum may end below zero
     return np.asarray(envelope[:: stretch.factor][stretch.kept])
+
+
+def _as_noise(off: Array, stretch: Stretch) -> Array:
+    """An angle's part in another octave, (N_working, joints), rad, made as small as the noise of the log; the rest is motion."""
+    noise = stretch.motion.angle_noise
+    size = np.sqrt(np.mean(off**2, axis=0))
+    return off if noise is None else off * np.minimum(1.0, noise / np.maximum(size, 1e-300))

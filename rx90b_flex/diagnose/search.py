@@ -44,6 +44,21 @@ ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is 
 BATCH_BYTES = 64e6
 
 
+def laws(kind: type[Effect]) -> bool:
+    """Effects with a law of their own."""
+    return not kind.last_resort
+
+
+def last_resorts(kind: type[Effect]) -> bool:
+    """Curves of no known law."""
+    return kind.last_resort
+
+
+def beside_motion(kind: type[Effect]) -> bool:
+    """Effects that do not repeat where the motion does: the noise between repeats holds them."""
+    return not kind.repeats_with_motion
+
+
 @dataclass(frozen=True, eq=False)
 class Search:
     """Everything that could be missing from an identified model.
@@ -52,13 +67,13 @@ class Search:
     ----------
     model : Identification
     sites : Sites
-    last_resort : bool
-        Whether to try curves of no known law, and those alone.
+    kinds : callable
+        Which types are tried; `laws` unless something else is given.
     """
 
     model: Identification
     sites: Sites
-    last_resort: bool = False
+    kinds: Callable[[type[Effect]], bool] = laws
 
     @property
     def regression(self) -> Regression:
@@ -124,7 +139,7 @@ class Search:
         """Effects to try, each with the declared effect that it would replace."""
         out: list[tuple[Effect, Effect | None]] = []
         for cls in catalogue().values():
-            if cls.last_resort is not self.last_resort:
+            if not self.kinds(cls):
                 continue
             for site in cls.over_time(self.sites):
                 effect = site.placed(self.longest)
@@ -135,7 +150,7 @@ class Search:
                     continue
                 if any(_shuts_out(e, effect) for e in here):
                     continue
-                replaced = next((e for e in here if e.type_name() in effect.replaces), None)
+                replaced = next((e for e in here if e.type_name() in effect.stands_for()), None)
                 out.append((self._sharing(effect), replaced))
         return out
 
@@ -171,7 +186,7 @@ class Search:
         rough: list[tuple[float, Effect, Base]] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
-            starts = self._starts(effect)
+            starts = self._starts(effect, replaced)
             if len(starts) == 0:
                 continue  # this motion is too small for any of its shapes to show
             looks = sorted(self._over_shapes(effect, starts, base), key=lambda pair: -pair[0])
@@ -217,17 +232,27 @@ class Search:
 
     def present_without(self, effect: Effect) -> list[Effect]:
         """The model's effects without one, which gives its place back to what it stands in for."""
-        kept = [e for e in self.model.effects if e is not effect]
-        if effect.joints and effect.replaces:
-            kind = catalogue()[effect.replaces[0]]
-            kept += [e for e in kind.everywhere(self.sites) if e.place == effect.place]
-        return kept
+        return [*(e for e in self.model.effects if e is not effect), *self.restored(effect)]
+
+    def restored(self, effect: Effect) -> list[Effect]:
+        """What comes back where an effect is taken out, with the shapes that explain most there."""
+        if not (effect.joints and effect.stands_for()):
+            return []
+        kind = catalogue()[effect.stands_for()[0]]
+        here = [e for e in kind.everywhere(self.sites) if e.place == effect.place and e not in self.model.effects]
+        base = self.base(effect)
+        return [self._best(e, base) if len(self.free(e)) else e for e in map(self._sharing, here)]
+
+    def _best(self, effect: Effect, base: Base) -> Effect:
+        """With the shapes that gain most."""
+        looks = max(self._over_shapes(effect, self._starts(effect), base), key=lambda pair: pair[0])
+        return self._refined(looks[1], base)
 
     def without(self, effect: Effect) -> Trial:
         """What an effect of the present model is worth: the trial of adding it to the model without it, what it replaces restored."""
         base = self.base(effect)
-        restored = [e for e in self.present_without(effect) if e not in self.model.effects]
-        present = self.base(effect, [self._sharing(e) for e in restored]) if restored else base
+        restored = self.restored(effect)
+        present = self.base(effect, restored) if restored else base
         return self.trial(effect, base, present, self.tests)
 
     @property
@@ -256,7 +281,7 @@ class Search:
         """How many independent trials a search makes."""
         return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates)
 
-    def _starts(self, effect: Effect) -> Array:
+    def _starts(self, effect: Effect, replaced: Effect | None = None) -> Array:
         free = self.free(effect)
         if not len(free):
             return np.zeros((1, 0))
@@ -264,7 +289,11 @@ class Search:
         left = self.present.residual[joint]
         stretches = self.regression.stretches
         beside = [(s.sampled, left[span]) for s, span in zip(stretches, self.regression.spans, strict=True)]
-        return effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)[:, free]
+        starts = effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)
+        if replaced is not None:
+            low, high = effect.shape_range(self.longest)
+            starts = np.concatenate([starts, np.clip(effect.starts_in_place_of(replaced), low, high)])
+        return starts[:, free]
 
     def _over_shapes(self, effect: Effect, starts: Array, base: Base) -> Iterable[tuple[float, Effect]]:
         shaped = [self._shaped(effect, s) if len(s) else effect for s in starts]
@@ -545,7 +574,7 @@ def _shuts_out(present: Effect, new: Effect) -> bool:
     """Whether an effect of the model leaves no room for another one in its place; a freer form of its own type may replace it."""
     if type(present) is type(new) or present.type_name() == new.type_name():
         return not new.repeats and (type(present) is type(new) or new.type_name() not in new.replaces)
-    return new.type_name() in present.replaces
+    return new.type_name() in present.stands_for()
 
 
 @dataclass(frozen=True, eq=False)

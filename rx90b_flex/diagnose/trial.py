@@ -186,5 +186,5 @@ def choose(trials: Sequence[Trial]) -> Trial | None:
 
 def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:
     """The list of effects with a new one, which takes the place of what it replaces."""
-    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.replaces)]
+    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.stands_for())]
     return (*kept, new)

@@ -148,12 +148,14 @@ class Effect(ABC):
     acts_on: ClassVar[str] = "forces"  # "forces", "coordinates", "signals"
     repeats: ClassVar[bool] = False  # may stand twice in the same place
     replaces: ClassVar[tuple[str, ...]] = ()  # effect types that it stands in for at the same place
+    refines: ClassVar[tuple[str, ...]] = ()  # those that it is tried in place of; declared, both may stand side by side
     needs_load: ClassVar[bool] = False  # its columns depend on the torque through the transmission
     needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
     in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
     remembers: ClassVar[bool] = False  # its force depends on the motion before, which a simulation step does not know
     multiplies: ClassVar[bool] = False  # its one coefficient scales all that its joint's log shows of the model
     last_resort: ClassVar[bool] = False  # a curve of no known law, tried where nothing with a name explains more
+    repeats_with_motion: ClassVar[bool] = True  # False: where the motion repeats, its torque does not
     by_clock: ClassVar[bool] = False  # its torque is a line at a frequency of its own, whatever the robot does
     adds_inertia: ClassVar[bool] = False  # its force holds accelerations, so it is part of the mass matrix
     virtual: ClassVar[tuple[str, ...]] = ()  # coordinates it adds to its place: "torsion", "bend_1", "bend_2"
@@ -284,6 +286,11 @@ class Effect(ABC):
         return np.array([[p.start for _, p in self._flat("shape")]])
 
     @classmethod
+    def stands_for(cls) -> tuple[str, ...]:
+        """Effect types whose place it takes where it is added."""
+        return (*cls.replaces, *cls.refines)
+
+    @classmethod
     def usual_shapes(cls) -> dict[str, float]:
         """Shape parameters that mostly have one value, and that value."""
         return {name: p.start for name, p in cls._flat("shape") if p.usual}
@@ -301,6 +308,10 @@ class Effect(ABC):
             Of the low-pass that the residual went through.
         """
         return self.shape_starts(motion)
+
+    def starts_in_place_of(self, other: Effect) -> Array:
+        """Shapes to begin from where it is tried in the place of another effect that is known, shape (M, s)."""
+        return np.zeros((0, len(self.shape)))
 
     def shape_spread(self, motion: Motion) -> Array:
         """How far the best shape may lie from the best start, shape (s,)."""

@@ -289,6 +289,8 @@ class FrictionDrift(JointEffect):
     Dynamic Systems, Measurement, and Control 134(5), 2012.
     """
 
+    repeats_with_motion: ClassVar[bool] = False
+
     coefficient: float | None = linear("N m s/rad", rank=FRICTION)
     time_constant: float | None = shape("s", start=10.0, lower=0.05, upper=1.0e5)
 

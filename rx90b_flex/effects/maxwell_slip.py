@@ -11,12 +11,13 @@ import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
-from rx90b_flex.effects.effect import FRICTION, derived, linear
+from rx90b_flex.effects.effect import FRICTION, Effect, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.presliding import deflection_range
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
 
 ELEMENTS = 2  # where none are stated
+BEFORE, AFTER = 0.4, 2.5  # of a smooth element's deflection, within which several that come to the same break away
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,7 @@ class MaxwellSlipFriction(ManyCoefficients):
     """
 
     remembers: ClassVar[bool] = True
+    refines: ClassVar[tuple[str, ...]] = ("presliding_friction",)
 
     torques: tuple[float, ...] | None = linear("N m", lower=0.0, rank=FRICTION, size=0)
     stiffnesses: tuple[float, ...] | None = derived("N m/rad", lower=0.0, size=0)
@@ -96,6 +98,11 @@ class MaxwellSlipFriction(ManyCoefficients):
         grid = np.geomspace(1.5 * low, 0.5 * high, 6)
         step = max(1, len(grid) // (self.count + 1))
         return np.array([grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))])
+
+    def starts_in_place_of(self, other: Effect) -> Array:
+        """Elements that break away before and after one smooth element does."""
+        around = np.geomspace(BEFORE, AFTER, self.count) if self.count > 1 else np.ones(1)
+        return np.stack([other.shape[0] * around**wider for wider in (1.0, 1.5)])
 
     def shape_spread(self, motion: Motion) -> Array:
         return 0.5 * self.shape

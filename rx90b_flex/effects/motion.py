@@ -135,6 +135,8 @@ class Motion:
         Gives the tree's view of this motion when an effect asks for it.
     effects : tuple
         The present model's forces beyond the tree, for effects that depend on the model as a whole.
+    angle_noise : array, shape (n,), or None
+        Standard deviation of what the angles are off, rad, where a log tells it.
     """
 
     coordinates: Coordinates
@@ -144,6 +146,7 @@ class Motion:
     time: Array
     tree: Callable[[Motion], TreeMotion] = field(repr=False)
     effects: tuple[Force, ...] = field(default=(), repr=False)
+    angle_noise: Array | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.q.shape[0]

@@ -21,6 +21,7 @@ FASTEST_PART = 0.05  # of a joint's speed within which dry friction turns over a
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
+NOISY = 2.0  # standard deviations of an angle's noise within which nothing is known of a deflection
 SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log's noise
 
 
@@ -67,11 +68,13 @@ class Resolution:
     def of(at: JointMotion) -> Resolution:
         """From a joint's motion in time, worked out once."""
         key = ("resolution", *(str(i) for i in np.flatnonzero(at.port)))
-        (values,) = at.motion.once(key, lambda: (_resolution(at.q, at.v, at.time),))
+        noise = at.motion.angle_noise
+        off = None if noise is None else float(np.linalg.norm(at.port * noise))
+        (values,) = at.motion.once(key, lambda: (_resolution(at.q, at.v, at.time, off),))
         return Resolution(*(float(x) for x in values))
 
 
-def _resolution(q: Array, v: Array, time: Array) -> Array:
+def _resolution(q: Array, v: Array, time: Array, off: float | None) -> Array:
     speed, travel = float(np.percentile(np.abs(v), 95)), float(np.ptp(q))
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if len(v) < 2 * WINDOW_SAMPLES or step <= 0:
@@ -88,9 +91,10 @@ def _resolution(q: Array, v: Array, time: Array) -> Array:
     turns = np.flatnonzero((v[1:] * v[:-1] < 0) & moving[1:])
     change = np.abs(np.diff(v))[turns]
     velocity = 0.5 * float(np.median(change)) if len(change) else 1e-3 * speed
-    # third differences of a smooth motion hold little but noise, whose variance they multiply by 20
-    rough = float(np.median(np.abs(np.diff(q, 3)))) / np.sqrt(20.0)
-    angle = max(0.5 * velocity * step, 3.0 * rough)
+    if off is None:
+        # third differences of a smooth motion hold little but noise, whose variance they multiply by 20
+        off = float(np.median(np.abs(np.diff(q, 3)))) / np.sqrt(20.0)
+    angle = max(0.5 * velocity * step, NOISY * off)
     return np.maximum([velocity, noise, speed, angle, travel], 1e-12)
 
 

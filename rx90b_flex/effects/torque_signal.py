@@ -45,7 +45,9 @@ class TorqueDelay(Effect):
     in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
     SHORTEST: ClassVar[float] = 1e-4  # s
-    SMALLEST_SAMPLES: ClassVar[float] = 0.2  # of the log's clock: less is within what two clocks or a filter differ by
+    SMALLEST_SAMPLES: ClassVar[float] = 0.2  # of the log's clock: less is named where it explains much
+    MUCH: ClassVar[float] = 0.025  # of a joint's error, or a twentieth of its square
+    LEAST_SAMPLES: ClassVar[float] = 0.05  # less is within what filters and differences of samples leave
 
     joint: str | None = None
     delay: float | None = linear("s")
@@ -81,9 +83,11 @@ class TorqueDelay(Effect):
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
     def too_small(self, part: float, sample_s: float) -> str:
-        # a torque that changes fast shows any delay: its size in time counts, not what it explains
+        # a torque that changes fast shows any delay: its size in time counts, and down to some size what it explains
         samples = abs(self._delay) / sample_s
-        return "" if samples >= self.SMALLEST_SAMPLES else f"it is {samples:.2g} of a sample, too little for a name"
+        if samples >= self.SMALLEST_SAMPLES or (samples >= self.LEAST_SAMPLES and part >= self.MUCH):
+            return ""
+        return f"it is {samples:.2g} of a sample, too little for a name"
 
     @property
     def _delay(self) -> float:
@@ -207,6 +211,7 @@ class LineInterference(SineEffect):
 
     acts_on: ClassVar[str] = "signals"
     by_clock: ClassVar[bool] = True
+    repeats_with_motion: ClassVar[bool] = False
     in_dynamics: ClassVar[bool] = False
     side: ClassVar[str] = "drive"
     repeats: ClassVar[bool] = True

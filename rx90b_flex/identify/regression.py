@@ -88,15 +88,16 @@ class Stretch:
         return columns[:: self.factor][self.kept]
 
     @cached_property
-    def wider_velocity(self) -> Array:
-        """Velocity from positions that keep another octave, at the working rate, (N_working, joints), rad/s."""
+    def wider(self) -> tuple[Array, Array]:
+        """Angle and velocity from positions that keep another octave, at the working rate, each (N_working, joints); rad, rad/s."""
         if self.cutoff_hz is None:
-            return self.motion.v
+            return self.motion.q, self.motion.v
         rate = self.recording.sample_rate_hz
         cutoff = WIDER * (_position_cutoff(self.recording.position, rate, self.cutoff_hz) or rate)
-        velocity = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None).velocity
+        wide = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None)
         order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
-        return np.asarray(velocity[:: self.working_factor][:, order])
+        q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
+        return q, v
 
     def loaded(self, link_parameters: Array) -> Array:
         """Inertial parameters of the links with what this recording carries, shape (10 * bodies,)."""
@@ -135,7 +136,8 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
         position_cutoff = _position_cutoff(recording.position, rate, cutoff_hz)
         moved = motion(recording.position, rate, position_cutoff)
-        moved = _standing(moved, recording.position, rate)
+        off = _noise(recording.position - moved.position)
+        moved = _standing(moved, off, rate)
     except ValueError as error:
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     if cutoff_hz is None or not thin:
@@ -157,9 +159,13 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         )
     kept = slice(edge, samples - edge)
     keep_every = working * factor
+    motion_of_tree = robot.motion(sampled[0], sampled[1], sampled[2], time - _clock_zero(recording.time))
+    if position_cutoff is not None:
+        below = position_cutoff / (0.5 * rate)
+        motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=off[order] * np.sqrt(below / (1.0 - below)))
     return Stretch(
         recording,
-        robot.motion(sampled[0], sampled[1], sampled[2], time - _clock_zero(recording.time)),
+        motion_of_tree,
         time[::factor][kept],
         torque[::keep_every][kept],
         rate / keep_every,
@@ -171,13 +177,16 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     )
 
 
-def _standing(moved: filters.Motion, logged: Array, rate: float) -> filters.Motion:
+def _noise(off: Array) -> Array:
+    """Standard deviation of each column but for outliers."""
+    return np.asarray(MAD_TO_STD * np.median(np.abs(off - np.median(off, axis=0)), axis=0))
+
+
+def _standing(moved: filters.Motion, noise: Array, rate: float) -> filters.Motion:
     """A motion without velocity and acceleration where a joint stands still.
 
-    There the angle stays within the log's noise, and the velocity's sign would be that of the noise.
+    There the angle stays within the log's `noise`, (joints,), rad, and the velocity's sign would be that of the noise.
     """
-    off = logged - moved.position
-    noise = MAD_TO_STD * np.median(np.abs(off - np.median(off, axis=0)), axis=0)
     window = max(3, round(STANDING_S * rate))
     reach = [
         filter_(moved.position, window, axis=0, mode="nearest") for filter_ in (maximum_filter1d, minimum_filter1d)
