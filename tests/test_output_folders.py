@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,8 +12,10 @@ import time
 from pathlib import Path
 
 import pytest
+from test_cli import write_campaign
 
 from rx90b_flex.signals.folders import CAMPAIGN, CLOSED_LOOP, PATH_CHECK, RUN, Output, check_folder, fill_folder
+from rx90b_flex.signals.single import check_file
 
 
 def writes(**files: str):  # type: ignore[no-untyped-def]
@@ -186,7 +189,10 @@ def test_a_failure_while_results_are_put_in_place_brings_the_earlier_ones_back(
 KILLED = """
 import os, signal, sys, time
 from pathlib import Path
+from test_cli import write_campaign
+
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
+from rx90b_flex.signals.single import check_file
 def fill(at):
     (at / "closed_loop.json").write_text("half")
     print("filling", flush=True)
@@ -277,3 +283,31 @@ def test_of_runs_with_one_folder_at_once_the_last_stays_whole(tmp_path: Path) ->
     left = tree(out)
     assert len(set(left.values())) == 1 and sorted(left) == ["mark", f"part_{left['mark']}", "part_x"]
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def _mounts() -> bool:
+    """Whether this user may mount something in a name space of its own."""
+    tried = ["unshare", "-rm", "mount", "-t", "tmpfs", "-o", "ro", "none", "/mnt"]
+    return bool(shutil.which("unshare")) and subprocess.run(tried, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.skipif(not _mounts(), reason="nothing may be mounted read-only here")
+@pytest.mark.parametrize(
+    "command", ["check {campaign} --out {out}", "excite rx90b_3dof --out {out}", "view rx90b --out {out}.html"]
+)
+def test_a_disk_that_is_mounted_to_be_read_is_refused_before_any_work(tmp_path: Path, command: str) -> None:
+    campaign = write_campaign(tmp_path)
+    (tmp_path / "disk").mkdir()
+    line = command.format(campaign=campaign, out=tmp_path / "disk" / "out")
+    script = f"mount -t tmpfs -o ro none {tmp_path / 'disk'} && exec {sys.executable} -m rx90b_flex {line}"
+    ended = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True, check=False)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1, ended.stderr
+    assert f"{tmp_path / 'disk' / 'out'}" in ended.stderr and "Read-only file system" in ended.stderr
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="a place where nothing can be made is asked of Linux")
+def test_a_place_where_nothing_can_be_made_is_refused_at_once() -> None:
+    with pytest.raises(ValueError, match=r"^/proc/x: cannot be written"):
+        check_folder(Path("/proc/x"))
+    with pytest.raises(ValueError, match=r"^/proc/x\.html: cannot be written"):
+        check_file(Path("/proc/x.html"))

@@ -15,6 +15,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,8 +148,7 @@ def check_folder(
         existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
         if not existing.is_dir():
             raise ValueError(f"{folder}: {existing} is a file; expected a folder to write into")
-        if not os.access(existing, os.W_OK | os.X_OK):
-            raise ValueError(f"{folder}: {existing} cannot be written")
+        refuse_unwritable(existing)
         if max(len(os.fsencode(part)) for part in folder.absolute().parts) > os.pathconf(existing, "PC_NAME_MAX") - 40:
             raise ValueError(f"{str(folder)[:60]}...: the name is too long for a folder")
         if folder.is_dir() and output is not None:
@@ -160,6 +160,18 @@ def check_folder(
                     raise ValueError(f"{_short(folder)}: holds {read.name}, which this run reads; give another folder")
     except OSError as error:
         raise ValueError(f"{_short(folder)}: cannot be written: {why(error)}") from None
+
+
+def refuse_unwritable(folder: Path) -> None:
+    """Try it with a file that has no name: rights alone say nothing of a disk that is mounted to be read.
+
+    Raises
+    ------
+    OSError
+        What the system says.
+    """
+    with tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 def why(error: OSError) -> str:

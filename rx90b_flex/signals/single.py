@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from rx90b_flex.files.toml import read_toml
+from rx90b_flex.signals.folders import refuse_unwritable, why
 from rx90b_flex.signals.tables import write_whole
 
 
@@ -27,6 +28,10 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
     if os.path.lexists(path) and not path.is_file():
         kind = "a folder" if path.is_dir() else "no regular file"
         raise ValueError(f"{path} is {kind}; expected a file to write")
+    try:
+        refuse_unwritable(path.absolute().parent)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {why(error)}") from None
     if source is None or not os.path.isfile(source):
         return
     own = [Path(source)]
@@ -49,4 +54,4 @@ def write_file(path: Path, text: str) -> None:
         check_file(path)
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
-        raise ValueError(f"{path}: cannot be written: {error.strerror}") from None
+        raise ValueError(f"{path}: cannot be written: {why(error)}") from None
