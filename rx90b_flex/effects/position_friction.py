@@ -42,9 +42,9 @@ class PositionFriction(PeriodicEffect, DryFriction):
     turnover: float | None = turnover_shape()
 
     def own_range(self, motion: Motion) -> Array:
-        """From half a cycle over the joint's travel: less is a slope, which other joints' angles may have as well."""
+        """From one cycle over the joint's travel: less is a slope, which other joints' angles may have as well."""
         out = self.shape_bounds()
-        out[0, 0] = max(out[0, 0], np.pi / max(self._range(motion), 1e-2))
+        out[0, 0] = max(out[0, 0], 2.0 * np.pi / max(self._range(motion), 1e-2))
         out[1, 0] = max(out[1, 0], 2.0 * out[0, 0])
         return out
 
