@@ -12,7 +12,7 @@ import pytest
 import twisting
 
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
+from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility, StiffnessHardening
 from rx90b_flex.robot import Robot, load_robot
 
 LAG = 5e-3  # s, damping over stiffness
@@ -32,17 +32,17 @@ class Bench:
     motors: twisting.Motors
     motion: ind.Motion
 
-    def measured(self, stiffness: Mapping[int, float]) -> np.ndarray:
+    def measured(self, stiffness: Mapping[int, float], cubic: Mapping[int, float] = {}) -> np.ndarray:
         """What motors feel beyond the rigid arm, (N, 2), N m."""
-        drives = {j: twisting.Drive(k, LAG * k) for j, k in stiffness.items()}
+        drives = {j: twisting.Drive(k, LAG * k, cubic.get(j, 0.0)) for j, k in stiffness.items()}
         return twisting.motor_torque(self.arm, self.motors, self.time, drives) - self.arm.torque(self.motion)
 
-    def said(self, stiffness: Mapping[int, float]) -> np.ndarray:
+    def said(self, stiffness: Mapping[int, float], cubic: Mapping[int, float] = {}) -> np.ndarray:
         """What the package says of that."""
-        drives = [
-            DriveFlexibility(joint=self.robot.joints[j], stiffness=k, damping=LAG * k) for j, k in stiffness.items()
-        ]
-        rigid = self.robot.with_effects(drives).over_time()
+        names = self.robot.joints
+        drives = [DriveFlexibility(joint=names[j], stiffness=k, damping=LAG * k) for j, k in stiffness.items()]
+        harder = [StiffnessHardening(joint=names[j], cubic=c) for j, c in cubic.items()]
+        rigid = self.robot.with_effects([*drives, *harder]).over_time()
         m = self.motion
         seen = rigid.on_links(rigid.motion(m.q, m.v, m.a, m.time), rigid.link_parameters, effects=rigid.effects)
         return np.sum([e.force(seen) for e in rigid.effects], axis=0)
@@ -66,6 +66,20 @@ def test_the_torque_of_twisting_drives_is_that_of_two_inertias_with_a_spring_bet
     assert np.linalg.norm(ours - true) < 0.02 * np.linalg.norm(true)
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "cubic"),
+    [({SHOULDER: 400.0}, {SHOULDER: 1e5}), ({SHOULDER: 4000.0}, {SHOULDER: 1e7}), (SOFT, {ELBOW: 4e4})],
+    ids=str,
+)
+def test_a_drive_that_gets_stiffer_as_it_twists_does_so_on_the_rigid_tree_too(bench, stiffness, cubic):
+    """The first one's cubic part takes as much of the torque as its linear one."""
+    kept = slice(ENDS, -ENDS)
+    true, ours = bench.measured(stiffness, cubic)[kept], bench.said(stiffness, cubic)[kept]
+    linear = bench.said(stiffness)[kept]
+    assert np.linalg.norm(ours - true) < 0.02 * np.linalg.norm(true)
+    assert np.linalg.norm(linear - true) > 0.05 * np.linalg.norm(true)
+
+
 def test_a_stiff_drive_is_felt_in_proportion_to_its_compliance(bench):
     once, twice = (bench.said({SHOULDER: k})[ENDS:-ENDS] for k in (4e6, 2e6))
     assert np.linalg.norm(twice - 2 * once) < 1e-3 * np.linalg.norm(twice)
@@ -73,13 +87,14 @@ def test_a_stiff_drive_is_felt_in_proportion_to_its_compliance(bench):
 
 def test_a_declared_drive_stands_on_the_rigid_tree_and_goes_back_into_the_flexible_one():
     drive = DriveFlexibility(joint="joint_2", stiffness=2e5, damping=100.0)
+    harder = StiffnessHardening(joint="joint_2", cubic=1e9)
     bending = JointFlexibility(joint="joint_2", stiffness=(1e5, 1e5), damping=(10.0, 10.0))
-    robot = load_robot("rx90b").with_effects([drive, bending])
+    robot = load_robot("rx90b").with_effects([drive, harder, bending])
     over_time = robot.over_time()
     standing: tuple[Effect, ...] = over_time.effects
     rest = over_time.motion(*np.zeros((3, over_time.model.nv)))
-    assert [e.type_name() for e in standing] == ["drive_flexibility"]
-    assert [e.in_tree(rest) for e in standing] == [drive]
+    assert [e.type_name() for e in standing] == ["drive_flexibility", "stiffness_hardening"]
+    assert [e.in_tree(rest) for e in standing] == [drive, harder]
     assert over_time.model.nv == robot.tree.nv
 
 

@@ -33,21 +33,30 @@ def closed(
     extra: Extra | None = None,
     known: bool = False,
     coulomb: float = 1.0,
+    cubic: float = 0.0,
 ) -> rf.ClosedLoop:
-    """The loop closed on three logs of the arm of two joints, some of whose drives twist."""
+    """The loop closed on three logs of the arm of two joints, some of whose drives twist.
+
+    Drives that get stiffer by a `cubic` part are declared without it.
+    """
     arm, rng = ind.two_joints(folder), np.random.default_rng(seed)
     time = np.arange(int(SECONDS * RATE_HZ)) / RATE_HZ
     runs: list[ind.Run] = []
     for role in ("identification", "identification", "validation"):
         motors = twisting.from_rest(twisting.harmonics(rng, 2, SECONDS, 14, 1.6), 2.0)
         q, v, a = (np.array(x) for x in zip(*(motors(t) for t in time), strict=True))
-        springs = {j: twisting.Drive(k, LAG * k) for j, k in drives.items()}
+        springs = {j: twisting.Drive(k, LAG * k, cubic) for j, k in drives.items()}
         torque = twisting.motor_torque(arm, motors, time, springs)
         torque += coulomb * COULOMB * np.tanh(v / SLIDES_AT) + VISCOUS * v + rng.normal(size=q.shape) * NOISE
         torque += 0.0 if extra is None else extra(q)
         logged = ind.Motion(time, np.round(q / STEP_RAD) * STEP_RAD, v, a)
         runs.append(ind.Run(role, logged, torque))
     declared = [{"type": t, "joint": j} for j in arm.joints for t in FRICTION[coulomb == 0.0 :]]
+    if cubic:
+        declared += [
+            {"type": "drive_flexibility", "joint": arm.joints[j], "stiffness": k, "damping": LAG * k}
+            for j, k in drives.items()
+        ]
     return rf.close_loop(ind.write_files(folder, arm, declared, runs, cutoff_hz=CUTOFF_HZ, known=known))
 
 
@@ -72,6 +81,17 @@ def test_without_dry_friction_the_stiffness_is_found_within_its_interval(tmp_pat
     estimate = {p.name: p for p in result.effects[0].parameters}["stiffness"]
     assert abs(estimate.value - stiffness) < DEVIATIONS * estimate.std
     assert estimate.std < 0.1 * stiffness
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
+def test_a_drive_that_gets_stiffer_as_it_twists_is_named(tmp_path, seed):
+    cubic = 1e5
+    result = closed(tmp_path, {SHOULDER: 400.0}, seed, cubic=cubic)
+    assert named(result) == [("stiffness_hardening", ("shoulder",))]
+    (estimate,) = result.effects[0].parameters
+    assert abs(estimate.value - cubic) < DEVIATIONS * estimate.std and estimate.std < 0.1 * cubic
+    assert result.after.validation.relative_error < 0.6 * result.before.validation.relative_error
+    assert result.verdict in ("explained", "partly_explained")
 
 
 @pytest.mark.slow

@@ -189,10 +189,7 @@ def test_a_failure_while_results_are_put_in_place_brings_the_earlier_ones_back(
 KILLED = """
 import os, signal, sys, time
 from pathlib import Path
-from test_cli import write_campaign
-
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
-from rx90b_flex.signals.single import check_file
 def fill(at):
     (at / "closed_loop.json").write_text("half")
     print("filling", flush=True)

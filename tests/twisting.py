@@ -33,6 +33,12 @@ class Drive:
         touching = 1.0 if abs(twist) >= free else 0.0
         return float(self.stiffness * beyond + self.cubic * beyond**3 + touching * self.damping * rate)
 
+    def at_rest(self, load: float) -> float:
+        """Twist under a load that stays."""
+        roots = np.roots([self.cubic, 0.0, self.stiffness, -abs(load)])
+        beyond = roots.real[np.argmin(np.abs(roots.imag))]
+        return float(-np.sign(load) * (beyond + 0.5 * self.gap))
+
 
 def motor_torque(arm: ind.Arm, motors: Motors, time: Array, drives: Mapping[int, Drive]) -> Array:
     """Torque (N, n) that motors feel of the links behind twisting drives, which begin at rest under their load."""
@@ -64,7 +70,7 @@ def motor_torque(arm: ind.Arm, motors: Motors, time: Array, drives: Mapping[int,
     for _ in range(30):  # at rest under the load
         load = tree(q, v, a, x, 0 * x, 0 * x)[places]
         pairs = zip(load, drives.values(), strict=True)
-        x = np.array([-tau / d.stiffness - 0.5 * d.gap * np.sign(tau) for tau, d in pairs])
+        x = np.array([d.at_rest(float(tau)) for tau, d in pairs])
     dx = np.zeros_like(x)
     out = np.empty((len(time), model.nv))
     for n, start in enumerate(time):

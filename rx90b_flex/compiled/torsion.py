@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+CUBIC = 4  # coefficients
+
 compiled = numba.njit(cache=True, error_model="numpy")
 
 
@@ -61,29 +63,38 @@ def steps_alone(
 
 
 @compiled
-def begun_on_a_line(force: Array, samples: int) -> Array:
-    """The first two values (2,) of the straight line through the first samples of a force (N,): as if it had come slowly.
+def begun_slowly(
+    force: Array, samples: int, step: float, stiffness: float, cubic: float, damping: float, inertia: float
+) -> Array:
+    """The first two torsions (2,) of the swing-free answer to a cubic through the first samples of a force (N,).
 
-    What the first samples are off by themselves, a log's noise at its end, would else set the link swinging.
+    ``inertia x'' + damping x' + stiffness x + cubic x^3`` of a polynomial x is that cubic, to first order beyond rest. What the first
+    samples are off by themselves, a log's noise at its end, would else set the link swinging.
     """
-    many = max(2, min(samples, len(force)))
-    middle, mean = (many - 1) / 2.0, 0.0
-    slope, square = 0.0, 0.0
+    many = max(min(samples, len(force)), min(CUBIC, len(force)))
+    powers = np.ones((many, CUBIC))
     for i in range(many):
-        mean += force[i] / many
-        slope += (i - middle) * force[i]
-        square += (i - middle) ** 2
-    return np.array([mean - slope / square * middle, mean - slope / square * (middle - 1.0)])
+        for k in range(1, CUBIC):
+            powers[i, k] = powers[i, k - 1] * i * step
+    scale = np.maximum(np.sqrt((powers**2).sum(axis=0)), 1e-300)
+    c = np.linalg.lstsq(powers / scale, force[:many].copy())[0] / scale
+    rest = c[0] / stiffness
+    for _ in range(60):  # Newton's method; convex on the side of zero where the linear part alone would end
+        rest -= (stiffness * rest + cubic * rest**3 - c[0]) / (stiffness + 3.0 * cubic * rest**2)
+    stiff = stiffness + 3.0 * cubic * rest**2
+    x3 = c[3] / stiff
+    x2 = (c[2] - 3.0 * damping * x3) / stiff
+    x1 = (c[1] - 2.0 * damping * x2 - 6.0 * inertia * x3) / stiff
+    x0 = rest - (damping * x1 + 2.0 * inertia * x2) / stiff
+    return np.array([x0, x0 + step * (x1 + step * (x2 + step * x3))])
 
 
 @compiled
-def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool, swing: int, force: Array) -> Array:
-    """Torsions (N,) under forces (N,), by the equations of `steps_alone`."""
+def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool, begun: Array, force: Array) -> Array:
+    """Torsions (N,) under forces (N,), by the equations of `steps_alone`; where a joint swings, from the first two (2,) on."""
     out = np.empty(len(force))
     if swings:
-        begun = begun_on_a_line(force, swing)
-        for i in range(2):
-            out[i] = begun[i] / now[i]
+        out[:2] = begun
     for i in range(2 if swings else 0, len(force)):
         if swings:
             w = weight[i]
@@ -139,11 +150,15 @@ def torsion_alone(
     stiffness, lag, cubic = spring
     at_angle, at_rate = by_q + stiffness, by_v + stiffness * lag
     now, last, before, weight, swings, swing = steps_alone(at_angle, at_rate, by_a, step, least, fastest)
-    torsion = stepped(now, last, before, weight, swings, swing, -load)
+    begun = begun_slowly(-load, swing, step, at_angle[0], cubic, at_rate[0], max(by_a[0], 0.0))
+    torsion = stepped(now, last, before, weight, swings, begun, -load)
     for _ in range(corrections):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > largest:
             return np.zeros_like(load)
         v, a = rates(torsion, step, first, second)
+        if cubic != 0.0:  # Newton's steps
+            stiffer = at_angle + 3.0 * cubic * torsion**2
+            now, last, before, weight, swings, _ = steps_alone(stiffer, at_rate, by_a, step, least, fastest)
         asked = load + cubic * torsion**3 + at_angle * torsion + at_rate * v + by_a * a
-        torsion = torsion + stepped(now, last, before, weight, swings, swing, -asked)
+        torsion = torsion + stepped(now, last, before, weight, swings, np.zeros(2), -asked)
     return torsion

@@ -462,7 +462,7 @@ def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
     """Where the rigid band that torques over time are held against ends below what the campaign keeps."""
-    hinges = [e for e in robot.effects if e.virtual]
+    hinges = [e for e in robot.effects if e.virtual and e.on_rigid_tree() is None]
     if not hinges:
         return ()
     left_out = (

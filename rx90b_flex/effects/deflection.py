@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from rx90b_flex.compiled.torsion import begun_on_a_line, samples_of_a_swing, torsion_alone
+from rx90b_flex.compiled.torsion import begun_slowly, samples_of_a_swing, torsion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
@@ -170,14 +170,19 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     at_angle, at_rate = _with_springs(springs, by_q, by_v)
     steps = _steps(springs, by_q, by_v, by_a, time)
     torsion = steps.solve(-load)
+    begun = steps.begun(-load, cubic) - steps.begun(-load, 0.0 * cubic)
     for _ in range(CORRECTIONS):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
             return np.zeros_like(load)
         first, second = _rates(torsion, time)
+        if cubic.any():  # Newton's steps
+            stiffer = at_angle + 3.0 * (cubic * torsion**2)[:, :, None] * np.eye(len(springs))
+            steps = _Steps.of(stiffer, at_rate, by_a, _step(time))
         asked = load + cubic * torsion**3
         for by, x in ((at_angle, torsion), (at_rate, first), (by_a, second)):
             asked = asked + np.einsum("nij,nj->ni", by, x)
-        torsion = torsion + steps.solve(-asked)
+        torsion = torsion + steps.solve(-asked, begun)
+        begun = np.zeros_like(begun)
     return torsion
 
 
@@ -205,6 +210,7 @@ class _Steps:
     weight: Array  # (N, m)
     swings: Array  # (m,), 1 where a joint swings, 0 where it follows at once
     swing: tuple[int, ...]  # samples of a swing, (m,)
+    start: tuple[tuple[float, float, float, float], ...]  # (m,), seconds a sample, first stiffness, damping and inertia
 
     @staticmethod
     def of(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> _Steps:
@@ -242,19 +248,30 @@ class _Steps:
                     first = (start - shift) * m + j
                     banded[row, first : first + m * len(source) : m] = source[:, i, j]
         swing = tuple(samples_of_a_swing(np.ascontiguousarray(x)) for x in fast.T)
-        return _Steps(banded, bands, weight, swings, swing)
+        first = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), inertia[0], strict=True)
+        start = tuple((step, float(k), float(d), float(max(m, 0.0))) for k, d, m in first)
+        return _Steps(banded, bands, weight, swings, swing, start)
 
-    def solve(self, force: Array) -> Array:
-        """Deflections (N, m, ...) under forces (N, m, ...)."""
+    def begun(self, force: Array, cubic: Array) -> Array:
+        """The first two torsions (2, m) of each by itself, under the first forces of (N, m), as `begun_slowly` has them."""
+        out = np.zeros((2, force.shape[1]))
+        for j in np.flatnonzero(self.swings):
+            step, stiffness, damping, inertia = self.start[j]
+            own = np.ascontiguousarray(force[:, j])
+            out[:, j] = begun_slowly(own, self.swing[j], step, stiffness, float(cubic[j]), damping, inertia)
+        return out
+
+    def solve(self, force: Array, begun: Array | None = None) -> Array:
+        """Deflections (N, m, ...) under forces (N, m, ...); where a joint swings from the first two (2, m) on, or as if at rest."""
         right = force.reshape(*self.weight.shape, -1).copy()
         w = self.weight[1:-1, :, None]
         smooth = w * (right[2:] + right[:-2]) + (1.0 - 2.0 * w) * right[1:-1]
         right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
-        for j in np.flatnonzero(self.swings):
-            for k in range(right.shape[2]):
-                right[:2, j, k] = begun_on_a_line(
-                    np.ascontiguousarray(force.reshape(right.shape)[:, j, k]), self.swing[j]
-                )
+        for k in range(right.shape[2]):
+            own = force.reshape(right.shape)[:, :, k]
+            first = self.begun(own, np.zeros(own.shape[1])) if begun is None else begun
+            stiffness = np.array([x[1] for x in self.start])
+            right[:2, :, k] = np.where(self.swings > 0, stiffness * first, right[:2, :, k])
         right = right.reshape(-1, right.shape[2])
         try:
             out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)

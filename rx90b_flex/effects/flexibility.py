@@ -32,6 +32,14 @@ LOSSY = (
     0.1  # damping ratio of drives that a search over time begins with: what swings for long fits at one stiffness alone
 )
 STARTS = 10  # stiffnesses that it begins with
+HARDER = (
+    0.03,
+    0.1,
+    0.3,
+    1.0,
+    3.0,
+    10.0,
+)  # times a drive's torque at its largest twist: hardening that a search begins with
 ABOVE = 6.0  # times the cutoff: where links swing on the stiffest of them
 
 
@@ -256,12 +264,12 @@ class _DriveDeflection(Effect):
         present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
         others = [e for e in present if e.joint != self.joint]
         load = _through_drives(motion)
-        known = [e.spring for e in present]
+        known = _springs_of_model(motion)
         found = deflected(motion, [self.spring, *(e.spring for e in others)], known, load)
         # together the drives of a model give all of the torque: what the others' share is at present is theirs
         out = found.torque.sum(axis=0)
         if others:
-            now = deflected(motion, known, known, load)
+            now = deflected(motion, [e.spring for e in present], known, load)
             out = out - sum(t for t, e in zip(now.torque, present, strict=True) if e.joint != self.joint)
         if present and present[0].joint == self.joint:
             out = out + found.beyond
@@ -271,7 +279,7 @@ class _DriveDeflection(Effect):
         present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
         if not present or present[0].joint != self.joint:
             return None  # the first one answers for all
-        return by_links(motion, [e.spring for e in present], _through_drives(motion))
+        return by_links(motion, _springs_of_model(motion), _through_drives(motion))
 
     @property
     def spring(self) -> Spring:
@@ -305,6 +313,13 @@ class _StatedDeflection(_DriveDeflection):
 
     def with_shape(self, values: Sequence[float] | Array) -> Self:
         return self
+
+
+def _springs_of_model(motion: Motion) -> list[Spring]:
+    """Of the drives that twist in the present model, as stiff as they are when they twist."""
+    cubic = {e.joint: float(e.cubic or 0.0) for e in motion.effects if isinstance(e, _HardeningDeflection)}
+    drives = [e.spring for e in motion.effects if isinstance(e, _DriveDeflection)]
+    return [dataclasses.replace(s, cubic=cubic.get(s.joint, 0.0)) for s in drives]
 
 
 def _through_drives(motion: Motion) -> Array:
@@ -413,10 +428,12 @@ class StiffnessHardening(JointEffect):
 
     @classmethod
     def over_time(cls, sites: Sites) -> list[Effect]:
-        return []
+        return [_HardeningDeflection(joint=j) for j in sites.joints]
 
-    def on_rigid_tree(self) -> None:
-        return None
+    def on_rigid_tree(self) -> Effect:
+        """What it changes of the deflection; as stated where it has a value, else to be identified."""
+        kind = _HardeningDeflection if self.cubic is None else _StatedHardening
+        return kind(joint=self.joint, cubic=self.cubic)
 
     def basis(self, at: JointMotion) -> Array:
         return (at.q**3)[:, None]
@@ -434,3 +451,126 @@ class StiffnessHardening(JointEffect):
 
     def potential(self, motion: Motion) -> Array:
         return 0.25 * self.known_coefficients()[0] * motion.joint(self.joint, self.side).q ** 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class _HardeningDeflection(Effect):
+    """What motors feel of a drive that gets stiffer as it twists, beyond the same drive without; on a rigid tree.
+
+    The coefficient is the cubic stiffness; its column is that difference over it.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = StiffnessHardening.needs
+    needs_load: ClassVar[bool] = True
+    needs_model: ClassVar[bool] = True
+    coefficients_follow: ClassVar[bool] = True
+    part: ClassVar[str] = StiffnessHardening.part
+
+    joint: str
+    cubic: float | None = derived("N m/rad^3", lower=0.0)
+
+    @classmethod
+    def type_name(cls) -> str:
+        return StiffnessHardening.type_name()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return (self.joint,)
+
+    @property
+    def coefficient_names(self) -> tuple[str, ...]:
+        return ("cubic",)
+
+    @property
+    def coefficient_units(self) -> tuple[str, ...]:
+        return ("N m/rad^3",)
+
+    @property
+    def coefficient_ranks(self) -> tuple[int, ...]:
+        return (STIFFNESS,)
+
+    @property
+    def coefficient_bounds(self) -> Array:
+        return np.zeros(1)
+
+    @property
+    def coefficients(self) -> Array:
+        return np.array([np.nan if self.cubic is None else self.cubic])
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        return self if np.isnan(values[0]) else dataclasses.replace(self, cubic=float(values[0]))
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return ("cubic",)
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.array([[1e-6], [1e24]])
+
+    @property
+    def shape(self) -> Array:
+        return self.coefficients
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        return dataclasses.replace(self, cubic=float(values[0]))
+
+    def _drives(self, motion: Motion) -> tuple[list[Spring], int]:
+        """The present model's, and which of them is the joint's own; -1: none."""
+        springs = [e.spring for e in motion.effects if isinstance(e, _DriveDeflection)]
+        return springs, next((i for i, s in enumerate(springs) if s.joint == self.joint), -1)
+
+    def shape_starts(self, motion: Motion) -> Array:
+        """Cubic stiffnesses that take a part of the torque which the drive has at its largest twist."""
+        springs, own = self._drives(motion)
+        if own < 0:
+            return np.zeros((0, 1))
+        largest = np.abs(deflected(motion, springs, springs, _through_drives(motion)).torsion[:, own]).max()
+        return springs[own].stiffness / max(float(largest), 1e-9) ** 2 * np.array(HARDER)[:, None]
+
+    def shape_spread(self, motion: Motion) -> Array:
+        return self.shape
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return len(HARDER)
+
+    def possible(self) -> bool:
+        return self.cubic is not None and self.cubic > 0
+
+    def columns(self, motion: Motion) -> Array:
+        springs, own = self._drives(motion)
+        if own < 0:
+            return np.zeros((*motion.q.shape, 1))
+        (cubic,) = self.known_coefficients()
+        harder = [dataclasses.replace(s, cubic=float(cubic)) if i == own else s for i, s in enumerate(springs)]
+        load = _through_drives(motion)
+        known = _springs_of_model(motion)
+        soft, hard = (deflected(motion, x, known, load).torque.sum(axis=0) for x in (springs, harder))
+        return np.asarray((hard - soft) / cubic)[:, :, None]
+
+    def in_tree(self, motion: Motion) -> Effect:
+        return StiffnessHardening(joint=self.joint, cubic=self.cubic)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StatedHardening(_HardeningDeflection):
+    """A hardening whose cubic stiffness is stated: it is taken as it is."""
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return ()
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.zeros((2, 0))
+
+    @property
+    def shape(self) -> Array:
+        return np.zeros(0)
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        return self
