@@ -85,7 +85,7 @@ def test_three_robots_of_twenty_four_do_not_hide_each_other() -> None:
 
 @pytest.mark.parametrize("between", [0.0, 1.0])
 def test_of_a_sound_make_no_more_robots_stand_out_than_is_said(between: float) -> None:
-    rng, alarms, runs = np.random.default_rng(1), 0, 400
+    rng, alarms, runs = np.random.default_rng(1), 0, 150
     for _ in range(runs):
         s = np.exp(rng.uniform(-1.0, 1.0, 24))
         alarms += bool(p_values(between * rng.normal(size=24) + s * rng.normal(size=24), s, tests=24)[1].any())
@@ -286,6 +286,22 @@ def test_wrong_words_and_campaigns_none_of_which_can_be_used_are_one_line(
         ended = command("close-loop", *words, "--out", out)
         assert ended.status == 2 and ended.err.count("\n") == 1 and said in ended.err, ended
         assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupt_keeps_the_robots_that_were_done_and_says_so(campaigns: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with subprocess.Popen(
+        [*COMMAND, *fleet_command(campaigns[:2], out)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env=ENVIRONMENT,
+    ) as run:
+        while run.poll() is None and not (out / "r0" / "closed_loop.json").exists():
+            time.sleep(0.01)
+        run.send_signal(signal.SIGINT)
+        _, said = run.communicate(timeout=60)
+    assert run.returncode == 130 and said.count(b"\n") == 1 and b"r" in said and b"kept" in said, said
+    assert (out / "r0" / "report.html").exists() and not (out / "fleet.json").exists()
 
 
 # ---- kills, a full disk, two at once --------------------------------------------------------------------------------

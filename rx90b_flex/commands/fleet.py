@@ -9,6 +9,8 @@ from typing import Any
 import typer
 
 from rx90b_flex.commands.shared import progress, say, show_table
+from rx90b_flex.endings import Stopped
+from rx90b_flex.interrupts import calm
 
 
 def close_fleet(
@@ -24,9 +26,13 @@ def close_fleet(
         from rx90b_flex.fleet.fleet import close_loop_many
         from rx90b_flex.view.fleet_report import headline
 
-        fleet = close_loop_many(
-            campaigns, jobs=1 if jobs is None else jobs, dask=dask, out=out, progress=tell, **options
-        )
+        try:
+            fleet = close_loop_many(
+                campaigns, jobs=1 if jobs is None else jobs, dask=dask, out=out, progress=tell, **options
+            )
+        except KeyboardInterrupt:
+            calm()
+            raise Stopped("interrupted; robots that were done are kept, and the same command goes on") from None
     rows = [
         (
             o.name,

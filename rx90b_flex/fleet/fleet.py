@@ -16,6 +16,7 @@ from rx90b_flex.diagnose.modal_files import speaks_of_frequency
 from rx90b_flex.fleet.make import MakeParameter, RobotValue, parameters, sought
 from rx90b_flex.fleet.robots import REFUSED, Outcome, Task, close_robot, fit_again
 from rx90b_flex.fleet.second_fit import SecondFit
+from rx90b_flex.interrupts import calm
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.folders import CLOSED_LOOP, FLEET, check_folder, claim, claimed
 
@@ -291,11 +292,20 @@ def _workers(jobs: int, address: str | None) -> Iterator[_Each]:
     # a loop is one process's work; how much memory it takes is for the machine to say
     with (
         LocalCluster(
-            n_workers=jobs, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs="CRITICAL"
+            n_workers=jobs,
+            threads_per_worker=1,
+            memory_limit=0,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # or it says that another one has its port
+            silence_logs="CRITICAL",
         ) as cluster,
         Client(cluster) as client,
     ):
-        yield lambda calls, tell: _by_dask(client, calls, tell)
+        try:
+            yield lambda calls, tell: _by_dask(client, calls, tell)
+        except KeyboardInterrupt:
+            calm()  # the cluster takes a moment to end
+            raise
 
 
 def _here(calls: Sequence[Call], tell: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
