@@ -169,7 +169,8 @@ def main() -> None:
     make = [p for p in fleet.parameters if p.type == FALLING.kind]
     for p in make:
         over = p.summary
-        interval = f"{over.mean:.4g} [{over.low:.4g}, {over.high:.4g}], between {over.between_std:.2g}"
+        interval = f"{over.mean:.4g} [{over.low:.4g}, {over.high:.4g}]"
+        interval += f", between {over.between_std:.2g} [{over.between_low:.2g}, {over.between_high:.2g}]"
         print(f"make: {p.type} {p.place} {p.parameter}: {interval}, {p.present} of {len(p.values)} robots")
     for size, taken in seconds.items():
         print(f"{size} robots: {taken:.0f} s, {taken / size:.1f} s a robot")

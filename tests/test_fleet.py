@@ -24,6 +24,7 @@ from test_interrupts import COMMAND, ENVIRONMENT, FULL, killed
 import rx90b_flex as rf
 from rx90b_flex.fleet import fleet as fleet_module
 from rx90b_flex.fleet.fleet import robot_names
+from rx90b_flex.fleet.make import parameters
 from rx90b_flex.fleet.second_fit import second_fit
 from rx90b_flex.fleet.statistics import CHANGED, STANDS_OUT, change, p_value_beside, p_values, spread, summary
 from rx90b_flex.robot import load_robot
@@ -60,6 +61,22 @@ def test_of_robots_that_are_equally_certain_mean_interval_and_spread_are_those_o
     half = stats.t.ppf(0.975, 4) * y.std(ddof=1) / np.sqrt(5)
     assert (found.mean, found.low, found.high) == pytest.approx((y.mean(), y.mean() - half, y.mean() + half))
     assert found.between_std == pytest.approx(np.sqrt(y.var(ddof=1) - 0.01))
+    limits = np.sqrt(4 * y.var(ddof=1) / stats.chi2.ppf([0.975, 0.025], 4) - 0.01)
+    assert (found.between_low, found.between_high) == pytest.approx(tuple(limits))
+
+
+@pytest.mark.parametrize("between", [0.0, 0.5, 2.0])
+def test_intervals_of_the_mean_and_of_the_spread_between_robots_hold_the_truth_as_often_as_they_say(
+    between: float,
+) -> None:
+    rng, runs = np.random.default_rng(3), 400
+    missed = np.zeros(2)
+    for _ in range(runs):
+        s = np.exp(rng.uniform(-1.0, 1.0, 12))
+        found = summary(7.0 + between * rng.normal(size=12) + s * rng.normal(size=12), s)
+        assert found.between_low is not None and found.between_high is not None
+        missed += [not found.low <= 7.0 <= found.high, not found.between_low <= between <= found.between_high]
+    assert (missed <= stats.binom.ppf(0.999, runs, 0.05)).all()
 
 
 def test_a_robot_beside_others_that_are_equally_certain_is_students_test() -> None:
@@ -157,6 +174,20 @@ def test_dry_friction_that_grew_between_two_days_is_said_to_have_done_so_on_that
     changed = change(np.array(by_date.values), np.array(by_date.covariance))
     assert changed is not None and by_date.dates[changed.at] == "2026-03-15"
     assert (changed.before, changed.after) == pytest.approx((2.0, 3.0), abs=0.15)
+    sound = dataclasses.replace(told.parameters[0], std=0.05, by_date=None)
+    others = {
+        f"r{k}": dataclasses.replace(
+            fit,
+            effects=(dataclasses.replace(told, parameters=(dataclasses.replace(sound, value=2.0 + 0.01 * k),)),),
+        )
+        for k in range(8)
+    }
+    torque = next(
+        p for p in parameters(others | {"worn": fit}) if (p.type, p.parameter) == ("coulomb_friction", "torque")
+    )
+    worn = torque.values[-1]
+    assert worn.stands_out and (worn.since, worn.until) == ("2026-03-15", None)
+    assert (worn.before, worn.after) == (changed.before, changed.after)
 
 
 @pytest.fixture

@@ -31,6 +31,8 @@ class RobotValue:
     stands_out : bool
     since, until : str or None
         Day from which on it does, or to which it did, where dated recordings tell (ISO 8601).
+    before, after : float or None
+        With either of these days the value until it changed, and the value from then on; `value` is over all recordings.
     """
 
     robot: str
@@ -41,6 +43,8 @@ class RobotValue:
     stands_out: bool = False
     since: str | None = None
     until: str | None = None
+    before: float | None = None
+    after: float | None = None
 
 
 @dataclass(frozen=True)
@@ -195,6 +199,7 @@ def _dated(value: RobotValue, by_date: ByDate | None, mean: float) -> RobotValue
     changed = None if by_date is None else change(np.array(by_date.values), np.array(by_date.covariance))
     if changed is None or by_date is None:
         return value
+    value = dataclasses.replace(value, before=changed.before, after=changed.after)
     if abs(changed.after - mean) > abs(changed.before - mean):
         return dataclasses.replace(value, since=by_date.dates[changed.at])
     return dataclasses.replace(value, until=by_date.dates[changed.at - 1])

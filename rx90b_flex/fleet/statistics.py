@@ -6,6 +6,7 @@ data show it with the error e_i of known standard deviation s_i.
 Sources
 -------
 Restricted maximum likelihood for tau: W. Viechtbauer, Journal of Educational and Behavioral Statistics 30(3), 2005.
+Interval of tau, by the profile of Cochran's Q: W. Viechtbauer, Statistics in Medicine 26(1), 2007.
 Interval of the mean: J. Hartung, G. Knapp, Statistics in Medicine 20, 2001, with their factor not below one (G. Knapp, J. Hartung,
 Statistics in Medicine 22, 2003).
 A robot held against the others: J. P. T. Higgins, S. G. Thompson, D. J. Spiegelhalter, Journal of the Royal Statistical Society A
@@ -15,6 +16,7 @@ A change at an unknown date: R. E. Quandt, Journal of the American Statistical A
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,8 +43,9 @@ class Summary:
         Robots that it is made of.
     mean, low, high : float
         Mean over the make and its 95 % interval, in the parameter's unit.
-    between_std : float or None
-        Standard deviation between robots; None for a single one.
+    between_std, between_low, between_high : float or None
+        Standard deviation between robots and its 95 % interval; None for a single one. Zero where the estimates differ no more than
+        their own standard deviations let expect; how much the robots may differ nevertheless is what the upper limit says.
     """
 
     count: int
@@ -50,6 +53,8 @@ class Summary:
     low: float
     high: float
     between_std: float | None
+    between_low: float | None
+    between_high: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +96,7 @@ def _restricted(y: Array, v: Array) -> float:
         mean = w @ y / w.sum()
         return float(w**2 @ (y - mean) ** 2 - w.sum() + w @ w / w.sum())
 
-    if slope(0.0) <= 0.0:
-        return 0.0
-    high = 1.0
-    while slope(high) > 0.0:
-        high *= 4.0
-    return float(optimize.brentq(slope, 0.0, high, xtol=1e-14, rtol=1e-12))
+    return _where_it_vanishes(slope)
 
 
 def summary(values: Array, stds: Array) -> Summary:
@@ -109,10 +109,46 @@ def summary(values: Array, stds: Array) -> Summary:
     """
     if len(values) == 1:
         half = float(stats.norm.ppf(0.5 + 0.5 * LEVEL) * stds[0])
-        return Summary(1, float(values[0]), float(values[0]) - half, float(values[0]) + half, None)
+        return Summary(1, float(values[0]), float(values[0]) - half, float(values[0]) + half, None, None, None)
     found = spread(values, stds)
     half = float(stats.t.ppf(0.5 + 0.5 * LEVEL, len(values) - 1) * np.sqrt(found.mean_variance))
-    return Summary(len(values), found.mean, found.mean - half, found.mean + half, float(np.sqrt(found.between)))
+    return Summary(
+        len(values), found.mean, found.mean - half, found.mean + half, float(np.sqrt(found.between)),
+        *between_interval(values, stds),
+    )  # fmt: skip
+
+
+def between_interval(values: Array, stds: Array) -> tuple[float, float]:
+    """95 % interval of the standard deviation between two robots or more.
+
+    Limits are where ``Q = sum (y - mean)^2 / (s^2 + tau^2)``, which falls with tau, is at the quantiles of its distribution,
+    chi-square with one degree of freedom less than there are robots.
+    """
+    scale = float(np.sqrt(np.var(values) + np.mean(stds**2)))
+    if scale == 0.0:
+        return 0.0, 0.0
+    y, v = (values - values.mean()) / scale, (stds / scale) ** 2 + 1e-12
+
+    def limit(share: float) -> float:
+        wanted = float(stats.chi2.ppf(share, len(y) - 1))
+
+        def excess(between: float) -> float:
+            w = 1.0 / (v + between)
+            return float(w @ (y - w @ y / w.sum()) ** 2) - wanted
+
+        return scale * float(np.sqrt(_where_it_vanishes(excess)))
+
+    return limit(0.5 + 0.5 * LEVEL), limit(0.5 - 0.5 * LEVEL)
+
+
+def _where_it_vanishes(function: Callable[[float], float]) -> float:
+    """Of a function that ends negative: where it changes sign; zero where it is negative there already."""
+    if function(0.0) <= 0.0:
+        return 0.0
+    high = 1.0
+    while function(high) > 0.0:
+        high *= 4.0
+    return float(optimize.brentq(function, 0.0, high, xtol=1e-14, rtol=1e-12))
 
 
 def p_value_beside(value: float, std: float, others: Array, others_std: Array) -> float:

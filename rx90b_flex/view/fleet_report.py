@@ -15,6 +15,7 @@ from rx90b_flex.view.page import Section, Table, image, write_page
 
 SHOWN_OUT = 3  # parameters of a robot that a sentence names
 DRAWN = 12  # parameters that the figure shows
+CAPTION = "Each robot with its 95 % interval, orange where it stands out; mean and twice the standard deviation of the others."
 
 
 def write_fleet_report(fleet: Fleet, path: Path) -> None:
@@ -48,8 +49,15 @@ def robot_words(fleet: Fleet, name: str) -> str:
 
 
 def _words(p: MakeParameter, v: RobotValue) -> str:
-    when = f", since {v.since}" if v.since else f", until {v.until}" if v.until else ""
-    return f"{_label(p)} {_number(v.value, v.std, p.unit)} (make {p.summary.mean:.3g}){when}"
+    return f"{_label(p)} {_number(v.value, v.std, p.unit)} (make {p.summary.mean:.3g}){_when(v)}"
+
+
+def _when(v: RobotValue) -> str:
+    """Since or until when, with the levels before and after."""
+    if v.before is None or v.after is None:
+        return ""
+    day = f"since {v.since}" if v.since else f"until {v.until}"
+    return f", {day}: {v.before:.3g}, then {v.after:.3g}"
 
 
 def _label(p: MakeParameter) -> str:
@@ -63,23 +71,35 @@ def _number(value: float, std: float, unit: str) -> str:
 def _standing_out(fleet: Fleet) -> Section:
     rows = [
         (o.name, _label(p), _number(v.value, v.std, p.unit), f"{p.summary.mean:.4g}", _between(p), f"{v.p_value:.1g}",
-         v.since or (f"until {v.until}" if v.until else ""))
+         _when(v).removeprefix(", "))
         for o in fleet.robots for p, v in fleet.standing_out(o.name)
     ]  # fmt: skip
-    head = ("robot", "parameter", "value", "mean of the others", "between robots", "p-value", "since")
+    head = (
+        "robot",
+        "parameter",
+        "value",
+        "mean of the others",
+        "between robots (interval)",
+        "p-value",
+        "since when: before, then",
+    )
     tables = (Table(head, tuple(rows), numbers=(2, 3, 4, 5)),) if rows else ()
     figure = fleet_figure(fleet)
-    images = () if figure is None else (image(figure, "Values of every robot beside the make's mean"),)
+    images = () if figure is None else (image(figure, "Values of every robot beside the make's mean", CAPTION),)
     text = (
         "None does."
         if not rows
-        else "A day stands where recordings carry dates and the value changed between two of them."
+        else "Values are over all recordings, ± one standard deviation. A day stands where recordings carry dates and the value "
+        "changed between two of them, with the levels before and after."
     )
     return Section("Which robots stand out", (text,), tables, images)
 
 
 def _between(p: MakeParameter) -> str:
-    return "" if p.summary.between_std is None else f"{p.summary.between_std:.2g}"
+    over = p.summary
+    if over.between_std is None:
+        return ""
+    return f"{over.between_std:.2g} ({over.between_low:.2g} to {over.between_high:.2g})"
 
 
 def _make(fleet: Fleet) -> Section:
@@ -88,10 +108,11 @@ def _make(fleet: Fleet) -> Section:
          _between(p), p.unit)
         for p in fleet.parameters
     )  # fmt: skip
-    head = ("parameter", "robots that have it", "mean", "95 % interval", "between robots", "unit")
+    head = ("parameter", "robots that have it", "mean", "95 % interval", "between robots (interval)", "unit")
     text = (
-        "Mean over the robots that do not stand out, its 95 % interval, and the standard deviation between robots. A robot without "
-        "an effect counts with what its data hold of it, which is zero within a standard deviation."
+        "Mean over the robots that do not stand out with its 95 % interval, and the standard deviation between robots with its own, "
+        "which is zero where values differ no more than their own standard deviations let expect. A robot without an effect counts "
+        "with what its data hold of it, which is zero within a standard deviation."
     )
     return Section("What the make has in common", (text,), (Table(head, rows, numbers=(1, 2, 3, 4)),) if rows else ())
 
@@ -119,8 +140,9 @@ def _how() -> Section:
     text = (
         "The loop is closed on each robot by itself. Then each is fitted again, to all its recordings, with the effects that more "
         "than half of them have and with what its own loop found beside these and still shows.",
-        "Mean and standard deviation between robots: random effects, restricted maximum likelihood (Viechtbauer 2005), interval "
-        "after Hartung and Knapp (2001) with a factor not below one.",
+        "Mean and standard deviation between robots: random effects, restricted maximum likelihood (Viechtbauer 2005). Intervals: of "
+        "the mean after Hartung and Knapp (2001) with a factor not below one, of the standard deviation by the profile of Q "
+        "(Viechtbauer 2007).",
         "A robot stands out where its value is not one that the other robots predict (Higgins, Thompson and Spiegelhalter 2009): "
         f"p-value below {STANDS_OUT:g} after Bonferroni's correction for all robots and parameters. Others that stand out do not "
         f"count among those that predict. It takes {FEWEST_OTHERS + 1} robots; shapes (turn-over, power) are not tested.",
@@ -143,7 +165,7 @@ def fleet_figure(fleet: Fleet) -> Figure | None:
         out = np.array([v.stands_out for v in p.values])
         values, stds = (np.array([getattr(v, field) for v in p.values]) for field in ("value", "std"))
         for mask, colour in ((~out, "#8a8a8a"), (out, "#b34a00")):
-            ax.errorbar(places[mask], values[mask], 1.96 * stds[mask], fmt="o", ms=3, lw=1, color=colour)
+            ax.errorbar(places[mask], values[mask], 1.96 * stds[mask], fmt="o", ms=3.5, lw=1, color=colour)
         ax.axhline(p.summary.mean, color="#005f96", linewidth=1)
         between = p.summary.between_std or 0.0
         ax.axhspan(p.summary.mean - 2 * between, p.summary.mean + 2 * between, color="#005f96", alpha=0.12, lw=0)
@@ -151,6 +173,8 @@ def fleet_figure(fleet: Fleet) -> Figure | None:
         ax.set_ylabel(p.unit, fontsize=7)
         ax.tick_params(labelsize=7)
         ax.set_xticks(places[out], [names[i] for i in places[out]], rotation=30, ha="right")
+        ax.set_xlim(-0.7, len(names) - 0.3)
+        ax.set_xlabel("robot, in the order given", fontsize=7)
         ax.spines[["top", "right"]].set_visible(False)
     for ax in figure.axes[len(shown) :]:
         ax.remove()
