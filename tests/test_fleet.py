@@ -25,7 +25,7 @@ import rx90b_flex as rf
 from rx90b_flex.fleet import fleet as fleet_module
 from rx90b_flex.fleet.fleet import robot_names
 from rx90b_flex.fleet.make import parameters
-from rx90b_flex.fleet.second_fit import second_fit
+from rx90b_flex.fleet.second_fit import SecondFit, second_fit
 from rx90b_flex.fleet.statistics import CHANGED, STANDS_OUT, change, p_value_beside, p_values, spread, summary
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
@@ -163,31 +163,40 @@ def test_a_recording_has_the_day_that_its_campaign_states_or_its_clock(tmp_path:
         load_campaign(campaign)
 
 
-def test_dry_friction_that_grew_between_two_days_is_said_to_have_done_so_on_that_day(tmp_path: Path) -> None:
-    campaign = load_campaign(write_robot(tmp_path / "data", 3, coulomb=(2.0, 2.0, 3.0, 3.0)))
-    days = ("2026-03-01", "2026-03-08", "2026-03-15", "2026-03-22")
-    dated = tuple(dataclasses.replace(r, date=d) for r, d in zip(campaign.recordings, days, strict=True))
-    fit = second_fit(dataclasses.replace(campaign, recordings=dated), load_robot(campaign.robot_source), [], [], [])
+DAYS = ("2026-03-01", "2026-03-08", "2026-03-15", "2026-03-22")
+
+
+def dated_fit(folder: Path, seed: int, coulomb: tuple[float, ...]) -> SecondFit:
+    campaign = load_campaign(write_robot(folder, seed, coulomb=coulomb))
+    dated = tuple(dataclasses.replace(r, date=d) for r, d in zip(campaign.recordings, DAYS, strict=True))
+    return second_fit(dataclasses.replace(campaign, recordings=dated), load_robot(campaign.robot_source), [], [], [], 5)
+
+
+def test_a_robot_that_changed_between_two_days_is_fitted_apart_before_and_after(tmp_path: Path) -> None:
+    fit = dated_fit(tmp_path / "data", 3, (2.0, 2.0, 3.0, 3.0))
     (told,) = (t for t in fit.effects if t.effect.label == "shoulder.coulomb_friction")
-    by_date = told.parameters[0].by_date
-    assert by_date is not None and by_date.dates == days
-    changed = change(np.array(by_date.values), np.array(by_date.covariance))
-    assert changed is not None and by_date.dates[changed.at] == "2026-03-15"
-    assert (changed.before, changed.after) == pytest.approx((2.0, 3.0), abs=0.15)
-    sound = dataclasses.replace(told.parameters[0], std=0.05, by_date=None)
-    others = {
-        f"r{k}": dataclasses.replace(
-            fit,
-            effects=(dataclasses.replace(told, parameters=(dataclasses.replace(sound, value=2.0 + 0.01 * k),)),),
-        )
-        for k in range(8)
-    }
-    torque = next(
-        p for p in parameters(others | {"worn": fit}) if (p.type, p.parameter) == ("coulomb_friction", "torque")
-    )
-    worn = torque.values[-1]
-    assert worn.stands_out and (worn.since, worn.until) == ("2026-03-15", None)
-    assert (worn.before, worn.after) == (changed.before, changed.after)
+    assert (fit.until, fit.since) == ("2026-03-08", "2026-03-15") and fit.earlier is not None
+    (then,) = (t for t in fit.earlier.effects if t.effect.label == "shoulder.coulomb_friction")
+    assert [abs(x.parameters[0].value - y) < 4 * x.parameters[0].std for x, y in ((then, 2.0), (told, 3.0))] == [
+        True,
+        True,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("dry", "told"), [((2.0, 2.0, 3.0, 3.0), ("2026-03-15", None)), ((3.0, 2.0, 2.0, 2.0), (None, "2026-03-01"))]
+)
+def test_what_changed_is_compared_as_it_is_now_and_stands_out_since_a_day_or_until_one(
+    dry: tuple[float, ...], told: tuple[str | None, str | None], tmp_path: Path
+) -> None:
+    fits = {f"r{k}": dated_fit(tmp_path / f"r{k}", k, (2.0, 2.0, 2.0, 2.0)) for k in range(4)}
+    fits["worn"] = dated_fit(tmp_path / "worn", 9, dry)
+    out = [(p, v) for p in parameters(fits) for v in p.values if v.stands_out]
+    ((p, worn),) = out
+    assert (p.type, p.place, p.parameter, worn.robot) == ("coulomb_friction", "shoulder", "torque", "worn")
+    assert (worn.since, worn.until) == told
+    assert worn.before is not None and (worn.before, worn.value) == pytest.approx((dry[0], dry[-1]), abs=0.15)
+    assert p.summary.count == (4 if told[0] else 5) and p.summary.mean == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.fixture

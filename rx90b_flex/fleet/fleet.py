@@ -240,7 +240,7 @@ def _fitted_again(
     """The second fits of all robots that can be compared, or why there is none."""
     wanted = sought(outcomes)
     compared = [(t, o) for t, o in zip(tasks, outcomes, strict=True) if o.compared]
-    calls: list[Call] = [(fit_again, (t, o.found, wanted.common, wanted.others)) for t, o in compared]
+    calls: list[Call] = [(fit_again, (t, o.found, wanted.common, wanted.others, len(compared))) for t, o in compared]
     out: dict[str, SecondFit | str] = {}
     for i, fit in each(
         calls, lambda done: tell(f"comparing, {done} of {len(calls)} robots", 0.9 + 0.1 * done / len(calls))
@@ -320,14 +320,16 @@ def _by_dask(client: Any, calls: Sequence[Call], tell: Callable[[int], None]) ->
     from distributed import KilledWorker, as_completed
 
     futures = {client.submit(function, *arguments, pure=False): i for i, (function, arguments) in enumerate(calls)}
-    for done, future in enumerate(as_completed(futures), start=1):
+    # with results: those that a worker kept to itself would have to be worked out again where it dies
+    ended = as_completed(futures, with_results=True, raise_errors=False)
+    for done, (future, result) in enumerate(ended, start=1):
         tell(done)
-        error = future.exception()
+        error = result[1] if future.status == "error" else None
         if isinstance(error, KilledWorker):
             yield (
                 futures[future],
                 _WorkersDied("the processes that worked on it died again and again; too little memory?"),
             )
         else:
-            yield futures[future], future.result() if error is None else error
+            yield futures[future], result if error is None else error
         future.release()

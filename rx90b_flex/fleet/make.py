@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.fleet.robots import Outcome
-from rx90b_flex.fleet.second_fit import LINK, ByDate, SecondFit, Told, ToldEffect, same
-from rx90b_flex.fleet.statistics import FEWEST_OTHERS, Summary, change, p_values, summary
+from rx90b_flex.fleet.second_fit import LINK, SecondFit, Told, ToldEffect, same
+from rx90b_flex.fleet.statistics import CHANGED, FEWEST_OTHERS, STANDS_OUT, Summary, p_value_beside, p_values, summary
 
 COMMON = 0.5  # of the robots: what more of them have belongs to the make
 
@@ -24,15 +25,16 @@ class RobotValue:
     ----------
     robot : str
     value, std : float
+        After its last change, where it changed between the dates of its recordings.
     present : bool
         Whether the robot's model has the effect; otherwise this is what its data hold of it, zero within `std` where there is none.
     p_value : float or None
         Of a value so far from what the others predict, corrected for all tests; None where it is not tested.
     stands_out : bool
     since, until : str or None
-        Day from which on it does, or to which it did, where dated recordings tell (ISO 8601).
-    before, after : float or None
-        With either of these days the value until it changed, and the value from then on; `value` is over all recordings.
+        First day on which it does, or last one on which it did, where dated recordings tell (ISO 8601).
+    before, before_std : float or None
+        With either of these days, the value before that change.
     """
 
     robot: str
@@ -44,7 +46,7 @@ class RobotValue:
     since: str | None = None
     until: str | None = None
     before: float | None = None
-    after: float | None = None
+    before_std: float | None = None
 
 
 @dataclass(frozen=True)
@@ -122,84 +124,101 @@ def _surest(group: Sequence[tuple[float, Effect]]) -> Effect:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One parameter before it is summarised: whether it is tested, and what each robot tells."""
+    """One parameter before it is summarised: whether it is tested, what each robot tells, and what it told before its last change."""
 
     effect: Effect | None
     tested: bool
     told: dict[str, tuple[Told, bool]]
+    earlier: dict[str, Told] = dataclasses.field(default_factory=dict)
 
 
 def parameters(fits: Mapping[str, SecondFit]) -> tuple[MakeParameter, ...]:
     """Every parameter over the robots, robots in the order of `fits`."""
     rows = [row for row in _rows(fits) if row.told]
-    tests = sum(len(row.told) for row in rows if row.tested and len(row.told) > FEWEST_OTHERS)
-    return tuple(_summarised(row, tests) for row in rows)
+    tests = sum(len(row.told) + len(row.earlier) for row in rows if row.tested and len(row.told) > FEWEST_OTHERS)
+    return tuple(_summarised(row, tests, fits) for row in rows)
 
 
 def _rows(fits: Mapping[str, SecondFit]) -> list[_Row]:
     wanted: list[Effect] = []
     for fit in fits.values():
         wanted += [t.effect for t in fit.effects if not any(same(t.effect, w) for w in wanted)]
+    earlier = {name: fit.earlier for name, fit in fits.items() if fit.earlier is not None}
     out: list[_Row] = []
     for effect in wanted:
-        told = {name: next((t for t in fit.effects if same(t.effect, effect)), None) for name, fit in fits.items()}
-        known = {name: t for name, t in told.items() if t is not None}
-        out += _of_effect(known)
+        out += _of_effect(_those(fits, effect), _those(earlier, effect))
     names = dict.fromkeys(t.name for fit in fits.values() for t in fit.links)
     for link in names:
         values = {name: (t, True) for name, fit in fits.items() for t in fit.links if t.name == link}
-        out.append(_Row(None, True, values))
+        before = {name: t for name, fit in earlier.items() for t in fit.links if t.name == link and name in values}
+        out.append(_Row(None, True, values, before))
     return out
 
 
-def _of_effect(told: Mapping[str, ToldEffect]) -> list[_Row]:
+def _those(fits: Mapping[str, SecondFit], effect: Effect) -> dict[str, ToldEffect]:
+    """What each robot tells of one effect."""
+    found = {name: next((t for t in fit.effects if same(t.effect, effect)), None) for name, fit in fits.items()}
+    return {name: t for name, t in found.items() if t is not None}
+
+
+def _of_effect(told: Mapping[str, ToldEffect], earlier: Mapping[str, ToldEffect]) -> list[_Row]:
     """Public parameters of what most robots have, coefficients of what few have."""
     having = [t for t in told.values() if t.present]
     shown = (having or list(told.values()))[0].effect
     if len(having) <= COMMON * len(told):
         looked_for = next((t.effect for t in told.values() if not t.present), shown)
         names = dict.fromkeys(c.name for t in told.values() for c in t.coefficients)
-        return [
-            _Row(
-                looked_for, True, {r: (c, t.present) for r, t in told.items() for c in t.coefficients if c.name == name}
-            )
-            for name in names
-        ]
+        return [_row(looked_for, True, name, told, earlier, lambda t: t.coefficients) for name in names]
     kinds = {e: p.kind for e, p in type(shown).parameters().items()}
-    out = []
-    for name in dict.fromkeys(p.name for t in having for p in t.parameters if p.name != "phase"):
-        values: dict[str, tuple[Told, bool]] = {}
-        for robot, t in told.items():
+    return [
+        _row(
+            shown, kinds.get(name, "linear") != "shape" and name not in shown.shape_names(), name, told, earlier,
             # what a robot lacks is told by the coefficient of that name, if there is one
-            here = t.parameters if t.present else t.coefficients
-            values.update((robot, (p, t.present)) for p in here if p.name == name)
-        out.append(_Row(shown, kinds.get(name, "linear") != "shape" and name not in shown.shape_names(), values))
-    return out
+            lambda t: t.parameters if t.present else t.coefficients,
+        )
+        for name in dict.fromkeys(p.name for t in having for p in t.parameters if p.name != "phase")
+    ]  # fmt: skip
 
 
-def _summarised(row: _Row, tests: int) -> MakeParameter:
+def _row(
+    effect: Effect, tested: bool, name: str, told: Mapping[str, ToldEffect], earlier: Mapping[str, ToldEffect],
+    those: Callable[[ToldEffect], tuple[Told, ...]],
+) -> _Row:  # fmt: skip
+    now = {robot: (p, t.present) for robot, t in told.items() for p in those(t) if p.name == name}
+    before = {robot: p for robot, t in earlier.items() for p in those(t) if p.name == name and robot in now}
+    return _Row(effect, tested, now, before)
+
+
+def _summarised(row: _Row, tests: int, fits: Mapping[str, SecondFit]) -> MakeParameter:
     robots = list(row.told)
     told = [t for t, _ in row.told.values()]
     values, stds = (np.array([getattr(t, field) for t in told]) for field in ("value", "std"))
     tested = row.tested and len(told) > FEWEST_OTHERS
     p, out = p_values(values, stds, tests) if tested else (np.ones(len(told)), np.zeros(len(told), dtype=bool))
-    over = summary(values[~out], stds[~out])
-    shown = tuple(
-        RobotValue(
-            robot, float(values[i]), float(stds[i]), row.told[robot][1], float(p[i]) if tested else None, bool(out[i])
-        )
-        for i, robot in enumerate(robots)
+    shown = []
+    for i, robot in enumerate(robots):
+        chance = float(p[i]) if tested else None
+        value = RobotValue(robot, float(values[i]), float(stds[i]), row.told[robot][1], chance, bool(out[i]))
+        if tested and robot in row.earlier:
+            others = ~out & (np.arange(len(told)) != i)
+            before = row.earlier[robot]
+            then = min(1.0, tests * p_value_beside(before.value, before.std, values[others], stds[others]))
+            value = _dated(value, before, then, fits[robot])
+        shown.append(value)
+    return MakeParameter(
+        row.effect, told[0].name, told[0].unit, tested, tuple(shown), summary(values[~out], stds[~out])
     )
-    dated = tuple(_dated(v, t.by_date, over.mean) if v.stands_out else v for v, t in zip(shown, told, strict=True))
-    return MakeParameter(row.effect, told[0].name, told[0].unit, tested, dated, over)
 
 
-def _dated(value: RobotValue, by_date: ByDate | None, mean: float) -> RobotValue:
-    """With the day on which it left the make's mean, or came back to it."""
-    changed = None if by_date is None else change(np.array(by_date.values), np.array(by_date.covariance))
-    if changed is None or by_date is None:
-        return value
-    value = dataclasses.replace(value, before=changed.before, after=changed.after)
-    if abs(changed.after - mean) > abs(changed.before - mean):
-        return dataclasses.replace(value, since=by_date.dates[changed.at])
-    return dataclasses.replace(value, until=by_date.dates[changed.at - 1])
+def _dated(now: RobotValue, before: Told, p_before: float, fit: SecondFit) -> RobotValue:
+    """With the day of its robot's last change, if this parameter stands out on one side of it and is another on the other."""
+    size = abs(now.value - before.value) / np.hypot(now.std, before.std)
+    if 2.0 * stats.norm.sf(size) >= CHANGED:
+        return now
+    if now.stands_out:
+        return dataclasses.replace(now, since=fit.since, before=before.value, before_std=before.std)
+    if p_before < STANDS_OUT:
+        return dataclasses.replace(
+            now, p_value=p_before, stands_out=True, until=fit.until, before=before.value, before_std=before.std
+        )
+    return now

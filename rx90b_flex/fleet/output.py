@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 COLUMNS = (
     "robot", "verdict", "type", "place", "parameter", "unit", "value", "std", "present", "p_value", "stands_out", "since", "until",
-    "before", "after", "make_mean", "make_low", "make_high", "between_std", "between_low", "between_high", "robots", "reason",
+    "before", "before_std", "make_mean", "make_low", "make_high", "between_std", "between_low", "between_high", "robots", "reason",
 )  # fmt: skip
 
 
@@ -41,9 +41,9 @@ def _row(robot: Outcome, p: MakeParameter, v: RobotValue) -> dict[str, Any]:
     return {
         "robot": robot.name, "verdict": robot.verdict, "type": p.type, "place": p.place, "parameter": p.parameter, "unit": p.unit,
         "value": v.value, "std": v.std, "present": v.present, "p_value": v.p_value, "stands_out": v.stands_out, "since": v.since,
-        "until": v.until, "before": v.before, "after": v.after, "make_mean": over.mean, "make_low": over.low, "make_high": over.high,
-        "between_std": over.between_std, "between_low": over.between_low, "between_high": over.between_high, "robots": over.count,
-        "reason": robot.reason,
+        "until": v.until, "before": v.before, "before_std": v.before_std, "make_mean": over.mean, "make_low": over.low,
+        "make_high": over.high, "between_std": over.between_std, "between_low": over.between_low, "between_high": over.between_high,
+        "robots": over.count, "reason": robot.reason,
     }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def _robot(fleet: Fleet, o: Outcome) -> dict[str, Any]:
                 "since": v.since,
                 "until": v.until,
                 "before": v.before,
-                "after": v.after,
+                "before_std": v.before_std,
                 "p_value": v.p_value,
             }
             for p, v in fleet.standing_out(o.name)

@@ -189,13 +189,13 @@ def _p_value(effect: Effect, entries: Sequence[dict[str, Any]]) -> float:
 
 
 def fit_again(
-    task: Task, found: Sequence[Effect], common: Sequence[Effect], others: Sequence[Effect]
+    task: Task, found: Sequence[Effect], common: Sequence[Effect], others: Sequence[Effect], robots: int
 ) -> SecondFit | str:
     """The second fit of a robot whose loop was closed (`rx90b_flex.fleet.second_fit`), or why there is none."""
     try:
         campaign = load_campaign(task.campaign)
         # as in the loop: threads would wait for each other longer than they work
         with threadpool_limits(limits=1, user_api="blas"):
-            return second_fit(campaign, declared_robot(campaign, task.options.basics), found, common, others)
+            return second_fit(campaign, declared_robot(campaign, task.options.basics), found, common, others, robots)
     except Exception as error:  # of one robot: the others are compared
         return f"{task.campaign}: not compared: {type(error).__name__}: {' '.join(str(error).split())}"

@@ -5,10 +5,15 @@ is fitted again, to all its recordings, with the effects that most robots of the
 stays where it still passes the loop's tests (see `rx90b_flex.diagnose.trial`). For any other effect that was found somewhere the
 robot's data say how much of it they hold: the coefficients of its columns beside the robot's model, which are zero where there is
 none, with the standard deviation that coloured residuals leave them.
+
+A robot that changed between two days is two robots: one model of both would give the change to whatever differs between their
+motions. So where recordings carry dates every coefficient of the model's effects is estimated date by date, beside all else. If one
+changed, the days before and the days after are fitted by themselves, and the robot is compared as it is after its last change.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,12 +25,13 @@ from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import added
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.fleet.statistics import change
 from rx90b_flex.identify.coloured import scatter, widening
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals import Campaign
+from rx90b_flex.signals import Campaign, Recording
 
 ALIKE = (
     0.05  # of its logarithm, by which the shape of an effect that may stand twice in one place differs between robots
@@ -87,10 +93,23 @@ class ToldEffect:
 
 @dataclass(frozen=True)
 class SecondFit:
-    """A robot beside its make: effects that it declares, then those that were found anywhere; and its links' parameters."""
+    """A robot beside its make: effects that it declares, then those that were found anywhere; and its links' parameters.
+
+    Attributes
+    ----------
+    effects : tuple of ToldEffect
+    links : tuple of Told
+    earlier : SecondFit or None
+        The same robot before its last change, where there was one.
+    until, since : str or None
+        Last day before that change, and first day after it (ISO 8601).
+    """
 
     effects: tuple[ToldEffect, ...]
     links: tuple[Told, ...]
+    earlier: SecondFit | None = None
+    until: str | None = None
+    since: str | None = None
 
 
 def same(one: Effect, other: Effect) -> bool:
@@ -119,7 +138,12 @@ def found_effects(declared: Robot, closed: Robot, joints: Sequence[str]) -> tupl
 
 
 def second_fit(
-    campaign: Campaign, declared: Robot, found: Sequence[Effect], common: Sequence[Effect], others: Sequence[Effect]
+    campaign: Campaign,
+    declared: Robot,
+    found: Sequence[Effect],
+    common: Sequence[Effect],
+    others: Sequence[Effect],
+    robots: int = 1,
 ) -> SecondFit:
     """Fit a robot again with the effects that its make has in common, and ask it for the others.
 
@@ -131,16 +155,47 @@ def second_fit(
         On this robot, with their values.
     common, others : sequence of Effect
         On most robots, and on some; with the shapes in which they are looked for. Those on joints that it lacks are left out.
+    robots : int
+        How many are asked whether they changed, for whose number p-values of changes are corrected.
     """
     campaign, _ = resolved(campaign, declared)
-    regression = Regression.of(declared, campaign.recordings, campaign.cutoff_hz)
     sites = Sites(declared.rigid().restricted(campaign.joints).joints, declared.tip_frame)
     common, others = ([e for e in effects if set(e.joints) <= set(sites.joints)] for effects in (common, others))
+
+    def fit(recordings: Sequence[Recording]) -> SecondFit:
+        return _one_state(recordings, campaign.cutoff_hz, declared, sites, found, common, others)
+
+    recordings, now = campaign.recordings, fit(campaign.recordings)
+    while (since := _changed(now, robots)) is not None:
+        dated = [(r, r.date) for r in recordings if r.date is not None]
+        before = [(r, d) for r, d in dated if d < since]
+        recordings = tuple(r for r, d in dated if d >= since)
+        now = dataclasses.replace(
+            fit(recordings), earlier=fit([r for r, _ in before]), until=max(d for _, d in before), since=since
+        )
+    return now
+
+
+def _changed(fit: SecondFit, robots: int) -> str | None:
+    """First day after the surest change of a coefficient of the model's effects."""
+    dated = [c.by_date for e in fit.effects if e.present for c in e.coefficients if c.by_date is not None]
+    tests = robots * len(dated)
+    changes = [(change(np.array(d.values), np.array(d.covariance), tests), d.dates) for d in dated]
+    found = [(c.p_value, dates[c.at]) for c, dates in changes if c is not None]
+    return min(found)[1] if found else None
+
+
+def _one_state(
+    recordings: Sequence[Recording], cutoff_hz: float | None, declared: Robot, sites: Sites, found: Sequence[Effect],
+    common: Sequence[Effect], others: Sequence[Effect],
+) -> SecondFit:  # fmt: skip
+    """The second fit to recordings over which nothing changes."""
+    regression = Regression.of(declared, recordings, cutoff_hz)
     search = Search(_fitted(regression, sites, declared, found, common), sites)
     looked_for = [*common, *others]
     declared_ones = [e for e in search.model.effects if not any(same(e, other) for other in looked_for)]
     wanted = [*declared_ones, *looked_for]
-    dates = tuple(r.date for r in campaign.recordings)
+    dates = tuple(r.date for r in recordings)
     effects = tuple(_told(search, e, dates) for e in wanted)
     links = search.model.link_estimates()
     told = [Told(e.name, e.value, e.std, e.unit) for e in links if e.value is not None and e.std is not None]

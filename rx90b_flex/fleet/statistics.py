@@ -28,7 +28,7 @@ LEVEL = 0.95  # of intervals
 STANDS_OUT = 0.01  # chance that any robot of a sound fleet is said to stand out in any parameter
 SUSPECT = 2.5  # standard deviations from the median beyond which a robot does not count from the first
 FEWEST_OTHERS = 3  # robots that one is held against
-CHANGED = 0.01  # p-value of a change, corrected for the dates at which it may have been
+CHANGED = 0.01  # p-value of a change, corrected for all that was tried
 MEDIAN_SQUARE = float(stats.chi2.median(1))  # of a standard normal deviate
 ROUNDS = 20  # of the robust start
 
@@ -234,7 +234,7 @@ class Change:
     before, after : float
         Its value until then and from then on.
     p_value : float
-        That nothing changed, corrected for the dates that were tried.
+        That nothing changed, corrected for the dates at which it may have been and for other tests.
     """
 
     at: int
@@ -243,7 +243,7 @@ class Change:
     p_value: float
 
 
-def change(values: Array, covariance: Array) -> Change | None:
+def change(values: Array, covariance: Array, tests: int = 1) -> Change | None:
     """The date between two levels that fits estimates by date best; None where one level does as well.
 
     Parameters
@@ -251,6 +251,8 @@ def change(values: Array, covariance: Array) -> Change | None:
     values : array, shape (d,)
         Estimates in the order of their dates.
     covariance : array, shape (d, d)
+    tests : int
+        For which the p-value is corrected, beside the dates.
     """
     count = len(values)
     best: tuple[float, Change] | None = None
@@ -261,7 +263,7 @@ def change(values: Array, covariance: Array) -> Change | None:
         before, after = of_levels @ design.T @ inverse @ values
         variance = float(of_levels[0, 0] + of_levels[1, 1] - 2.0 * of_levels[0, 1])
         size = abs(after - before) / np.sqrt(variance) if variance > 0.0 else 0.0
-        p = min(1.0, (count - 1) * float(2.0 * stats.norm.sf(size)))
+        p = min(1.0, tests * (count - 1) * float(2.0 * stats.norm.sf(size)))
         if best is None or size > best[0]:
             best = size, Change(at, float(before), float(after), p)
     return best[1] if best is not None and best[1].p_value < CHANGED else None

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.make import MakeParameter, RobotValue
 from rx90b_flex.fleet.robots import REFUSED
-from rx90b_flex.fleet.statistics import FEWEST_OTHERS, STANDS_OUT
+from rx90b_flex.fleet.statistics import CHANGED, FEWEST_OTHERS, STANDS_OUT
 from rx90b_flex.view.page import Section, Table, image, write_page
 
 SHOWN_OUT = 3  # parameters of a robot that a sentence names
@@ -53,11 +53,10 @@ def _words(p: MakeParameter, v: RobotValue) -> str:
 
 
 def _when(v: RobotValue) -> str:
-    """Since or until when, with the levels before and after."""
-    if v.before is None or v.after is None:
+    """Since or until when, with the value before the change."""
+    if v.before is None:
         return ""
-    day = f"since {v.since}" if v.since else f"until {v.until}"
-    return f", {day}: {v.before:.3g}, then {v.after:.3g}"
+    return f", since {v.since}, before {v.before:.4g}" if v.since else f", until {v.until}, then {v.before:.4g}"
 
 
 def _label(p: MakeParameter) -> str:
@@ -81,7 +80,7 @@ def _standing_out(fleet: Fleet) -> Section:
         "mean of the others",
         "between robots (interval)",
         "p-value",
-        "since when: before, then",
+        "since when",
     )
     tables = (Table(head, tuple(rows), numbers=(2, 3, 4, 5)),) if rows else ()
     figure = fleet_figure(fleet)
@@ -89,8 +88,8 @@ def _standing_out(fleet: Fleet) -> Section:
     text = (
         "None does."
         if not rows
-        else "Values are over all recordings, ± one standard deviation. A day stands where recordings carry dates and the value "
-        "changed between two of them, with the levels before and after."
+        else "Values are those after a robot's last change, ± one standard deviation. A day stands where recordings carry dates "
+        "and the value changed between two of them, with the value before."
     )
     return Section("Which robots stand out", (text,), tables, images)
 
@@ -146,7 +145,9 @@ def _how() -> Section:
         "A robot stands out where its value is not one that the other robots predict (Higgins, Thompson and Spiegelhalter 2009): "
         f"p-value below {STANDS_OUT:g} after Bonferroni's correction for all robots and parameters. Others that stand out do not "
         f"count among those that predict. It takes {FEWEST_OTHERS + 1} robots; shapes (turn-over, power) are not tested.",
-        "Since when: two levels over the dates against one (Quandt 1960), p-value below 0.01 after correction for the dates.",
+        "Since when: two levels over the dates against one (Quandt 1960), for every coefficient of a robot's effects; p-value below "
+        f"{CHANGED:g} after correction for robots, coefficients and dates. A robot that changed is fitted apart for the days before "
+        "and after, and compared as it is now; it stands out until a day where it did so before its last change only.",
     )
     return Section("How it was done", text)
 
@@ -174,8 +175,8 @@ def fleet_figure(fleet: Fleet) -> Figure | None:
         ax.tick_params(labelsize=7)
         ax.set_xticks(places[out], [names[i] for i in places[out]], rotation=30, ha="right")
         ax.set_xlim(-0.7, len(names) - 0.3)
-        ax.set_xlabel("robot, in the order given", fontsize=7)
         ax.spines[["top", "right"]].set_visible(False)
     for ax in figure.axes[len(shown) :]:
         ax.remove()
+    figure.supxlabel("robot, in the order given", fontsize=7)
     return figure
