@@ -9,8 +9,8 @@ identify on and one that validates, are made in `hidden_effects/`, which shares 
 
 The largest fleet runs on a local Dask cluster, one of whose workers is killed on the way. For each robot: what stands out, and
 whether that is right: of a worn one friction of its joint and nothing of others, since the second day; of a loaded one parameters of
-the last link and nothing of others; of the rest nothing. Then seconds over the number of robots, by the clock and of processors (which
-other programs disturb less). Logs that lie in the folder are used again.
+the last link and nothing of others; of the rest nothing. Then seconds over the number of robots, by the clock and of processors
+(which other programs disturb less). Logs that lie in the folder are used again.
 """
 
 from __future__ import annotations

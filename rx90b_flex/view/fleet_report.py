@@ -14,6 +14,7 @@ from rx90b_flex.fleet.statistics import CHANGED, FEWEST_OTHERS, STANDS_OUT
 from rx90b_flex.view.page import Section, Table, image, write_page
 
 SHOWN_OUT = 3  # parameters of a robot that a sentence names
+NO_BREAK = "\N{NO-BREAK SPACE}"
 DRAWN = 12  # parameters that the figure shows
 CAPTION = "Each robot with its 95 % interval, orange where it stands out; mean and twice the standard deviation of the others."
 
@@ -56,7 +57,11 @@ def _when(v: RobotValue) -> str:
     """Since or until when, with the value before the change."""
     if v.before is None:
         return ""
-    return f", since {v.since}, before {v.before:.4g}" if v.since else f", until {v.until}, then {v.before:.4g}"
+    return f", {_day(v)}, {'before' if v.since else 'then'} {v.before:.4g}"
+
+
+def _day(v: RobotValue) -> str:
+    return f"since {v.since}" if v.since else f"until {v.until}" if v.until else ""
 
 
 def _label(p: MakeParameter) -> str:
@@ -69,27 +74,19 @@ def _number(value: float, std: float, unit: str) -> str:
 
 def _standing_out(fleet: Fleet) -> Section:
     rows = [
-        (o.name, _label(p), _number(v.value, v.std, p.unit), f"{p.summary.mean:.4g}", _between(p), f"{v.p_value:.1g}",
-         _when(v).removeprefix(", "))
+        (o.name, _label(p), _number(v.value, v.std, p.unit), _number(p.summary.mean, p.summary.between_std or 0.0, ""),
+         f"{v.p_value:.1g}", _day(v), "" if v.before is None or v.before_std is None else _number(v.before, v.before_std, p.unit))
         for o in fleet.robots for p, v in fleet.standing_out(o.name)
     ]  # fmt: skip
-    head = (
-        "robot",
-        "parameter",
-        "value",
-        "mean of the others",
-        "between robots (interval)",
-        "p-value",
-        "since when",
-    )
-    tables = (Table(head, tuple(rows), numbers=(2, 3, 4, 5)),) if rows else ()
+    head = ("robot", "parameter", "value", "the others", "p-value", "when", "value before")
+    tables = (Table(head, tuple(rows), numbers=(2, 3, 4, 5, 6)),) if rows else ()
     figure = fleet_figure(fleet)
     images = () if figure is None else (image(figure, "Values of every robot beside the make's mean", CAPTION),)
     text = (
         "None does."
         if not rows
-        else "Values are those after a robot's last change, ± one standard deviation. A day stands where recordings carry dates "
-        "and the value changed between two of them, with the value before."
+        else "Values are those after a robot's last change, ± one standard deviation; of the others the mean and the standard "
+        "deviation between robots. A day stands where recordings carry dates and the value changed between two of them."
     )
     return Section("Which robots stand out", (text,), tables, images)
 
@@ -104,14 +101,15 @@ def _between(p: MakeParameter) -> str:
 def _make(fleet: Fleet) -> Section:
     rows = tuple(
         (_label(p), f"{p.present} of {len(p.values)}", f"{p.summary.mean:.4g}", f"{p.summary.low:.4g} to {p.summary.high:.4g}",
-         _between(p), p.unit)
-        for p in fleet.parameters
+         _between(p), p.unit.replace(" ", NO_BREAK))
+        for p in fleet.parameters if p.present or any(v.stands_out for v in p.values)
     )  # fmt: skip
     head = ("parameter", "robots that have it", "mean", "95 % interval", "between robots (interval)", "unit")
     text = (
         "Mean over the robots that do not stand out with its 95 % interval, and the standard deviation between robots with its own, "
         "which is zero where values differ no more than their own standard deviations let expect. A robot without an effect counts "
-        "with what its data hold of it, which is zero within a standard deviation."
+        "with what its data hold of it, which is zero within a standard deviation. What a loop found on some robot and the second "
+        "fit shows on none is left out here; fleet.csv has it."
     )
     return Section("What the make has in common", (text,), (Table(head, rows, numbers=(1, 2, 3, 4)),) if rows else ())
 
