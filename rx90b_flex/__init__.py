@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rx90b_flex.diagnose.check import Checked, check
     from rx90b_flex.diagnose.close import ClosedLoop, close_loop
     from rx90b_flex.diagnose.replayed import replay_errors
+    from rx90b_flex.fleet.fleet import Fleet, close_loop_many
     from rx90b_flex.identify.inverse_eigenvalue import DriveParameters, drive_parameters
     from rx90b_flex.robot import Robot, load_robot
     from rx90b_flex.simulators import Exported, export_robot
@@ -23,11 +24,13 @@ __all__ = [
     "ClosedLoop",
     "DriveParameters",
     "Exported",
+    "Fleet",
     "Robot",
     "__version__",
     "check",
     "check_path",
     "close_loop",
+    "close_loop_many",
     "drive_parameters",
     "excite",
     "export_robot",
@@ -45,10 +48,12 @@ _HOME = {
     "ClosedLoop": "rx90b_flex.diagnose.close",
     "DriveParameters": "rx90b_flex.identify.inverse_eigenvalue",
     "Exported": "rx90b_flex.simulators",
+    "Fleet": "rx90b_flex.fleet.fleet",
     "Robot": "rx90b_flex.robot",
     "check": "rx90b_flex.diagnose.check",
     "check_path": "rx90b_flex.verbs",
     "close_loop": "rx90b_flex.diagnose.close",
+    "close_loop_many": "rx90b_flex.fleet.fleet",
     "drive_parameters": "rx90b_flex.identify.inverse_eigenvalue",
     "excite": "rx90b_flex.verbs",
     "export_robot": "rx90b_flex.simulators",

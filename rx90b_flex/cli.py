@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 import typer.core
 
-from rx90b_flex.commands import camera, check_path, export, static, view
+from rx90b_flex.commands import camera, check_path, export, fleet, static, view
 from rx90b_flex.commands.shared import (
     Basics,
     Despite,
@@ -61,14 +61,22 @@ def _options(
 
 @app.command("close-loop")
 def close_loop_command(
-    campaign: Annotated[
-        Path, typer.Argument(help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`.")
+    campaigns: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`; several campaigns are a fleet, one a robot.",
+            metavar="CAMPAIGN...",
+        ),
     ],
     out: Out,
     seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
     robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
     model_error: Annotated[
         float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes for a fleet; 1 where not given.")] = None,
+    dask: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler for a fleet, such as tcp://host:8786.")
     ] = None,
     basics: Basics = False,
     despite_faults: Despite = False,
@@ -77,9 +85,24 @@ def close_loop_command(
     """Find what the data hold and the model lacks; add it.
 
     Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
+    With several campaigns, one a robot of one make: a folder a robot; fleet.html, fleet.csv, fleet.json say what they have in common
+    and which robot stands out. The same command again goes on where it was stopped.
     """
     if model_error is not None and not model_error > 0.0:
         raise ValueError(f"model_error is {model_error:g}; expected more than 0")
+    if len(campaigns) > 1:
+        for name, value in (("--robot", robot), ("--model-error", model_error)):
+            if value is not None:
+                raise ValueError(
+                    f"{name} goes with a modal table or a folder of `rx90b-flex frf`, not with several campaigns"
+                )
+        options = {"seed": seed, "basics": basics, "despite_faults": despite_faults, "overwrite": overwrite}
+        fleet.close_fleet(campaigns, out, jobs, dask, options)
+        return
+    for name, given in (("--jobs", jobs), ("--dask", dask)):
+        if given is not None:
+            raise ValueError(f"{name} goes with several campaigns, one a robot; only {campaigns[0]} is given")
+    campaign = campaigns[0]
     from rx90b_flex.diagnose.modal_files import speaks_of_frequency
 
     if speaks_of_frequency(campaign):
@@ -88,53 +111,27 @@ def close_loop_command(
     for name, value in (("--robot", robot), ("--model-error", model_error)):
         if value is not None and campaign.exists():  # what is not there is said to be missing, further on
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
-    from rx90b_flex.early import read_campaign
-    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder, fill_folder
+    from rx90b_flex.closing import Options, close_campaign
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
 
     check_folder(out, CLOSED_LOOP, overwrite, [campaign])
     with progress() as tell:
         tell("reading", 0.0)
-        read = read_campaign(campaign)
-        from rx90b_flex.diagnose.close import close_loop
-        from rx90b_flex.diagnose.motion import motion_errors
-        from rx90b_flex.diagnose.output import write_result
-        from rx90b_flex.diagnose.refused import RefusedLoop
-        from rx90b_flex.view.report import write_report
-
-        declared = _with_basics(read) if basics else None
-        result = close_loop(read, robot=declared, seed=seed, progress=tell, despite_faults=despite_faults)
-        if isinstance(result, RefusedLoop):
-            tell("writing the report", 1.0)
-            fill_folder(out, lambda folder: _write_refused(result, folder), CLOSED_LOOP, overwrite)
-            _end_refused(result.checked, out)
-        tell("simulating the closed loop and writing the report", 1.0)
-        motion = motion_errors(result)
-        write_result(
-            result, out, [lambda r, folder: write_report(r, folder / "report.html", motion)], motion, overwrite
-        )
-    _print_result(result)
+        closed = close_campaign(campaign, Options(seed, basics, despite_faults), tell)
+        closed.write(out, overwrite)
+    if closed.motion is None:
+        _end_refused(closed.result.checked, out)
+    _print_result(closed.result)
     say(f"Report: {out / 'report.html'}")
 
 
 def _with_basics(campaign: object) -> Robot:
     """The campaign's robot with what every drive has declared on all of the campaign's joints."""
-    from rx90b_flex.diagnose.basics import with_basics
-    from rx90b_flex.robot import load_robot
+    from rx90b_flex.closing import declared_robot
     from rx90b_flex.signals import Campaign
 
     assert isinstance(campaign, Campaign)
-    robot = load_robot(campaign.robot_source)
-    joints = [j for j in campaign.joints if j in robot.joints]
-    return with_basics(robot, joints, campaign.torque_side == "behind_gear")
-
-
-def _write_refused(result: object, folder: Path) -> None:
-    from rx90b_flex.diagnose.refused import RefusedLoop, write_refused
-    from rx90b_flex.view.check_report import write_check_page
-
-    assert isinstance(result, RefusedLoop)
-    write_refused(result, folder)
-    write_check_page(result.checked, folder / "report.html")
+    return declared_robot(campaign, basics=True)
 
 
 def _end_refused(checked: object, out: Path) -> NoReturn:

@@ -20,6 +20,10 @@ TRACEBACK = "RX90B_FLEX_TRACEBACK"  # environment variable
 LONGEST = 2000  # characters of a message
 
 
+class Stopped(Exception):
+    """An interrupt of what goes on when it is called again; its message says what is kept."""
+
+
 class CommandLine(Protocol):
     """What a Typer application is called as."""
 
@@ -51,6 +55,8 @@ def run(app: CommandLine, usage_error: type[Exception], name: str) -> int:
         line = "interrupted; nothing was written"
     except KeyboardInterrupt:
         status, line = INTERRUPTED, "interrupted; nothing was written"
+    except Stopped as error:
+        status, line = INTERRUPTED, str(error)
     except (BrokenPipeError, SystemExit):  # the library makes the second of the first
         _close_output()
         return NOBODY_READS

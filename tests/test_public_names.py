@@ -15,9 +15,30 @@ from test_cli import write_campaign
 
 import rx90b_flex as rf
 
-VERBS = ("check", "check_path", "close_loop", "excite", "export_robot", "frf", "identify", "simulate", "view")
+VERBS = (
+    "check",
+    "check_path",
+    "close_loop",
+    "close_loop_many",
+    "excite",
+    "export_robot",
+    "frf",
+    "identify",
+    "simulate",
+    "view",
+)
 # excite writes what frf reads; both take a simulation
-QUICK = ("load_robot", "check", "check_path", "close_loop", "export_robot", "identify", "simulate", "view")
+QUICK = (
+    "load_robot",
+    "check",
+    "check_path",
+    "close_loop",
+    "close_loop_many",
+    "export_robot",
+    "identify",
+    "simulate",
+    "view",
+)
 
 
 @pytest.mark.parametrize("name", [*VERBS, "load_robot", "drive_parameters", "replay_errors"])

@@ -20,7 +20,14 @@ from rx90b_flex.robot import robots_folder
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 # minutes; and what reads what they leave
-SLOW = ("check-path line --robot rx90b_4dof --out", "excite", "frf", "close-loop motors", "close-loop modes")
+SLOW = (
+    "check-path line --robot rx90b_4dof --out",
+    "excite",
+    "frf",
+    "close-loop motors",
+    "close-loop modes",
+    "close-loop r1",
+)
 
 
 def rows() -> list[list[str]]:
@@ -43,6 +50,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         shutil.copy(file, tmp_path)
     if written.name != "campaign.toml":
         (tmp_path / written.name).rename(tmp_path / "campaign.toml")
+    for name in ("r1", "r2", "r3"):
+        shutil.copy(tmp_path / "campaign.toml", tmp_path / f"{name}.toml")
     shutil.copy(robots_folder() / "rx90b_table_6_4.toml", tmp_path / "modes.toml")
     file = write_test(tmp_path, "joint_2", 2.0e5, 1.0, np.random.default_rng(0))
     (tmp_path / "tests.toml").write_text(f'[[test]]\ncoordinate = "joint_2"\nfile = "{file}"\nlever_arm_m = 1.0\n')

@@ -404,7 +404,7 @@ def _closed(
         return RefusedLoop.of(checked, declared_robot, campaign)
     fit_links = declared_robot.inertial_parameters == "fitted"
     tell("identifying the declared model", 0.05)
-    declared = _trusting(data.regression, identify(data.regression, data.regression.robot.effects, fit_links=fit_links))
+    declared = trusting(data.regression, identify(data.regression, data.regression.robot.effects, fit_links=fit_links))
     before = data.errors(declared)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
     gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" for j in f.joints)
@@ -590,7 +590,7 @@ class _Rounds:
             fitted = [_find(candidate.effects, e) for e in best.effects]
             if not all(_physical(e) for e in fitted):
                 continue  # fitted with all the rest, it has values that it cannot have
-            candidate = _trusting(self.data.regression, candidate)
+            candidate = trusting(self.data.regression, candidate)
             fitted = [_find(candidate.effects, e) for e in best.effects]
             ends = [text for e in fitted if (text := Search(candidate, self.sites).at_bound(e))]
             if ends:
@@ -629,7 +629,7 @@ class _Rounds:
                 continue
             if len(added([first.effect], second.effect)) < 2:
                 continue  # one stands in for the other
-            whole = _trusting(
+            whole = trusting(
                 self.data.regression, self._identified(added(half.effects, second.effect), half, second.effects)
             )
             again = Search(whole, self.sites).without(_find(whole.effects, first.effect))
@@ -766,7 +766,7 @@ def _signature(effects: Sequence[Effect]) -> _Signature:
     return frozenset((e.type_name(), e.place, shape(e)) for e in effects)
 
 
-def _trusting(regression: Regression, model: Identification) -> Identification:
+def trusting(regression: Regression, model: Identification) -> Identification:
     """The same model fitted with the trust that it has in each row, which its smaller residual may change once more."""
     for _ in range(TRUST_ROUNDS):
         known = trust(regression, model)

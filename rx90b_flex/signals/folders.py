@@ -11,14 +11,16 @@ import contextlib
 import errno
 import fcntl
 import fnmatch
+import json
 import os
 import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rx90b_flex.interrupts import calm
 
@@ -80,6 +82,7 @@ RUN = Output(
 )
 STATIC = Output("static.json", _MODEL)
 CAMERA = Output("camera.json", _MODEL)
+FLEET = Output("fleet.json", ("fleet.csv", "fleet.html"))
 RESULTS = (CHECKED, CLOSED_LOOP, IDENTIFIED, MOTOR_SIGNALS, PATH_CHECK, RUN, STATIC, CAMERA)
 DEMONSTRATION = Output(
     "declared.toml", (CLOSED_LOOP.mark, *CLOSED_LOOP.names, "campaign.toml", "*.urdf", "run_?.csv.gz")
@@ -172,6 +175,43 @@ def refuse_unwritable(folder: Path) -> None:
     """
     with tempfile.TemporaryFile(dir=folder):
         pass
+
+
+def claimed(folder: Path, note: str, what: str) -> Any:
+    """The digest that a folder's note holds; None where there is no note. See `claim`.
+
+    Raises
+    ------
+    ValueError
+        One line that names a note that cannot be read.
+    """
+    file = folder / note
+    if not file.exists():
+        return None
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))["digest"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(f"{file}: cannot be read; expected the plan of this folder's {what}") from None
+
+
+def claim(folder: Path, note: str, digest: Any, summary: Mapping[str, Any]) -> None:
+    """Make a folder that of some runs, so that what is there of them is kept when they are run again.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it does not exist.
+    note : str
+        Name of a JSON file, which appears whole or not at all.
+    digest : str or dict
+        Of everything that decides the runs.
+    summary : mapping
+        What the note says besides.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / f".{note}-{secrets.token_hex(8)}.part"
+    part.write_text(json.dumps({"digest": digest, **summary}, indent=2) + "\n", encoding="utf-8")
+    os.replace(part, folder / note)
 
 
 def why(error: OSError) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import math
 import os
@@ -22,6 +23,7 @@ from rx90b_flex.signals.stated import (
     JOINT_SIDES,
     FlangeLoad,
     flange_load_toml,
+    read_date,
     read_flange_load,
     read_torque_constants,
     read_torque_side,
@@ -30,6 +32,7 @@ from rx90b_flex.signals.stated import (
 Array = NDArray[np.float64]
 Role = Literal["identification", "validation"]
 ROLES: tuple[Role, ...] = get_args(Role)
+FIRST_CLOCK_S, LAST_CLOCK_S = 1e9, 1e10  # seconds since 1970, from 2001 on: what a log's clock says is then a date
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,7 @@ class Recording:
     payload : known mass on the flange, or None.
     period_s : s, the excitation's period, a whole number of samples; None where it does not repeat.
     source : the file it came from.
+    date : the day it was made, as in 2026-03-02 (ISO 8601), or None.
 
     Raises
     ------
@@ -132,6 +136,7 @@ class Recording:
     payload: FlangeLoad | None = None
     period_s: float | None = None
     source: Path | None = None
+    date: str | None = None
 
     def __post_init__(self) -> None:
         where = f"recording {self.name!r}"
@@ -156,6 +161,11 @@ class Recording:
             problem = _period_problem(self.period_s, self.sample_rate_hz, self.samples)
             if problem:
                 raise ValueError(f"{where}: period_s = {self.period_s!r} {problem}")
+        if self.date is not None:
+            try:
+                datetime.date.fromisoformat(self.date)
+            except ValueError:
+                raise ValueError(f"{where}: date = {self.date!r}, a day such as 2026-03-02 is expected") from None
 
     @property
     def samples(self) -> int:
@@ -344,6 +354,8 @@ def write_campaign(
             lines.append(f"period_s = {_toml(recording.period_s)}")
         if recording.payload is not None:
             lines.append(f"payload = {flange_load_toml(recording.payload)}")
+        if recording.date is not None:
+            lines.append(f"date = {recording.date}")
     campaign = directory / "campaign.toml"
     tables.write_whole(campaign, lambda temporary: _write_text(temporary, "\n".join(lines) + "\n"))
     return campaign
@@ -379,6 +391,7 @@ class _Entry:
     end_s: float | None
     period_s: float | None
     payload: FlangeLoad | None
+    date: str | None
 
 
 def _read_layout(root: CampaignSection) -> _Layout:
@@ -457,7 +470,7 @@ def _read_motor(
 
 
 def _read_entry(section: CampaignSection, campaign: Path, layout: _Layout) -> _Entry:
-    section.allow("file", "role", "start_s", "end_s", "period_s", "payload")
+    section.allow("file", "role", "start_s", "end_s", "period_s", "payload", "date")
     file = campaign.parent / section.text("file")
     try:
         tables.extension_of(file)
@@ -477,7 +490,7 @@ def _read_entry(section: CampaignSection, campaign: Path, layout: _Layout) -> _E
         problem = _period_problem(period, layout.sample_rate_hz, None)
         if problem:
             raise section.problem("period_s", f"{period!r} {problem}")
-    return _Entry(section, file, role, start, end, period, read_flange_load(section))
+    return _Entry(section, file, role, start, end, period, read_flange_load(section), read_date(section))
 
 
 def _period_problem(period_s: float, rate: float, samples: int | None) -> str | None:
@@ -558,7 +571,15 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         payload=entry.payload,
         period_s=entry.period_s,
         source=table.path,
+        date=entry.date or _day_of(float(time[first])),
     )
+
+
+def _day_of(clock: float) -> str | None:
+    """Day (UTC) of a clock that counts seconds since 1970; None for one that begins with the log."""
+    if not FIRST_CLOCK_S <= clock <= LAST_CLOCK_S:
+        return None
+    return datetime.datetime.fromtimestamp(clock, datetime.UTC).date().isoformat()
 
 
 def _to_joint_side(measured: Array, item: _Signal, layout: _Layout) -> Array:

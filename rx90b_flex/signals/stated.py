@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +37,24 @@ class FlangeLoad:
         c = np.array(self.centre)
         inertia = c @ c * np.eye(3) - np.outer(c, c)
         return self.mass * np.r_[1.0, c, inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+
+
+def read_date(section: CampaignSection) -> str | None:
+    """`date` of a [[recording]], ISO 8601; None where it has none.
+
+    Raises
+    ------
+    ValueError
+        One line that names file and key, what was found and what is expected.
+    """
+    value = section.values.get("date")
+    if value is None:
+        return None
+    if isinstance(value, datetime.datetime):
+        return value.date().isoformat()
+    if not isinstance(value, datetime.date):
+        raise section.problem("date", f"found {shown(value)}; expected a day without quotes, such as 2026-03-02")
+    return value.isoformat()
 
 
 def read_torque_side(root: CampaignSection, has_gears: bool, from_current: bool) -> str:

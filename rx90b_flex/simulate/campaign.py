@@ -26,6 +26,7 @@ from rx90b_flex.excitation.multisine import Crest
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
+from rx90b_flex.signals.folders import claim, claimed
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, save_cs8
@@ -416,15 +417,11 @@ def _saved(folder: Path, key: RunKey) -> bool:
 
 def _claim(plan: Plan, folder: Path) -> None:
     """Make the folder this plan's, or refuse it."""
-    note = folder / PLAN_FILE
-    if note.exists():
-        try:
-            found = json.loads(note.read_text(encoding="utf-8"))["digest"]
-        except (OSError, ValueError, KeyError, TypeError):
-            raise ValueError(f"{note}: cannot be read; expected the plan of this folder's runs") from None
+    found = claimed(folder, PLAN_FILE, RUNS)
+    if found is not None:
         if found != plan.digest:
             raise ValueError(
-                f"{folder}: holds runs of another plan ({note.name}); give another folder or empty this one"
+                f"{folder}: holds runs of another plan ({PLAN_FILE}); give another folder or empty this one"
             )
         return
     if (folder / RUNS).exists():
@@ -433,16 +430,13 @@ def _claim(plan: Plan, folder: Path) -> None:
     save_robot(plan.robot, folder, allow_inconsistent=True)
     save_cs8(plan.controller, folder / "controller.toml")
     summary = {
-        "digest": plan.digest,
         "robot": plan.robot.name,
         "method": plan.method,
         "runs": [key.name for key in plan.runs],
         "periods": plan.periods,
         "seed": plan.seed,
     }
-    part = note.with_suffix(".part")
-    part.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    os.replace(part, note)
+    claim(folder, PLAN_FILE, plan.digest, summary)
 
 
 def _write_campaign_file(plan: Plan, keys: Sequence[RunKey], folder: Path) -> Path:

@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 from rx90b_flex.diagnose.check import Checked
 from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.refused import RefusedLoop
+from rx90b_flex.fleet.fleet import Fleet
+from rx90b_flex.fleet.output import fleet_table
 from rx90b_flex.identify.command import Identified
 from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.least_squares import Estimate
@@ -22,6 +24,7 @@ from rx90b_flex.path.check import PathCheck
 from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.view import frf_plots, path_plots, plots
+from rx90b_flex.view.fleet_report import fleet_figure, headline
 from rx90b_flex.view.identify_plots import torque_fit
 from rx90b_flex.view.measured_section import measured_along_path
 from rx90b_flex.view.page import image
@@ -274,3 +277,25 @@ def _(result: Simulation) -> Figure:
 def _(result: Simulation) -> str:
     ended = f"; ended early: {result.ended}" if result.ended else ""
     return f"{result.trajectory.name} of {result.robot.name}, {result.time[-1]:.3g} s{ended}"
+
+
+# ---- a fleet ----------------------------------------------------------------------------------------------------
+
+
+@table_of.register
+def _(result: Fleet) -> pd.DataFrame:
+    """A row a robot and parameter."""
+    return fleet_table(result)
+
+
+@figure_of.register
+def _(result: Fleet) -> Figure:
+    figure = fleet_figure(result)
+    if figure is None:
+        raise ValueError("no robot stands out; there is nothing to draw")
+    return figure
+
+
+@words_of.register
+def _(result: Fleet) -> str:
+    return headline(result)[0]

@@ -1,0 +1,90 @@
+"""What ``rx90b-flex close-loop`` does with one campaign: read, close the loop, simulate it, write its folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rx90b_flex.diagnose.close import ClosedLoop
+    from rx90b_flex.diagnose.motion import MotionErrors
+    from rx90b_flex.diagnose.refused import RefusedLoop
+    from rx90b_flex.robot import Robot
+    from rx90b_flex.signals import Campaign
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a loop is closed: seed of the permutation test, whether basics are declared, whether faults of the data stop it."""
+
+    seed: int = 0
+    basics: bool = False
+    despite_faults: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Closed:
+    """A closed loop with its simulation, or one that the data did not allow."""
+
+    result: ClosedLoop | RefusedLoop
+    motion: MotionErrors | str | None
+
+    def write(self, out: Path, overwrite: bool = False) -> None:
+        """Write the folder with its report; all of it or nothing."""
+        from rx90b_flex.diagnose.output import write_result
+        from rx90b_flex.diagnose.refused import RefusedLoop, write_refused
+        from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
+        from rx90b_flex.view.check_report import write_check_page
+        from rx90b_flex.view.report import write_report
+
+        result, motion = self.result, self.motion
+        if isinstance(result, RefusedLoop):
+
+            def fill(folder: Path) -> None:
+                write_refused(result, folder)
+                write_check_page(result.checked, folder / "report.html")
+
+            fill_folder(out, fill, CLOSED_LOOP, overwrite)
+            return
+        report = [lambda r, folder: write_report(r, folder / "report.html", motion)]
+        write_result(result, out, report, motion, overwrite)
+
+
+def declared_robot(campaign: Campaign, basics: bool) -> Robot:
+    """The campaign's robot; with `basics`, what every drive has is declared on all of the campaign's joints."""
+    from rx90b_flex.diagnose.basics import with_basics
+    from rx90b_flex.robot import load_robot
+
+    robot = load_robot(campaign.robot_source)
+    if not basics:
+        return robot
+    joints = [j for j in campaign.joints if j in robot.joints]
+    return with_basics(robot, joints, campaign.torque_side == "behind_gear")
+
+
+def close_campaign(path: Path, options: Options, tell: Callable[[str, float], None] | None = None) -> Closed:
+    """Close the loop on a campaign file and simulate the result.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file and what is wrong in it.
+    """
+    from rx90b_flex.early import read_campaign
+
+    told = tell or (lambda _text, _part: None)
+    read = read_campaign(path)
+    from rx90b_flex.diagnose.close import close_loop
+    from rx90b_flex.diagnose.motion import motion_errors
+    from rx90b_flex.diagnose.refused import RefusedLoop
+
+    robot = declared_robot(read, options.basics)
+    result = close_loop(read, robot=robot, seed=options.seed, progress=tell, despite_faults=options.despite_faults)
+    if isinstance(result, RefusedLoop):
+        told("writing the report", 1.0)
+        return Closed(result, None)
+    told("simulating the closed loop and writing the report", 1.0)
+    return Closed(result, motion_errors(result))
