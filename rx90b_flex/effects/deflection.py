@@ -248,9 +248,9 @@ class _Steps:
                     first = (start - shift) * m + j
                     banded[row, first : first + m * len(source) : m] = source[:, i, j]
         swing = tuple(samples_of_a_swing(np.ascontiguousarray(x)) for x in fast.T)
-        first = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), inertia[0], strict=True)
-        start = tuple((step, float(k), float(d), float(max(m, 0.0))) for k, d, m in first)
-        return _Steps(banded, bands, weight, swings, swing, start)
+        diagonals = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), inertia[0], strict=True)
+        at_start = tuple((step, float(k), float(d), float(max(m, 0.0))) for k, d, m in diagonals)
+        return _Steps(banded, bands, weight, swings, swing, at_start)
 
     def begun(self, force: Array, cubic: Array) -> Array:
         """The first two torsions (2, m) of each by itself, under the first forces of (N, m), as `begun_slowly` has them."""
