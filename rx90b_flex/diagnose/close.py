@@ -597,7 +597,7 @@ class _Rounds:
                 trials[trials.index(best)] = dataclasses.replace(best, lawful=False, objection=ends[0])
                 continue
             errors = self.data.errors(candidate)
-            if _spoils(errors, outcome.errors):
+            if _spoils(errors, outcome.errors) or self._explains_nothing(best.effects, errors, outcome.errors):
                 continue  # it helps where rows count, and spoils more where they do not
             singles = best.members or (best,)
             rivals = tuple(t for t in trials if not t.members and t not in singles)
@@ -643,6 +643,13 @@ class _Rounds:
             if _signature(more.model.effects) not in visited and not _spoils(more.errors, outcome.errors):
                 return more
         return None
+
+    def _explains_nothing(self, effects: Sequence[Effect], new: RoleErrors, old: RoleErrors) -> bool:
+        """Whether every joint that effects touch does worse on the recordings that were fitted, every row counted."""
+        joints = self.campaign.joints
+        touched = {j for e in effects for j in e.joints} or set(joints)
+        pairs = zip(joints, new.identification.torque_rms, old.identification.torque_rms, strict=True)
+        return all(after > before for joint, after, before in pairs if joint in touched)
 
     def _new(self, trials: Sequence[Trial]) -> list[Trial]:
         """Single effects that the robot does not declare."""

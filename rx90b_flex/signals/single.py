@@ -29,7 +29,7 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
         kind = "a folder" if path.is_dir() else "no regular file"
         raise ValueError(f"{path} is {kind}; expected a file to write")
     try:
-        refuse_unwritable(path.absolute().parent)
+        refuse_unwritable(next(p for p in path.absolute().parents if p.exists()))
     except OSError as error:
         raise ValueError(f"{path}: cannot be written: {why(error)}") from None
     if source is None or not os.path.isfile(source):
