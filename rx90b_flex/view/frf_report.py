@@ -233,7 +233,7 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
         ),
     ]
     # grids of axes take seconds each to draw
-    images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each) for each in pictures)
+    images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each, zoom=True) for each in pictures)
     text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
     return Section(f"{_named(result, at)}Frequency response", (text,), (), tuple(images))
 
@@ -268,6 +268,7 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
         transfer_plots.residual_correlation(fit),
         "Correlation of residuals",
         "Correlation of the residuals along the lines",
+        zoom=True,
     )
     stable = image(transfer_plots.stabilisation(fit), "Poles of fits of several orders", "Stabilisation diagram")
     text = f"{len(fit.resonances_hz)} modes, chosen from {', '.join(str(c.modes) for c in fit.candidates)}."
@@ -291,6 +292,7 @@ def _residuals(result: MotorIdentification) -> Section | None:
             grey_plots.residuals(grey, k),
             "Residuals of the grey box along frequency",
             f"{_named(result, result.poses[i])}residuals",
+            zoom=True,
         )
         for k, i in enumerate(result.fitted)
     ]

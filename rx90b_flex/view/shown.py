@@ -27,7 +27,8 @@ from rx90b_flex.view import frf_plots, path_plots, plots
 from rx90b_flex.view.fleet_report import fleet_figure, headline
 from rx90b_flex.view.identify_plots import torque_fit
 from rx90b_flex.view.measured_section import measured_along_path
-from rx90b_flex.view.page import image
+from rx90b_flex.view.page import image, template
+from rx90b_flex.view.zoom import script, zoom_style
 
 SHOWN_ROWS = 30  # of a table in a cell
 ESTIMATE = ("parameter", "value", "std", "unit")
@@ -74,14 +75,18 @@ def cell_of(result: object) -> str:
     more = f"<p>{len(table) - SHOWN_ROWS} more rows in .to_pandas()</p>" if len(table) > SHOWN_ROWS else ""
     if undetermined:
         more += f"<p>{undetermined} parameters are not determined by themselves</p>"
-    parts = [f"<p><b>{escape(words_of(result))}</b></p>", shown if len(table) else "", more]
+    parts: list[str] = [f"<p><b>{escape(words_of(result))}</b></p>", shown if len(table) else "", more]
     try:
-        picture = image(figure_of(result), words_of(result))
+        figure = figure_of(result)
     except ValueError:  # nothing to draw
         return "".join(parts)
-    parts.append(
-        f'<img src="{picture.source}" alt="{escape(picture.alt)}" width="{picture.width}" style="max-width:100%">'
-    )
+    try:
+        picture = image(figure, words_of(result), zoom=True)
+    except ValueError:  # bars
+        picture = image(figure, words_of(result))
+    parts.append(str(template("parts.html").module.figure(picture)))  # type: ignore[attr-defined]
+    if picture.zoom:
+        parts.append(f"<style>{zoom_style()}</style><script>{script()}</script>")
     return "".join(parts)
 
 
