@@ -72,6 +72,7 @@ function draw(figure) {
     item.append(l.label);
     values.set(l.label, make("b", item, ""));
   }
+  let under = null;
   const at = make("span", head, "at");
   const idle = "drag: zoom; double click: all";
   at.textContent = idle;
@@ -125,7 +126,8 @@ function draw(figure) {
           u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
         }],
         setCursor: [u => {
-          if (!u.over.matches(":hover")) return;
+          if (u.over.matches(":hover")) under = u; // the others' cursors follow
+          else if (under !== u) return;
           const { left } = u.cursor;
           at.textContent = left < 0 ? idle : short(u.posToVal(left, "x"));
           values.forEach(v => { v.textContent = ""; });
