@@ -120,7 +120,8 @@ OVERLAPS = """() => {
   const boxes = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), range = document.createRange();
   while (walker.nextNode()) {
     const node = walker.currentNode, parent = node.parentElement;
-    if (!node.data.trim() || !parent.checkVisibility({visibilityProperty: true}) || parent.closest("script, style, option, .dg")) continue;
+    const shown = parent.checkVisibility({visibilityProperty: true}) && !parent.closest("script, style, option, .dg");
+    if (!shown || !node.data.trim()) continue;
     range.selectNodeContents(node);
     for (const r of range.getClientRects()) if (r.width > 3 && r.height > 3) boxes.push({node, r});
   }
