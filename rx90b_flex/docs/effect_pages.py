@@ -32,9 +32,9 @@ A robot is a rigid tree and a list of effects. Each type has one page: what it i
 model that lacks it, and what tells it from its neighbours. All residuals side by side: [the gallery](gallery.md).
 """
 SHOWN = """Made from the effect itself, on an arm that moves by a sum of harmonics and rests once, without noise: what it adds to a
-joint's torque, less what constant, Coulomb and viscous friction can imitate of that, over time and over what it depends on most. Its size is
-arbitrary, and spikes may leave the frame. An effect that adds coordinates and shows in no torque over time is drawn in the frequency
-response of a drive."""
+joint's torque, less what constant, Coulomb and viscous friction can imitate of that, over time and over what it depends on most.
+Its size is arbitrary, and spikes may leave the frame. An effect that adds coordinates and shows in no torque over time is drawn in
+the frequency response of a drive."""
 EXAMPLE = "In a robot file (the numbers only show the form; a value that is left out is identified):"
 ANYWHERE = Sites(("joint_1", "joint_2"), "tool0")
 KEYS = {
