@@ -17,6 +17,7 @@ from rx90b_flex.identify.accelerometers import sensor_rows
 from rx90b_flex.identify.frf_command import MotorIdentification, Options, frf_json, identify_from_motors
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.signals.stated import Accelerometer
+from rx90b_flex.view.frf_report import write_frf_report
 
 ROBOT = viscous_robot()
 SENSORS = tuple(Accelerometer(link, p) for link in ("link_2", "link_3") for p in ((0.0, 0.12, 0.3), (0.1, -0.1, 0.05)))
@@ -98,6 +99,17 @@ def test_the_result_names_its_sensors(both: tuple[MotorIdentification, MotorIden
     assert alone["accelerometers"] == []
     assert together["accelerometers"] == [{"link": s.link, "position": list(s.position)} for s in SENSORS]
     json.dumps(together, allow_nan=False)
+
+
+def test_the_report_says_that_they_were_used_and_shows_their_residuals(
+    both: tuple[MotorIdentification, MotorIdentification], tmp_path: Path
+) -> None:
+    alone, together = both
+    for result, count in ((alone, 0), (together, 1)):
+        write_frf_report(result, tmp_path / "report.html")
+        text = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert text.count("4 accelerometers on link 2, link 3 were fitted together") == count
+        assert text.count("residuals of the accelerometers") == count
 
 
 @pytest.mark.parametrize(

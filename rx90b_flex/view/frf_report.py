@@ -49,6 +49,10 @@ def _lead(result: MotorIdentification) -> list[str]:
             f"{measured.hz[-1]:.3g} Hz, {len(measured.realisations)} realisations of {measured.torque.shape[2]} experiments, "
             f"{measured.periods} periods each."
         )
+    sensors = next((p.accelerations.sensors for p in result.poses if p.accelerations is not None), ())
+    if sensors:
+        links = ", ".join(dict.fromkeys(s.link.replace("_", " ") for s in sensors))
+        out.append(f"{len(sensors)} accelerometers on {links} were fitted together with the motors' signals.")
     out += [f"Left out: {x.stage}: {x.why}." for x in result.left_out]
     return out
 
@@ -60,7 +64,7 @@ def _named(result: MotorIdentification, at: AtPose) -> str:
 
 def _angles(result: MotorIdentification, at: AtPose) -> str:
     both = zip(result.robot.joints, at.pose, strict=True)
-    return ", ".join(f"{joint.replace('_', ' ')} {np.rad2deg(q) + 0.0:.1f}°" for joint, q in both)
+    return ", ".join(f"{joint.replace('_', ' ')} {round(np.rad2deg(q), 1) + 0.0:.1f}°" for joint, q in both)
 
 
 def amounts(*values: float) -> tuple[str, ...]:
@@ -295,6 +299,16 @@ def _residuals(result: MotorIdentification) -> Section | None:
             zoom=True,
         )
         for k, i in enumerate(result.fitted)
+    ]
+    beside = grey.responses[len(result.fitted) :]  # of the accelerometers
+    figures += [
+        image(
+            grey_plots.residuals(grey, len(result.fitted) + k),
+            "Residuals of the grey box along frequency, accelerometers",
+            f"{_named(result, result.poses[i])}residuals of the accelerometers",
+            zoom=True,
+        )
+        for i, (k, _) in zip(result.fitted, enumerate(beside), strict=False)
     ]
     text = f"Cost {grey.cost:.0f}; {grey.expected_cost:.0f} expected, 95 % of right models below {grey.cost_limit:.0f}."
     return Section("Residuals of the grey box", (text, _bias_words(grey)), (table,), tuple(figures))
