@@ -18,6 +18,7 @@ from rx90b_flex.diagnose.refused import RefusedLoop
 from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.output import fleet_table
 from rx90b_flex.identify.command import Identified
+from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.path.check import PathCheck
@@ -219,6 +220,33 @@ def _(result: MotorIdentification) -> Figure:
 def _(result: MotorIdentification) -> str:
     lost = f"; left out: {', '.join(x.stage for x in result.left_out)}" if result.left_out else ""
     return f"{result.robot.name} from motor signals, {len(result.poses)} pose(s){lost}"
+
+
+@table_of.register
+def _(result: FrequencyResponse) -> pd.DataFrame:
+    """A row a line and entry."""
+    lines, n = len(result.hz), len(result.joints)
+    return pd.DataFrame(
+        {
+            "hz": np.repeat(result.hz, n * n),
+            "acceleration": np.tile(np.repeat(result.joints, n), lines),
+            "torque": np.tile(result.joints, lines * n),
+            "real": result.value.real.ravel(),
+            "imag": result.value.imag.ravel(),
+            "std": result.std().ravel(),
+        }
+    )
+
+
+@figure_of.register
+def _(result: FrequencyResponse) -> Figure:
+    return frf_plots.magnitude(result)
+
+
+@words_of.register
+def _(result: FrequencyResponse) -> str:
+    lines = f"{len(result.hz)} lines from {result.hz[0]:.3g} to {result.hz[-1]:.3g} Hz"
+    return f"Frequency response of {', '.join(result.joints)}, {lines}"
 
 
 # ---- paths and runs ---------------------------------------------------------------------------------------------
