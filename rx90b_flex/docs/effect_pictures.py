@@ -36,7 +36,7 @@ def draw(cls: type[Effect]) -> Figure | None:
     """The picture of an effect type; None where it shows in neither way."""
     robot, motion = _scene()
     sites = Sites(robot.joints, robot.tip_frame)
-    places = cls.over_time(sites)
+    places = [] if cls.needs else cls.over_time(sites)  # what refines another effect is nothing without it
     return _over_time(places[len(places) // 2], robot, motion) if places else _over_frequency(cls)
 
 
