@@ -23,13 +23,16 @@ from rx90b_flex.path import Options, Seam, check_path
 from rx90b_flex.robot import load_robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, straight_line
 from rx90b_flex.view import compare, show, show_modes, write_report
+from rx90b_flex.view.check_report import write_check_page
 from rx90b_flex.view.path_report import write_path_report
 
 SIZE = {"width": 1000, "height": 640}
+TELEPHONE = 390  # px wide
 ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
+NOTEBOOKS = Path(__file__).resolve().parent.parent / "notebooks"
 REQUIRED = os.environ.get("CI") == "true" or os.environ.get("RX90B_FLEX_BROWSER") == "required"
 
 
@@ -110,6 +113,41 @@ def opened(browser: Any, url: str, pictures: Path) -> Opened:
     new.page.on("pageerror", lambda error: new.complaints.append(str(error)))
     new.page.goto(url)
     return new
+
+
+# Pairs of texts that lie on each other, as strings, by more than a quarter of their height; but for meshcat's own folded controls.
+OVERLAPS = """() => {
+  const boxes = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), range = document.createRange();
+  while (walker.nextNode()) {
+    const node = walker.currentNode, parent = node.parentElement;
+    const shown = parent.checkVisibility({visibilityProperty: true}) && !parent.closest("script, style, option, .dg");
+    if (!shown || !node.data.trim()) continue;
+    range.selectNodeContents(node);
+    for (const r of range.getClientRects()) if (r.width > 3 && r.height > 3) boxes.push({node, r});
+  }
+  boxes.sort((a, b) => a.r.top - b.r.top);
+  const found = new Set();
+  boxes.forEach((a, i) => {
+    for (let k = i + 1; k < boxes.length && boxes[k].r.top < a.r.bottom; k++) {
+      const b = boxes[k], wide = Math.min(a.r.right, b.r.right) - Math.max(a.r.left, b.r.left);
+      const high = Math.min(a.r.bottom, b.r.bottom) - b.r.top;
+      if (a.node !== b.node && wide > 3 && high > 0.25 * Math.min(a.r.height, b.r.height))
+        found.add(a.node.data.trim().slice(0, 40) + " | " + b.node.data.trim().slice(0, 40));
+    }
+  });
+  return [...found];
+}"""
+
+
+def check_reads_well(page: Opened) -> None:
+    """No text lies on another, no page is wider than the window, none complains; on a screen and on a telephone."""
+    for width in (SIZE["width"], TELEPHONE):
+        page.page.set_viewport_size({"width": width, "height": SIZE["height"]})
+        page.page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert page.page.evaluate(OVERLAPS) == [], width
+        assert page.page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), width
+    page.page.set_viewport_size(SIZE)
+    assert page.complaints == []
 
 
 def asked_outside(page: Opened, url: str) -> list[str]:
@@ -223,6 +261,104 @@ def test_the_report_opens_without_a_request(browser: Any, tmp_path: Path, pictur
     page.picture("report")
     assert asked_outside(page, report.as_uri()) == [] and page.complaints == []
     assert page.page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    page.page.close()
+
+
+def test_text_on_text_is_seen(browser: Any, tmp_path: Path, pictures: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("<!DOCTYPE html><p>one line</p><p style='margin-top: -1.8em'>another</p>", encoding="utf-8")
+    spoilt = opened(browser, page.as_uri(), pictures)
+    assert spoilt.page.evaluate(OVERLAPS) == ["one line | another"]
+    spoilt.page.close()
+
+
+def test_report_and_check_page_read_well_also_unfolded(browser: Any, tmp_path: Path, pictures: Path) -> None:
+    result = closed_loop(tmp_path / "data", [HIDDEN], [NOISE, NOISE])
+    write_report(result, tmp_path / "report.html")
+    assert result.checked is not None
+    write_check_page(result.checked, tmp_path / "check.html")
+    for name in ("report", "check"):
+        page = opened(browser, (tmp_path / f"{name}.html").as_uri(), pictures)
+        check_reads_well(page)
+        page.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+        check_reads_well(page)
+        page.page.close()
+
+
+def test_a_line_zooms_where_it_is_dragged_and_comes_back(browser: Any, tmp_path: Path, pictures: Path) -> None:
+    write_report(closed_loop(tmp_path / "data", [HIDDEN], [NOISE, NOISE]), tmp_path / "report.html")
+    page = opened(browser, (tmp_path / "report.html").as_uri(), pictures)
+    figures = page.page.locator("figure.zoom")
+    assert figures.count() == page.page.locator("figure.zoom.drawn").count() > 0
+    figure = page.page.locator(".joint figure.zoom").first
+    figure.scroll_into_view_if_needed()
+    at = figure.locator(".u-over").first.bounding_box()
+
+    def drawn() -> bytes:
+        page.page.mouse.move(1, 1)
+        return figure.screenshot()
+
+    whole = drawn()
+    y = at["y"] + 0.5 * at["height"]
+    page.page.mouse.move(at["x"] + 0.3 * at["width"], y)
+    page.page.mouse.down()
+    page.page.mouse.move(at["x"] + 0.5 * at["width"], y, steps=5)
+    page.page.mouse.up()
+    page.page.mouse.move(at["x"] + 0.4 * at["width"], y)
+    # what lies under the pointer: its time, and each line's value
+    assert float(figure.locator(".legend .at").inner_text()) == pytest.approx(0.38 * 6.0, abs=0.5)
+    assert figure.locator(".legend b").first.inner_text() != ""
+    assert drawn() != whole
+    page.page.mouse.dblclick(at["x"] + 0.4 * at["width"], y)
+    assert drawn() == whole
+    page.page.emulate_media(media="print")
+    assert figure.locator("img").is_visible() and not figure.locator(".plots").is_visible()
+    assert page.complaints == []
+    page.page.close()
+
+
+@pytest.mark.parametrize("size", [(1000, 640), (1400, 900)])
+def test_the_viewer_s_words_cover_neither_the_robot_nor_each_other(
+    browser: Any, run: Simulation, tmp_path: Path, pictures: Path, size: tuple[int, int]
+) -> None:
+    page = opened(browser, show(run).save_html(tmp_path / "run.html").as_uri(), pictures)
+    page.page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.page.reload()
+    page.page.wait_for_function("window.MeshCat && viewer.animator.duration > 0")
+    assert page.page.evaluate(OVERLAPS) == []
+    box = page.page.locator("#about").bounding_box()
+    page.page.evaluate("document.getElementById('about').style.visibility = 'hidden'")
+    for time in (0.0, 1.0):
+        page.at(time)
+        top, left = round(box["y"]), round(box["x"])
+        under = page.picture("under")[top : top + round(box["height"]), left : left + round(box["width"])]
+        r, g, b = under.transpose(2, 0, 1)
+        assert np.count_nonzero((r > 150) & (g > 0.6 * r) & (b < 0.62 * g)) == 0
+    assert page.complaints == []
+    page.page.close()
+
+
+@pytest.mark.slow
+def test_a_notebook_as_html_reads_well_bends_and_zooms(browser: Any, tmp_path: Path, pictures: Path) -> None:
+    try:
+        from nbconvert import HTMLExporter
+    except ImportError:
+        missing("the Python package nbconvert")
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(NOTEBOOKS / "flexible_model.ipynb", as_version=4)
+    notebook.cells.append(nbformat.v4.new_code_cell('rf.simulate("rx90b_3dof", "line")'))
+    NotebookClient(notebook, timeout=600).execute()
+    # other templates ask the network for what shows formulas
+    html, _ = HTMLExporter(template_name="basic").from_notebook_node(notebook)
+    path = tmp_path / "notebook.html"
+    path.write_text(f"<!DOCTYPE html><meta charset='utf-8'><title>notebook</title>{html}", encoding="utf-8")
+    page = opened(browser, path.as_uri(), pictures)
+    assert page.page.locator("figure.zoom.drawn").count() == 1
+    page.picture("notebook")
+    assert page.page.evaluate(OVERLAPS) == [] and page.complaints == []
+    assert [r for r in asked_outside(page, path.as_uri()) if r != "about:srcdoc"] == []
     page.page.close()
 
 

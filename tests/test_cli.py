@@ -16,6 +16,7 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex import cli
+from rx90b_flex.commands.shared import show_table
 
 RATE_HZ, CUTOFF_HZ = 100.0, 10.0
 DECLARED = [{"type": t, "joint": j} for j in ("shoulder", "elbow") for t in ("coulomb_friction", "viscous_friction")]
@@ -356,3 +357,12 @@ def test_the_installed_command_fails_as_the_function_does(campaign, tmp_path):
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert "log_2.csv" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_names_in_a_table_are_not_cut(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    words = "coefficient 10.58 ± 0.45 N m (s/rad)^power, power 0.667 ± 0.023, turnover 0.000017 ± 0.000017 rad/s"
+    rows = [("load_viscous_friction", "joint_2 + joint_3", words, "0.1416", "0.1347")]
+    show_table("Effects", rows, ("found", "where", "values", "error before", "after"))
+    shown = capsys.readouterr().out
+    assert "load_viscous_friction" in shown and "0.1347" in shown and "…" not in shown

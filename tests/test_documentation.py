@@ -9,6 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.main import get_command
 
@@ -18,6 +19,7 @@ from rx90b_flex.effects import catalogue, effect_from_table
 DOCS = Path(__file__).resolve().parent.parent / "rx90b_flex" / "docs"
 sys.path.insert(0, str(DOCS))
 import effect_pages  # noqa: E402
+import effect_pictures  # noqa: E402
 
 # The vocabulary that robot files and reports rely on.
 TYPES = (
@@ -79,6 +81,28 @@ def test_names_in_effects_docstrings_are_effect_types() -> None:
                 assert name in catalogue(), f"{cls.__name__}: {name}"
 
 
+@pytest.mark.parametrize("name", sorted(catalogue()))
+def test_the_gallery_draws_what_an_effect_leaves_in_a_residual(name: str) -> None:
+    figure = effect_pictures.draw(catalogue()[name])
+    if figure is None:  # it hardens a torsion, and is nothing beside a rigid drive
+        assert catalogue()[name].needs
+        return
+    lines = [np.asarray(line.get_ydata(), dtype=float) for ax in figure.axes for line in ax.lines]
+    assert all(np.isfinite(y).all() for y in lines) and np.ptp(lines[0]) > 0
+    if len(figure.axes) == 1:  # with it and without it
+        assert not np.allclose(*lines, rtol=0.1)
+
+
+def test_friction_shows_over_velocity_and_a_spring_over_the_angle() -> None:
+    for name, signal in (
+        ("viscous_power_friction", "velocity"),
+        ("joint_spring", "angle"),
+        ("drive_inertia", "acceleration"),
+    ):
+        figure = effect_pictures.draw(catalogue()[name])
+        assert figure is not None and signal in figure.axes[1].get_xlabel()
+
+
 def test_catalogue_leads_to_every_page() -> None:
     index = effect_pages.index()
     for name in catalogue():
@@ -97,7 +121,8 @@ def test_commands_and_toml_in_a_page_are_real(page: Path) -> None:
 
 
 def test_every_name_in_the_api_reference_is_there() -> None:
-    for kind, name in re.findall(r"\.\. auto(\w+):: (\S+)", (DOCS / "api.md").read_text(encoding="utf-8")):
+    pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.md"))
+    for kind, name in re.findall(r"\.\. auto(\w+):: (\S+)", pages):
         if kind == "module":
             importlib.import_module(name)
         else:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 import rx90b_flex as rf
 from rx90b_flex.effects import catalogue
 from rx90b_flex.excitation import identity, minus_below_first, multisine, odd_lines
+from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, confidence_radius, estimate_frequency_response, group_recordings
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662, square_wave, static_start
@@ -429,3 +430,31 @@ def test_a_difference_needs_the_same_lines() -> None:
     r = estimate_frequency_response(recordings(np.random.default_rng(12)))
     with pytest.raises(ValueError, match="at the response's lines"):
         frf_plots.difference(r, plant(r.hz[:-1]))
+
+
+def test_a_response_compares_itself_with_a_robot_and_shows_itself() -> None:
+    robot = rf.load_robot("rx90b_3dof")
+    robot = robot.with_effects([e for e in robot.effects if e.part != "friction"])
+    linear = robot.linearize(robot.input_matrix @ [0.0, 1.5, 0.3])
+    hz = np.linspace(8.0, 60.0, 40)
+    true = linear.frf(hz)
+    covariance = np.repeat(np.eye(9)[None] * 1e-6, len(hz), axis=0).astype(complex)
+    off = 2e-3 * np.exp(2j * np.pi * np.arange(true.size) / 7).reshape(true.shape)
+    response = FrequencyResponse(hz, true + off, covariance, robot.joints, np.zeros(3))
+    # errors of twice the standard deviation
+    np.testing.assert_allclose(np.abs(response.residuals(linear)), 2.0, rtol=1e-9)
+    fit = response.compare(linear)
+    j, k = robot.joints[0], robot.joints[2]
+    spread = response.value[:, 0, 2] - response.value[:, 0, 2].mean()
+    assert fit.loc[j, k] == pytest.approx(100 * (1 - 2e-3 * np.sqrt(len(hz)) / np.linalg.norm(spread)))
+    assert (response.compare(response) == 100.0).all(axis=None)
+    figure = response.bode(linear)
+    assert len(figure.axes) == 18 and "model" in [line.get_label() for line in figure.axes[0].lines]
+    table = response.to_pandas()
+    row = table[(table["acceleration"] == j) & (table["torque"] == k)].iloc[3]
+    assert (row["hz"], complex(row["real"], row["imag"])) == (hz[3], response.value[3, 0, 2])
+    with pytest.raises(ValueError, match="40 lines"):
+        response.compare(response.band(8.0, 20.0))
+    pytest.importorskip("xarray")
+    grid = response.to_xarray()
+    assert complex(grid["value"].sel(acceleration=j, torque=k).isel(hz=3)) == response.value[3, 0, 2]

@@ -103,7 +103,7 @@ def test_two_poses_tell_what_a_stretched_arm_alone_cannot(tmp_path: Path, monkey
         assert p["transfer_functions"] and p["drives"] and len(p["recordings"]) == 24
     assert found["grey_box"]["poses"] == ["pose 1", "pose 2"]
     monkeypatch.setattr(
-        frf_report, "image", lambda figure, alt, caption="": Image("", alt, 1, 1, caption)
+        frf_report, "image", lambda figure, alt, caption="", zoom=False: Image("", alt, 1, 1, caption)
     )  # drawing is slow
     frf_report.write_frf_report(both, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()

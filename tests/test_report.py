@@ -25,11 +25,12 @@ from rx90b_flex.signals import Recording, write_campaign
 from rx90b_flex.view import plots, report_html, write_report
 from rx90b_flex.view.advice import next_measurements, standstill
 from rx90b_flex.view.report import headline, measured, number, p_value, percent
+from rx90b_flex.view.zoom import envelope, script, script_hash
 
 JOINTS = ("shoulder", 'elbow <b>"1" & $x_1$</b>')  # names that break HTML or mathematics if they are not escaped
 RATE_HZ, DURATION_S, NOISE = 100.0, 6.0, 0.02
 HIDDEN = CoulombFriction(joint=JOINTS[1], torque=1.5)
-SECTIONS = ("data", "found", "errors", "residuals", "alternatives", "tried", "remains", "next", "parameters", "how")
+SECTIONS = ("found", "data", "errors", "alternatives", "residuals", "tried", "remains", "next", "parameters", "how")
 
 
 def arm_urdf() -> str:
@@ -96,7 +97,7 @@ class Page(HTMLParser):
         self.tags.append((tag, dict(attrs)))
 
     def handle_data(self, data: str) -> None:
-        if self.tags and self.tags[-1][0] != "style":
+        if self.tags and self.tags[-1][0] not in ("style", "script"):
             self.parts.append(data)
 
     @property
@@ -128,8 +129,11 @@ def empty_page(nothing: ClosedLoop) -> Page:
 
 
 def test_the_page_asks_nobody_for_anything(html: str, page: Page) -> None:
-    assert "script" not in {tag for tag, _ in page.tags}
     assert "default-src 'none'" in html  # a browser refuses what the checks below might miss
+    assert (
+        f"script-src {script_hash()}" in html and html.count("<script>") == 1
+    )  # it runs the package's own script alone
+    html = html.replace(script(), "")
     for _, attributes in page.tags:
         for name in ("src", "href", "srcset", "action", "data", "poster"):
             assert (attributes.get(name) or "#").startswith(("data:", "#"))
@@ -156,9 +160,16 @@ def test_all_sections_stand_in_the_order_of_the_questions(page: Page) -> None:
     assert links == {f"#{name}" for name in SECTIONS}
 
 
-def test_the_report_leads_with_the_look_at_the_data(found: ClosedLoop, page: Page) -> None:
+def test_the_report_leads_with_the_finding_and_its_joint_before_and_after(html: str) -> None:
+    (finding,) = re.findall(r'<article class="finding">.*?</article>', html, re.DOTALL)
+    assert "coulomb friction on" in finding and "<figure" in finding
+    # dry friction is a curve over velocity
+    assert "before and after, over its velocity" in finding
+    assert html.index(finding) < html.index("The data, looked at first")
+
+
+def test_the_look_at_the_data_stands_in_the_report(found: ClosedLoop, page: Page) -> None:
     assert found.checked is not None
-    assert page.text.index("The data, looked at first") < page.text.index("What was found, and how sure it is")
     assert found.checked.verdict in page.text
     assert all(r.file in page.text for r in found.checked.recordings)
 
@@ -370,7 +381,7 @@ def test_a_thinned_line_keeps_its_peaks() -> None:
     time = np.arange(100_000.0)
     y = np.sin(time / 5000)
     y[[123, 45_678]] = 50.0, -40.0
-    x, thinned = plots.envelope(time, y, columns=600)
+    x, thinned = envelope(time, y, columns=600)
     assert len(x) <= 1202
     assert (thinned.max(), thinned.min()) == (50.0, -40.0)
     assert (np.diff(x) >= 0).all()

@@ -85,8 +85,9 @@ def show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], r
     from rich.text import Text
 
     table = Table(title=Text(title), title_justify="left")
-    for name in head:
-        table.add_column(name, justify="right" if name in right else "left")
+    for i, name in enumerate(head):
+        whole = all(" " not in row[i] for row in rows)  # names and numbers stay whole as long as sentences can give way
+        table.add_column(name, justify="right" if name in right else "left", overflow="fold", no_wrap=whole)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     Console().print(table)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,11 @@ sys.path[:0] = [str(HERE.parents[1]), str(HERE)]
 from effect_pages import write_pages  # noqa: E402
 
 import rx90b_flex  # noqa: E402
+
+# their names are loaded when asked for, and autodoc does not ask
+for package in map(import_module, ("rx90b_flex.path", "rx90b_flex.simulate")):
+    for name in package.__all__:
+        setattr(package, name, getattr(package, name))
 
 project = "rx90b_flex"
 author = "the rx90b_flex authors"

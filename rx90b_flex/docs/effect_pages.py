@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+
+import effect_pictures
 
 from rx90b_flex.effects import Effect, Parameter, Sites, catalogue
 
@@ -26,8 +29,12 @@ KINDS = {
 LEAD = """# Effect catalogue
 
 A robot is a rigid tree and a list of effects. Each type has one page: what it is, its parameters, what it leaves in the residual of a
-model that lacks it, and what tells it from its neighbours.
+model that lacks it, and what tells it from its neighbours. All residuals side by side: [the gallery](gallery.md).
 """
+SHOWN = """Made from the effect itself, on an arm that moves by a sum of harmonics and rests once, without noise: what it adds to a
+joint's torque, less what constant, Coulomb and viscous friction can imitate of that, over time and over what it depends on most.
+Its size is arbitrary, and spikes may leave the frame. An effect that adds coordinates and shows in no torque over time is drawn in
+the frequency response of a drive."""
 EXAMPLE = "In a robot file (the numbers only show the form; a value that is left out is identified):"
 ANYWHERE = Sites(("joint_1", "joint_2"), "tool0")
 KEYS = {
@@ -66,10 +73,13 @@ def text_of(cls: type[Effect]) -> Text:
     return Text(parts[0].strip(), tuple(found[title] for title in SECTIONS))
 
 
-def page(cls: type[Effect]) -> str:
-    """The page of an effect type, Markdown."""
+def page(cls: type[Effect], picture: bool = False) -> str:
+    """The page of an effect type, Markdown; with its picture from the gallery, which lies beside it."""
     text = text_of(cls)
-    lines = [f"# `{cls.type_name()}`", "", _linked(text.what, cls), "", f"*{_place(cls)}.*", "", "## Parameters", ""]
+    lines = [f"# `{cls.type_name()}`", "", _linked(text.what, cls), "", f"*{_place(cls)}.*", ""]
+    if picture:
+        lines += [f"![What {cls.type_name()} leaves in the residual]({cls.type_name()}.png)", "", SHOWN, ""]
+    lines += ["## Parameters", ""]
     lines += ["| name | unit | bounds | |", "|---|---|---|---|"]
     for name, p in cls.parameters().items():
         size = f" [{p.size}]" if p.size > 1 else ""
@@ -90,13 +100,26 @@ def index() -> str:
                 first = " ".join(text_of(cls).what.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
                 lines.append(f"| [`{name}`]({name}.md) | {cls.on} | {first} |")
         lines.append("")
-    return "\n".join([*lines, "```{toctree}", ":hidden:", "", *catalogue(), "```", ""])
+    return "\n".join([*lines, "```{toctree}", ":hidden:", "", "gallery", *catalogue(), "```", ""])
+
+
+def gallery(drawn: Sequence[str]) -> str:
+    """All pictures on one page, Markdown."""
+    lines = ["# What each effect looks like in a residual", "", SHOWN, ""]
+    for place, words in PLACES.items():
+        names = [name for name in drawn if catalogue()[name].acts_on == place]
+        lines += [f"## {words[0].upper()}{words[1:]}", ""]
+        for name in names:
+            lines += [f"### [`{name}`]({name}.md)", "", f"![Residual with {name}]({name}.png)", ""]
+    return "\n".join(lines)
 
 
 def write_pages(folder: Path) -> None:
     """Write index and pages; files that are already right keep their time, so that a second build is quick."""
     folder.mkdir(exist_ok=True)
-    pages = {"index": index()} | {name: page(cls) for name, cls in catalogue().items()}
+    drawn = [name for name, cls in catalogue().items() if effect_pictures.save(cls, folder / f"{name}.png")]
+    pages = {"index": index(), "gallery": gallery(drawn)}
+    pages |= {name: page(cls, name in drawn) for name, cls in catalogue().items()}
     for name, text in pages.items():
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:

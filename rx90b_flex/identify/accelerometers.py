@@ -14,7 +14,7 @@ so no motor constant and no drive inertia.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -22,28 +22,43 @@ from scipy import optimize
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.frequency_response import ComplexArray
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot
+from rx90b_flex.signals.stated import Accelerometer
 
 CONDITION = 1e6  # of the sensors' matrix, columns scaled, beyond which they do not see every coordinate
 
 
-@dataclass(frozen=True)
-class Accelerometer:
-    """A triaxial accelerometer fixed to a link.
+@dataclass(frozen=True, eq=False)
+class AccelerationResponse(FrequencyResponse):
+    """What accelerometers show over drive torque, at some lines and one pose, beside the drives' own response.
 
     Attributes
     ----------
-    link : str
-        A moving link with mass, one of `robot.bodies`.
-    position : three numbers, m
-        In the frame of the link's joint, whose axes are those of the sensor.
+    value : complex array, shape (F, 3 * sensors, n)
+        x, y and z of each sensor over the torque of each drive, m/s^2 per N m.
+    covariance : complex array, shape (F, 3 * sensors * n, 3 * sensors * n)
+    sensors : tuple of Accelerometer
     """
 
-    link: str
-    position: tuple[float, float, float]
+    sensors: tuple[Accelerometer, ...] = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        rows = 3 * len(self.sensors)
+        shapes = {
+            "value": (len(self.hz), rows, len(self.joints)),
+            "covariance": (len(self.hz), *(rows * len(self.joints),) * 2),
+        }
+        for name, expected in shapes.items():
+            if np.shape(getattr(self, name)) != expected:
+                raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}; expected {expected}")
+
+    def band(self, low_hz: float, high_hz: float) -> AccelerationResponse:
+        """The lines between two frequencies, both included."""
+        kept = (self.hz >= low_hz) & (self.hz <= high_hz)
+        return replace(self, hz=self.hz[kept], value=self.value[kept], covariance=self.covariance[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +96,26 @@ def sensor_matrix(robot: Robot, angles: Array, sensors: Sequence[Accelerometer],
     complex array, shape (F, joints + 3 * sensors, n)
         Rows: accelerations of the drives, rad/s^2; x, y, z of each sensor, m/s^2.
     """
+    linear, gravity = sensor_rows(robot, robot.input_matrix @ np.asarray(angles, dtype=float), sensors)
+    s2 = (2j * np.pi * np.asarray(hz, dtype=float))[:, None, None] ** 2
+    return np.asarray(np.concatenate([s2 * robot.input_matrix.T, s2 * linear + gravity], axis=1))
+
+
+def sensor_rows(robot: Robot, q: Array, sensors: Sequence[Accelerometer]) -> tuple[Array, Array]:
+    """What accelerometers measure per unit of each coordinate's acceleration, and by gravity of its angle; each (3 * sensors, n)."""
     model, data = robot.model, robot.model.createData()
-    q = robot.input_matrix @ np.asarray(angles, dtype=float)
     pin.computeJointJacobians(model, data, q)
     joints = dict(robot.bodies)
-    s2 = (2j * np.pi * np.asarray(hz, dtype=float))[:, None, None] ** 2
-    rows = [s2 * robot.input_matrix.T]
+    linear, gravity = [np.zeros((0, model.nv))], [np.zeros((0, model.nv))]
     for sensor in sensors:
         if sensor.link not in joints:
             raise ValueError(f"accelerometer on {sensor.link!r}; {close_match(sensor.link, list(joints))}")
         joint = joints[sensor.link]
         jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL)
-        linear = jacobian[:3] - pin.skew(np.asarray(sensor.position, dtype=float)) @ jacobian[3:]
+        linear.append(jacobian[:3] - pin.skew(np.asarray(sensor.position, dtype=float)) @ jacobian[3:])
         weight = data.oMi[joint].rotation.T @ -model.gravity.linear  # what the sensor shows at rest
-        rows.append(s2 * linear + pin.skew(weight) @ jacobian[3:])
-    return np.concatenate(rows, axis=1)
+        gravity.append(pin.skew(weight) @ jacobian[3:])
+    return np.concatenate(linear), np.concatenate(gravity)
 
 
 def fit_accelerations(

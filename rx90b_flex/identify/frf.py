@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.mains import without_mains
 from rx90b_flex.signals import Campaign, Recording
+from rx90b_flex.signals.stated import Accelerometer
 
 EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of the largest
 USED = 1e-4  # a joint is excited where its feed-forward exceeds this part of the largest joint's
@@ -32,6 +34,8 @@ WORST_CONDITION = (
 )
 CLEAR = 4.0  # standard deviations by which the weakest combination of torques must stand out of the noise
 NEIGHBOURS = 2  # lines on either side that count for a covariance
+OWN = 3.0  # an accelerometer's line whose variance exceeds its neighbours' mean by this keeps its own
+PLENTY = 8  # degrees of freedom of an accelerometer's covariance, over its entries a row
 ENOUGH = 2  # degrees of freedom of a covariance, over its entries a row, below which more neighbours count
 POSE_SPREAD = 0.02  # rad: mean angles further apart belong to different poses
 NAME = re.compile(r"^(?P<realisation>.*\d)_(?P<experiment>\d+)_(?P<sign>plus|minus)(_\d+)?$")
@@ -568,25 +572,85 @@ def _complete(pairs: list[_Pair], joints: tuple[str, ...], remarks: list[str]) -
     return complete
 
 
+def estimate_accelerations(
+    recordings: Sequence[Recording], response: MeasuredResponse, sensors: Sequence[Accelerometer]
+) -> AccelerationResponse:
+    """Accelerometers' signals over drive torque, from the recordings of a response and at its lines.
+
+    As of the drives, ``A U^-1`` of each realisation, and their mean. The covariance of each channel's entries is that of the
+    realisations' departures over the channel's size, averaged over as many neighbouring lines as it needs; errors of different
+    channels are taken as independent.
+
+    Raises
+    ------
+    ValueError
+        A recording without these signals, or a single realisation.
+    """
+    rows = 3 * len(sensors)
+    for r in recordings:
+        if r.acceleration is None or r.acceleration.shape[1] != rows:
+            raise ValueError(f"recording {r.name!r} has no {rows} columns of accelerometers")
+    columns = [recordings[0].joints.index(j) for j in response.joints]
+    groups = _complete(_sign_pairs(recordings, _long_enough(recordings, response.places, []), []), response.joints, [])
+    period = recordings[0].period_samples or 1
+    lines = np.round(response.hz * period / recordings[0].sample_rate_hz).astype(int)
+    used, shown = (
+        np.moveaxis(_spectrum_of(recordings, groups, name, which).mean(axis=2)[:, :, lines], 1, 3)
+        for name, which in (("torque", columns), ("acceleration", list(range(rows))))
+    )  # (R, F, n or rows, E)
+    single = shown @ np.linalg.pinv(used)
+    realisations, count, inputs = len(single), len(lines), len(columns)
+    if realisations < 2:
+        raise ValueError("one realisation: how far accelerometers' responses are off cannot be told; record more")
+    value = single.mean(axis=0)
+    size = np.linalg.norm(value, axis=2, keepdims=True)
+    apart = (single - value) / size
+    own = np.einsum("rfjk,rfjl->fjkl", apart, apart.conj()) / (realisations * (realisations - 1))
+    width = min(count, -(-PLENTY * inputs // (realisations - 1)))
+    first = np.clip(np.arange(count) - width // 2, 0, count - width)
+    smooth = np.lib.stride_tricks.sliding_window_view(own, width, axis=0).mean(axis=-1)[first]
+    excess = np.einsum("fjkk->fj", own).real / np.einsum("fjkk->fj", smooth).real
+    freedom = width * (realisations - 1)
+    # the inverse of an estimated covariance is too large by this, on average
+    grow = np.where(excess > OWN, excess, 1.0) * size[:, :, 0] ** 2 * freedom / max(freedom - inputs, 1)
+    covariance = np.zeros((count, rows, inputs, rows, inputs), dtype=complex)
+    each = np.arange(rows)
+    covariance[:, each, :, each] = np.moveaxis(smooth * grow[:, :, None, None], 1, 0)
+    return AccelerationResponse(
+        response.hz,
+        value,
+        covariance.reshape(count, rows * inputs, -1),
+        response.joints,
+        response.pose,
+        sensors=tuple(sensors),
+    )
+
+
 def _spectra_of(
     recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]
 ) -> tuple[ComplexArray, ComplexArray]:
     """Line amplitudes of torque and angle of every period, signs subtracted, each (R, E, M, L, n)."""
+    return _spectrum_of(recordings, groups, "torque", columns), _spectrum_of(recordings, groups, "position", columns)
+
+
+def _spectrum_of(
+    recordings: Sequence[Recording], groups: list[list[_Pair]], field: str, columns: list[int]
+) -> ComplexArray:
+    """Line amplitudes of some columns of a signal in every period, signs subtracted, (R, E, M, L, columns)."""
     used = {i for group in groups for p in group for i in (p.plus, p.minus) if i is not None}
     count = min(recordings[i].samples // (recordings[i].period_samples or 1) for i in used)
 
-    def spectrum(i: int, field: str) -> ComplexArray:
+    def spectrum(i: int) -> ComplexArray:
         wave = _periods(getattr(recordings[i], field)[:, columns], recordings[i])[:count]
         return np.asarray(np.fft.rfft(wave, axis=1) * (2.0 / wave.shape[1]))
 
-    def difference(pair: _Pair, field: str) -> ComplexArray:
+    def difference(pair: _Pair) -> ComplexArray:
         if pair.plus is None or pair.minus is None:
             sign, only = (1.0, pair.plus) if pair.plus is not None else (-1.0, pair.minus)
-            return sign * spectrum(only or 0, field)
-        return 0.5 * (spectrum(pair.plus, field) - spectrum(pair.minus, field))
+            return sign * spectrum(only or 0)
+        return 0.5 * (spectrum(pair.plus) - spectrum(pair.minus))
 
-    torque, angle = (np.stack([[difference(p, f) for p in g] for g in groups]) for f in ("torque", "position"))
-    return torque, angle
+    return np.stack([[difference(p) for p in group] for group in groups])
 
 
 def _feedforward(recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]) -> ComplexArray | None:

@@ -20,9 +20,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from scipy.signal import resample
 
+from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
-from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response, group_poses
+from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
 from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box, poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
 from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay
@@ -32,6 +34,7 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 from rx90b_flex.signals.folders import MOTOR_SIGNALS, fill_folder
+from rx90b_flex.signals.stated import Accelerometer
 from rx90b_flex.signals.tables import read_table
 
 if TYPE_CHECKING:
@@ -105,6 +108,8 @@ class AtPose:
     recordings : tuple of Recording
     measured : MeasuredResponse
     transfer, validation, drives : results of the stages, None where left out
+    accelerations : AccelerationResponse or None
+        What the campaign's accelerometers showed; None where there are none.
     """
 
     name: str
@@ -114,6 +119,7 @@ class AtPose:
     transfer: TransferFit | None
     validation: Validation | None
     drives: DriveIdentification | None
+    accelerations: AccelerationResponse | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +213,10 @@ def identify_from_motors(
     tell("reading", 0.0)
     campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
     robot = load_robot(campaign.robot_source)
+    links = [link for link, _ in robot.bodies]
+    for sensor in campaign.accelerometers:
+        if sensor.link not in links:
+            raise ValueError(f"{campaign.path}: accelerometer on {sensor.link!r}; {close_match(sensor.link, links)}")
     controller = _controller(campaign.path, options.controller)
     stages = _Stages(tell)
     recordings = campaign.identification
@@ -216,7 +226,9 @@ def identify_from_motors(
     poses: list[AtPose] = []
     remarks: list[str] = []
     for place, group in enumerate(groups):
-        found = _at_pose(f"pose {place + 1}", group, robot, options, stages, (place / len(groups), len(groups)))
+        found = _at_pose(
+            f"pose {place + 1}", group, robot, campaign.accelerometers, options, stages, (place / len(groups), len(groups))
+        )  # fmt: skip
         if found is not None:
             poses.append(found)
             remarks += [_of(found.name, remark, len(groups)) for remark in found.measured.remarks]
@@ -284,6 +296,7 @@ def _at_pose(
     name: str,
     recordings: tuple[Recording, ...],
     robot: Robot,
+    sensors: tuple[Accelerometer, ...],
     options: Options,
     stages: _Stages,
     part: tuple[float, int],
@@ -304,8 +317,13 @@ def _at_pose(
     transfer = run("transfer functions", 0.3, lambda: fit_transfer_functions(_there(measured), options.modes))
     validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
     drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
+    accelerations = None
+    if sensors:
+        accelerations = run(
+            "accelerometers", 0.97, lambda: estimate_accelerations(recordings, _there(measured), sensors)
+        )
     pose = mean_motion(recordings, robot.joints).mean(axis=0)
-    return AtPose(name, pose, recordings, measured, transfer, validation, drives)
+    return AtPose(name, pose, recordings, measured, transfer, validation, drives, accelerations)
 
 
 def _alike(poses: Sequence[AtPose], remarks: list[str]) -> tuple[int, ...]:
@@ -375,6 +393,7 @@ def _grey_box(
     for p in poses:
         plain = {f.name: getattr(p.measured, f.name) for f in dataclasses.fields(FrequencyResponse)}
         responses.append(FrequencyResponse(**{**plain, "pose": p.pose}))
+    shown = [p.accelerations for p in poses if p.accelerations is not None]
     torques = [p.measured.torque for p in poses]
     one_number = len({torque.shape[2] for torque in torques}) == 1
     return grey_box(
@@ -389,6 +408,7 @@ def _grey_box(
         along=[poses_along(motion) for motion in motions],
         feedback=None if controller is None else feedback_of(controller, poses[0].measured.joints),
         torques=torques if one_number else None,  # else one friction slope a joint serves all experiments
+        accelerations=shown if len(shown) == len(poses) else None,
         progress=lambda text, part: tell(text, 0.6 + 0.15 * part),
     )
 
@@ -398,6 +418,10 @@ def _replay(
 ) -> ReplayedGreyBox:
     if controller is None:
         raise ValueError(f"no controller file (no {CONTROLLER} beside the campaign), so the loop cannot be simulated")
+    if len(grey.responses) > len(poses):
+        raise ValueError(
+            "friction's distortion of accelerometers' signals is not replayed; the fit as measured uses them"
+        )
     return grey_box_by_replay(
         robot,
         grey,
@@ -442,6 +466,9 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
         "robot": result.robot.name,
         "joints": list(result.robot.joints),
         "band_hz": list(result.options.band_hz),
+        "accelerometers": [
+            {"link": s.link, "position": list(s.position)} for p in result.poses[:1] for s in _sensors(p)
+        ],
         "poses": [
             {
                 "name": p.name,
@@ -458,6 +485,10 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
         "left_out": [{"stage": x.stage, "why": x.why} for x in result.left_out],
         "remarks": list(result.remarks),
     }
+
+
+def _sensors(at: AtPose) -> tuple[Accelerometer, ...]:
+    return () if at.accelerations is None else at.accelerations.sensors
 
 
 def _response_json(measured: MeasuredResponse) -> dict[str, Any]:

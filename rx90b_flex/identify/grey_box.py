@@ -19,8 +19,10 @@ from scipy import optimize, stats
 from rx90b_flex.effects import Effect, close_match
 from rx90b_flex.effects.motion import Array, Mask, Motion
 from rx90b_flex.export import with_link_parameters
+from rx90b_flex.identify.accelerometers import AccelerationResponse, sensor_rows
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot
+from rx90b_flex.signals.stated import Accelerometer
 
 WEAK = 2.0  # standard deviation of a logarithm: a factor of 7 either way, which only matters where the data say nothing
 UNDETERMINED = (
@@ -92,24 +94,35 @@ class _Pose:
     D: Array
     K: Array
     drives: Array  # (n, joints), B
+    sensors: (
+        tuple[Array, Array] | None
+    )  # rows of accelerometers, each (3 * sensors, n): by acceleration, and by gravity of the angle
 
     def response(self, hz: Array, p: Array) -> ComplexArray:
-        """P, shape (F, joints, joints)."""
+        """P, and below it the accelerometers' responses, shape (F, joints + 3 * sensors, joints)."""
         s, inverse = self._inverse(hz, p)
-        return s**2 * (self.drives.T @ inverse @ self.drives)
+        return self._measured(s, inverse) @ self.drives
 
     def derivatives(self, hz: Array, p: Array) -> ComplexArray:
-        """dP/dp, shape (p, F, joints, joints)."""
+        """dP/dp, shape (p, F, joints + 3 * sensors, joints)."""
         s, inverse = self._inverse(hz, p)
-        left, right = self.drives.T @ inverse, inverse @ self.drives
-        out = np.zeros((len(p), len(hz), left.shape[1], left.shape[1]), dtype=complex)
+        left, right = self._measured(s, inverse), inverse @ self.drives
+        out = np.zeros((len(p), len(hz), left.shape[1], self.drives.shape[1]), dtype=complex)
         for power, pattern in ((2, self.M), (1, self.D), (0, self.K)):
             for i in np.flatnonzero(pattern[1:].any(axis=(1, 2))):
                 # most patterns touch one or two coordinates
                 at = np.flatnonzero(pattern[i + 1].any(axis=0) | pattern[i + 1].any(axis=1))
                 middle = pattern[i + 1][np.ix_(at, at)]
-                out[i] -= s ** (2 + power) * (left[:, :, at] @ middle @ right[:, at])
+                out[i] -= s**power * (left[:, :, at] @ middle @ right[:, at])
         return out
+
+    def _measured(self, s: ComplexArray, inverse: ComplexArray) -> ComplexArray:
+        """What drives and sensors show per unit of force on each coordinate."""
+        own = s**2 * (self.drives.T @ inverse)
+        if self.sensors is None:
+            return own
+        linear, gravity = self.sensors
+        return np.concatenate([own, s**2 * (linear @ inverse) + gravity @ inverse], axis=1)
 
     def _inverse(self, hz: Array, p: Array) -> tuple[ComplexArray, ComplexArray]:
         s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=complex)
@@ -130,32 +143,38 @@ class _Motion:
 
     poses: tuple[_Pose, ...]
     feedback: ComplexArray | None  # H: torque against acceleration, (F, joints, joints)
+    sensors: bool = False  # whether it is the accelerometers' responses that are asked for, which follow P
 
     def response(self, hz: Array, p: Array) -> ComplexArray:
-        return self._mean(hz, p)[0]
+        return self._asked(self._mean(hz, p)[0])
 
     def derivatives(self, hz: Array, p: Array) -> ComplexArray:
         """Shape (p, F, joints, joints)."""
         mean, each = self._mean(hz, p)
         out = np.zeros((len(p), *mean.shape), dtype=complex)
-        for pose, (left, right) in zip(self.poses, each, strict=True):
-            out += left @ pose.derivatives(hz, p) @ right
+        for pose, (through_loop, right) in zip(self.poses, each, strict=True):
+            change = pose.derivatives(hz, p)
+            out += (change + through_loop @ change[:, :, : mean.shape[-1]]) @ right
         out /= len(self.poses)
-        return out
+        return self._asked(out)
+
+    def _asked(self, rows: ComplexArray) -> ComplexArray:
+        joints = rows.shape[-1]
+        return rows[..., joints:, :] if self.sensors else rows[..., :joints, :]
 
     def _mean(self, hz: Array, p: Array) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
-        """P, and the factors that a change of each P_q comes with in a change of P."""
+        """All rows, and the factors that a change of each pose's rows comes with: of P's rows through the loop, and on the right."""
         responses: ComplexArray = np.array([pose.response(hz, p) for pose in self.poses])
-        one = np.eye(responses.shape[-1], dtype=complex)
+        joints = responses.shape[-1]
+        one = np.eye(joints, dtype=complex)
         if self.feedback is None or len(self.poses) == 1:
             plain: ComplexArray = np.asarray(responses.mean(axis=0), dtype=np.complex128)
-            return plain, [(one, one)] * len(responses)
-        sensitivity = np.linalg.inv(one + self.feedback @ responses)
+            return plain, [(np.zeros((plain.shape[1], joints), dtype=complex), one)] * len(responses)
+        sensitivity = np.linalg.inv(one + self.feedback @ responses[:, :, :joints])
         inverse = np.linalg.inv(sensitivity.mean(axis=0))
         mean = (responses @ sensitivity).mean(axis=0) @ inverse
         return mean, [
-            (one + (mean - each) @ s @ self.feedback, s @ inverse)
-            for each, s in zip(responses, sensitivity, strict=True)
+            ((mean - each) @ s @ self.feedback, s @ inverse) for each, s in zip(responses, sensitivity, strict=True)
         ]
 
 
@@ -177,7 +196,7 @@ class _Experiments:
 
     def coarser(self, keep: slice) -> _Experiments:
         """Some of the lines, with each motion's middle pose alone."""
-        motions = tuple(_Motion((m.poses[len(m.poses) // 2],), None) for m in self.motions)
+        motions = tuple(_Motion((m.poses[len(m.poses) // 2],), None, m.sensors) for m in self.motions)
         return _Experiments(motions, tuple(s[keep] if s.ndim == 3 else s for s in self.shares))
 
 
@@ -234,7 +253,13 @@ def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     return max(slope, 1.0)
 
 
-def _pose(robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Sequence[GreyParameter]) -> _Pose:
+def _pose(
+    robot: Robot,
+    slopes: Mapping[str, str],
+    angles: Array,
+    parameters: Sequence[GreyParameter],
+    sensors: Sequence[Accelerometer] = (),
+) -> _Pose:
     """Matrices with the drives at some angles; drives without a slope stand still, held by their friction.
 
     Parameters
@@ -273,7 +298,8 @@ def _pose(robot: Robot, slopes: Mapping[str, str], angles: Array, parameters: Se
     free = np.flatnonzero(~robot.input_matrix[:, held].any(axis=1))
     drives = robot.input_matrix[free][:, [robot.joints.index(j) for j in joints]]
     M, D, K = (x[:, free[:, None], free] for x in (M, D, K))
-    return _Pose(M, D, K, drives)
+    rows = sensor_rows(robot, q, sensors) if sensors else None
+    return _Pose(M, D, K, drives, None if rows is None else (rows[0][:, free], rows[1][:, free]))
 
 
 def _of_link(motion: Motion, link: str, parameters: Array) -> tuple[Array, Array, Array]:
@@ -647,7 +673,7 @@ class GreyBox:
         Vaguest first.
     robot : Robot
         With the drives, flexibilities and (where fitted) links found; its friction is as declared.
-    responses, predicted : the data, and the model's responses at its lines.
+    responses, predicted : the data, and the model's responses at its lines; those of accelerometers follow those of the drives.
     errors : tuple of complex array, shape (F * n*n,)
         Whitened residuals, unit variance where noise, distortion and the stated model error are all that there is.
     cost, expected_cost : float
@@ -709,6 +735,7 @@ def grey_box(
     torques: Sequence[ComplexArray] | None = None,
     model_error: float | None = MODEL_ERROR,
     friction_error: float | None = FRICTION_ERROR,
+    accelerations: Sequence[AccelerationResponse] | None = None,
     progress: Progress | None = None,
 ) -> GreyBox:
     """Fit drive and joint stiffness, damping, drive inertia and friction slope to frequency responses, by maximum likelihood.
@@ -749,6 +776,9 @@ def grey_box(
         each friction slope in each column, over the slope. It weighs the lines and widens the intervals. 0: the model is exact. None:
         estimated from what the fit cannot explain, by restricted maximum likelihood. That sees no bias which parameters can take
         up: with dry friction its intervals are too short, and those of the stated default are not.
+    accelerations : sequence of AccelerationResponse, optional
+        Of each response, what accelerometers on links showed at the same lines; fitted together with it, their errors independent
+        of those of the drives and of each other.
     progress : callable, optional
 
     Raises
@@ -758,7 +788,9 @@ def grey_box(
     """
     given = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
     tell = progress or (lambda text, part: None)
-    problem = _problem(robot, given, band_hz, link_mass_std, fixed, along, feedback, torques, bending_alike_std)
+    problem = _problem(
+        robot, given, band_hz, link_mass_std, fixed, along, feedback, torques, bending_alike_std, accelerations
+    )
     first = problem.declared.copy()
     names = [p.name for p in problem.parameters]
     begin = [("declared values", first)]
@@ -789,6 +821,7 @@ def _problem(
     feedback: Feedback | None,
     torques: Sequence[ComplexArray] | None,
     bending_alike_std: float,
+    accelerations: Sequence[AccelerationResponse] | None = None,
 ) -> _Problem:
     if not given:
         raise ValueError("no frequency response to fit to")
@@ -819,15 +852,29 @@ def _problem(
         if name not in names:
             raise ValueError(f"fixed: no parameter {name!r}; {close_match(name, names)}")
     passed = along if along is not None else [np.atleast_2d(r.pose) for r in kept]
-    motions = []
-    for r, path, torque in zip(kept, passed, used, strict=True):
+    if accelerations is not None and len(accelerations) != len(given):
+        raise ValueError(
+            f"accelerations has {len(accelerations)} responses; expected {len(given)}, one a response of the drives"
+        )
+    beside = () if accelerations is None else tuple(x.band(*band_hz) for x in accelerations)
+    for r, other in zip(kept, beside, strict=False):
+        if other.joints != joints or not np.array_equal(other.hz, r.hz):
+            raise ValueError("accelerations are of other joints or lines than the drives' response")
+    motions, shown = [], []
+    for place, (r, path, torque) in enumerate(zip(kept, passed, used, strict=True)):
         back = None if feedback is None else feedback(r.hz)
+        sensors = beside[place].sensors if beside else ()
         each = []
         for number in range(experiments):
             slopes = {joint: _slope_name(joint, number, experiments) for joint in joints}
-            poses = tuple(_pose(robot, slopes, np.asarray(q, dtype=float), parameters) for q in path)
+            poses = tuple(_pose(robot, slopes, np.asarray(q, dtype=float), parameters, sensors) for q in path)
             each.append(_Motion(poses, back))
-        motions.append(_Experiments(tuple(each), _shares(torque, len(joints))))
+        shares = _shares(torque, len(joints))
+        motions.append(_Experiments(tuple(each), shares))
+        if sensors:
+            shown.append(_Experiments(tuple(dataclasses.replace(m, sensors=True) for m in each), shares))
+    motions += shown
+    kept += tuple(other for other in beside if other.sensors)
     whiteners = tuple(_whitener(smoothed_covariance(r)[0], r) for r in kept)
     return _Problem(
         parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std

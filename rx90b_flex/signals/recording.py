@@ -21,8 +21,10 @@ from rx90b_flex.signals import tables
 from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
     JOINT_SIDES,
+    Accelerometer,
     FlangeLoad,
     flange_load_toml,
+    read_accelerometers,
     read_date,
     read_flange_load,
     read_torque_constants,
@@ -108,6 +110,7 @@ class Recording:
     feedforward_torque : (N, n) N m, added to the controller's torque, or None.
     joint_torque : (N, n) N m, of torque sensors behind the gears, or None.
     motor_current : (N, n) A, or None.
+    acceleration : (N, 3 s) m/s^2, x, y and z of each accelerometer of the campaign, or None.
     payload : known mass on the flange, or None.
     period_s : s, the excitation's period, a whole number of samples; None where it does not repeat.
     source : the file it came from.
@@ -133,6 +136,7 @@ class Recording:
     feedforward_torque: Array | None = None
     joint_torque: Array | None = None
     motor_current: Array | None = None
+    acceleration: Array | None = None
     payload: FlangeLoad | None = None
     period_s: float | None = None
     source: Path | None = None
@@ -157,6 +161,13 @@ class Recording:
             if array.shape != expected:
                 raise ValueError(f"{where}: {item.field} has shape {array.shape}, {expected} is expected")
             object.__setattr__(self, item.field, array)
+        if self.acceleration is not None:
+            array = np.asarray(self.acceleration, dtype=np.float64)
+            if array.ndim != 2 or len(array) != len(self.time) or array.shape[1] % 3:
+                raise ValueError(
+                    f"{where}: acceleration has shape {array.shape}, ({len(self.time)}, 3 a sensor) is expected"
+                )
+            object.__setattr__(self, "acceleration", array)
         if self.period_s is not None:
             problem = _period_problem(self.period_s, self.sample_rate_hz, self.samples)
             if problem:
@@ -201,6 +212,7 @@ class Campaign:
     torque_side : side of the gears that the torques are measured on as the file states it (`[torque] side`), or None.
     torque_constants : n values, N m/A at the joint, where torques come from currents, else None; None for one that is left out:
         the torque of that joint stands in A until the constant is identified.
+    accelerometers : sensors on links, in the order of the recordings' `acceleration`.
     """
 
     path: Path
@@ -213,6 +225,7 @@ class Campaign:
     noise_torque: tuple[float, ...] | None = None
     torque_constants: tuple[float | None, ...] | None = None
     torque_side: str | None = None
+    accelerometers: tuple[Accelerometer, ...] = ()
 
     @property
     def identification(self) -> tuple[Recording, ...]:
@@ -248,7 +261,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     if not any(entry.role == "identification" for entry in entries):
         raise root.problem("recording", 'none has role = "identification"; at least one is needed')
 
-    columns = list(dict.fromkeys(name for names in layout.columns.values() for name in names))
+    columns = list(dict.fromkeys(name for names in (*layout.columns.values(), layout.acceleration) for name in names))
     files: dict[Path, tables.Table] = {}
     recordings: list[Recording] = []
     names: set[tuple[Role, str]] = set()
@@ -277,12 +290,14 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         noise_torque=layout.noise_torque,
         torque_constants=layout.torque_constants,
         torque_side=layout.torque_side,
+        accelerometers=layout.accelerometers,
     )
 
 
 def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write one recording as .parquet, .csv or .csv.gz: `time` and joint-side columns named `q_<joint>`, `tau_<joint>`,
-    and, for the optional signals there are, `v_`, `link_`, `ref_`, `refv_`, `ff_`, `jtau_` and `i_<joint>`.
+    and, for the optional signals there are, `v_`, `link_`, `ref_`, `refv_`, `ff_`, `jtau_` and `i_<joint>`, and of
+    accelerometers `acc_1_x` and so on.
 
     Every format reads back the same numbers. The file appears whole or not at all.
     """
@@ -293,6 +308,9 @@ def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
         if value is not None:
             names += [f"{item.prefix}_{joint}" for joint in recording.joints]
             blocks.append(value)
+    if recording.acceleration is not None:
+        names += _acceleration_columns(recording.acceleration.shape[1] // 3)
+        blocks.append(recording.acceleration)
     tables.write_table(Path(path), names, np.hstack(blocks))
 
 
@@ -303,6 +321,7 @@ def write_campaign(
     *,
     cutoff_hz: float | None = None,
     noise_torque: Sequence[float] | None = None,
+    accelerometers: Sequence[Accelerometer] = (),
     file_format: Literal["parquet", "csv", "csv.gz"] = "parquet",
 ) -> Path:
     """Write recordings and a `campaign.toml` that `load_campaign` reads back as the same recordings.
@@ -313,7 +332,7 @@ def write_campaign(
     robot : written as it is (a name, or relative to `directory`); a `Path` is written relative to `directory`.
     recordings : of one robot: same joints, sample rate and signals. Files take the recordings' names, in a folder named
         for the role where both roles have a recording of that name.
-    cutoff_hz, noise_torque : as in `Campaign`.
+    cutoff_hz, noise_torque, accelerometers : as in `Campaign`.
 
     Returns
     -------
@@ -344,6 +363,9 @@ def write_campaign(
         if len(noise_torque) != len(first.joints):
             raise ValueError(f"noise_torque has {len(noise_torque)} values for {len(first.joints)} joints")
         lines += ["", "[noise]", f"torque_rms = {_toml(noise_torque)}"]
+    for i, sensor in enumerate(accelerometers):
+        lines += ["", "[[accelerometer]]", f"link = {_toml(sensor.link)}", f"position = {_toml(sensor.position)}"]
+        lines.append(f"columns = {_toml(_acceleration_columns(len(accelerometers))[3 * i : 3 * i + 3])}")
     files = _file_names(recordings, file_format)
     for recording, file in zip(recordings, files, strict=True):
         target = directory / file
@@ -378,6 +400,8 @@ class _Layout:
     noise_torque: tuple[float, ...] | None
     torque_constants: tuple[float | None, ...] | None
     torque_side: str | None
+    accelerometers: tuple[Accelerometer, ...]
+    acceleration: tuple[str, ...]  # their columns
 
 
 @dataclass(frozen=True)
@@ -395,7 +419,9 @@ class _Entry:
 
 
 def _read_layout(root: CampaignSection) -> _Layout:
-    root.allow("robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "torque", "recording")
+    root.allow(
+        "robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "torque", "accelerometer", "recording"
+    )  # fmt: skip
     rate = root.positive("sample_rate_hz")
     joints = root.texts("joints")
     _refuse_repeats(root, "joints", joints)
@@ -444,7 +470,13 @@ def _read_layout(root: CampaignSection) -> _Layout:
             raise section.problem("torque_rms", f"found {float(values.min()):g}, numbers of 0 or more are expected")
         noise = tuple(float(value) for value in values)
     side = read_torque_side(root, gear_matrix is not None, from_current) if root.has("torque") else None
-    return _Layout(root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants, side)
+    sensors, acceleration = read_accelerometers(root)
+    for name in acceleration:
+        if name in used:
+            raise root.problem("accelerometer", f"column {name!r} is already used by {used[name]}")
+    return _Layout(
+        root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants, side, sensors, acceleration
+    )  # fmt: skip
 
 
 def _read_motor(
@@ -547,6 +579,9 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         else:
             _check_sizes(table.path, names, joint_side, item, layout)
         values[item.field] = joint_side
+    if layout.acceleration:
+        values["acceleration"] = table.columns(layout.acceleration)[part]
+        _check_finite(table.path, layout.acceleration, values["acceleration"], first)
     if layout.torque_constants is not None:
         values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.torque_constants])
     if entry.period_s is not None:
@@ -568,6 +603,7 @@ def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
         feedforward_torque=values.get("feedforward_torque"),
         joint_torque=values.get("joint_torque"),
         motor_current=values.get("motor_current"),
+        acceleration=values.get("acceleration"),
         payload=entry.payload,
         period_s=entry.period_s,
         source=table.path,
@@ -762,6 +798,10 @@ def _file_names(recordings: Sequence[Recording], file_format: str) -> list[str]:
         folder = f"{role}/" if names.count(name) > 1 else ""
         files.append(f"{folder}{name}.{file_format}")
     return files
+
+
+def _acceleration_columns(sensors: int) -> list[str]:
+    return [f"acc_{i + 1}_{axis}" for i in range(sensors) for axis in "xyz"]
 
 
 def _write_text(path: Path, text: str) -> None:

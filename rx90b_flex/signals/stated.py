@@ -20,6 +20,42 @@ JOINT_SIDES = ("joint", "behind_gear")  # where a gear matrix does not touch the
 
 
 @dataclass(frozen=True)
+class Accelerometer:
+    """A triaxial accelerometer fixed to a link.
+
+    Attributes
+    ----------
+    link : str
+        A moving link with mass, one of `robot.bodies`.
+    position : three numbers, m
+        In the frame of the link's joint, whose axes are those of the sensor.
+    """
+
+    link: str
+    position: tuple[float, float, float]
+
+
+def read_accelerometers(root: CampaignSection) -> tuple[tuple[Accelerometer, ...], tuple[str, ...]]:
+    """Sensors of ``[[accelerometer]]`` (link, position in m, three columns in m/s^2), and the columns of all of them."""
+    sensors: list[Accelerometer] = []
+    columns: list[str] = []
+    for section in root.sections("accelerometer") if root.has("accelerometer") else ():
+        section.allow("link", "position", "columns")
+        names = section.texts("columns")
+        if len(names) != 3:
+            raise section.problem(
+                "columns", f"lists {len(names)} columns; three are expected, along x, y and z of the link"
+            )
+        for name in names:
+            if [*columns, *names].count(name) > 1:
+                raise section.problem("columns", f"column {name!r} is listed twice")
+        x, y, z = section.numbers("position", 3).tolist()
+        sensors.append(Accelerometer(section.text("link"), (x, y, z)))
+        columns += names
+    return tuple(sensors), tuple(columns)
+
+
+@dataclass(frozen=True)
 class FlangeLoad:
     """A known point mass on the flange during a recording.
 

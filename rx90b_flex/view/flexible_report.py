@@ -145,7 +145,9 @@ def _responses(loop: ResponseLoop) -> Section:
         pose = ", ".join(f"{np.rad2deg(a):.0f}°" for a in response.pose)
         words = f"at {pose}" + ("" if k < loop.fitted else " (not fitted)")
         others = [(response.hz, loop.before[k], "as declared"), (response.hz, loop.after[k], "as found")]
-        figures.append(image(frf_plots.magnitude(response, others), f"Magnitude of every entry {words}", words))
+        figures.append(
+            image(frf_plots.magnitude(response, others), f"Magnitude of every entry {words}", words, zoom=True)
+        )
     rows = []
     parts = (
         ("fitted lines", loop.errors_before, loop.errors_after),

@@ -23,7 +23,27 @@ FILL = 0.25  # opacity of a band
 CELL_IN = (2.9, 2.1)  # width and height of one entry's axes
 UNIT = "rad/s² per N m"
 
+Draw = Callable[[Axes, int, int], None]  # axes, row, column of an entry
 Comparison = tuple[Array, ComplexArray, str]  # hz, value (F, n, n), label
+
+
+def bode(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
+    """Magnitude of every entry, below it its phase in degrees, both as in `magnitude` and `phase`."""
+    n = len(response.joints)
+    figure = Figure(figsize=(CELL_IN[0] * n, 1.6 * CELL_IN[1] * n), layout="constrained")
+    grid = figure.subplots(2 * n, n, squeeze=False, sharex=True, sharey=False, height_ratios=(2, 1) * n)
+    size, angle = _draw_magnitude(response, others, level), _draw_phase(response, others, level)
+    for j in range(n):
+        for k in range(n):
+            above, below = grid[2 * j, k], grid[2 * j + 1, k]
+            size(above, j, k)
+            angle(below, j, k)
+            _label(
+                above, f"{response.joints[j]} over torque of {response.joints[k]}", k == 0, f"|P|, {UNIT}", bottom=False
+            )
+            _label(below, "", k == 0, "phase, °", bottom=j == n - 1)
+    grid[0, 0].legend(fontsize=6.5, frameon=False)
+    return figure
 
 
 def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
@@ -35,6 +55,10 @@ def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), le
     level : float
         Of the band: the circle about the entry in the complex plane.
     """
+    return _entries(response.joints, _draw_magnitude(response, others, level), f"|P|, {UNIT}")
+
+
+def _draw_magnitude(response: FrequencyResponse, others: Sequence[Comparison], level: float) -> Draw:
     radius = confidence_radius(response, level)
 
     def draw(ax: Axes, j: int, k: int) -> None:
@@ -49,11 +73,15 @@ def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), le
             ax.plot(hz, np.abs(value[:, j, k]), color=colour, ls=dash, lw=1.0, label=label)
         _log(ax)
 
-    return _entries(response.joints, draw, f"|P|, {UNIT}")
+    return draw
 
 
 def phase(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
     """Phase of every entry over frequency, degrees, with its band; where the band's circle holds zero it is all angles."""
+    return _entries(response.joints, _draw_phase(response, others, level), "phase of P, °")
+
+
+def _draw_phase(response: FrequencyResponse, others: Sequence[Comparison], level: float) -> Draw:
     radius = confidence_radius(response, level)
 
     def draw(ax: Axes, j: int, k: int) -> None:
@@ -71,7 +99,7 @@ def phase(response: FrequencyResponse, others: Sequence[Comparison] = (), level:
         ax.set_ylim(-200, 200)
         ax.set_yticks([-180, -90, 0, 90, 180])
 
-    return _entries(response.joints, draw, "phase of P, °")
+    return draw
 
 
 def difference(response: FrequencyResponse, value: ComplexArray, label: str = "model", level: float = 0.95) -> Figure:

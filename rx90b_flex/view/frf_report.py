@@ -49,6 +49,10 @@ def _lead(result: MotorIdentification) -> list[str]:
             f"{measured.hz[-1]:.3g} Hz, {len(measured.realisations)} realisations of {measured.torque.shape[2]} experiments, "
             f"{measured.periods} periods each."
         )
+    sensors = next((p.accelerations.sensors for p in result.poses if p.accelerations is not None), ())
+    if sensors:
+        links = ", ".join(dict.fromkeys(s.link.replace("_", " ") for s in sensors))
+        out.append(f"{len(sensors)} accelerometers on {links} were fitted together with the motors' signals.")
     out += [f"Left out: {x.stage}: {x.why}." for x in result.left_out]
     return out
 
@@ -60,7 +64,7 @@ def _named(result: MotorIdentification, at: AtPose) -> str:
 
 def _angles(result: MotorIdentification, at: AtPose) -> str:
     both = zip(result.robot.joints, at.pose, strict=True)
-    return ", ".join(f"{joint.replace('_', ' ')} {np.rad2deg(q) + 0.0:.1f}°" for joint, q in both)
+    return ", ".join(f"{joint.replace('_', ' ')} {round(np.rad2deg(q), 1) + 0.0:.1f}°" for joint, q in both)
 
 
 def amounts(*values: float) -> tuple[str, ...]:
@@ -233,7 +237,7 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
         ),
     ]
     # grids of axes take seconds each to draw
-    images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each) for each in pictures)
+    images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each, zoom=True) for each in pictures)
     text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
     return Section(f"{_named(result, at)}Frequency response", (text,), (), tuple(images))
 
@@ -268,6 +272,7 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
         transfer_plots.residual_correlation(fit),
         "Correlation of residuals",
         "Correlation of the residuals along the lines",
+        zoom=True,
     )
     stable = image(transfer_plots.stabilisation(fit), "Poles of fits of several orders", "Stabilisation diagram")
     text = f"{len(fit.resonances_hz)} modes, chosen from {', '.join(str(c.modes) for c in fit.candidates)}."
@@ -291,8 +296,19 @@ def _residuals(result: MotorIdentification) -> Section | None:
             grey_plots.residuals(grey, k),
             "Residuals of the grey box along frequency",
             f"{_named(result, result.poses[i])}residuals",
+            zoom=True,
         )
         for k, i in enumerate(result.fitted)
+    ]
+    beside = grey.responses[len(result.fitted) :]  # of the accelerometers
+    figures += [
+        image(
+            grey_plots.residuals(grey, len(result.fitted) + k),
+            "Residuals of the grey box along frequency, accelerometers",
+            f"{_named(result, result.poses[i])}residuals of the accelerometers",
+            zoom=True,
+        )
+        for i, (k, _) in zip(result.fitted, enumerate(beside), strict=False)
     ]
     text = f"Cost {grey.cost:.0f}; {grey.expected_cost:.0f} expected, 95 % of right models below {grey.cost_limit:.0f}."
     return Section("Residuals of the grey box", (text, _bias_words(grey)), (table,), tuple(figures))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.all_coordinates import Fit
-from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, envelope
+from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED
 
 WIDTH = 6.4  # inches
 
@@ -61,9 +61,9 @@ def torque_fit(time: Array, measured: Array, predicted: Array, joint: str, model
     """Torque of one joint, measured and predicted, and below it what is left; each (N,), s and N m."""
     figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    above.plot(*envelope(time, measured), color=MEASURED, linewidth=1.8, label="measured")
-    above.plot(*envelope(time, predicted), color=AFTER, linewidth=0.8, label=model)
-    below.plot(*envelope(time, measured - predicted), color=AFTER, linewidth=0.8)
+    above.plot(time, measured, color=MEASURED, linewidth=1.8, label="measured")
+    above.plot(time, predicted, color=AFTER, linewidth=0.8, label=model)
+    below.plot(time, measured - predicted, color=AFTER, linewidth=0.8, label="error")
     below.axhline(0.0, color=FLOOR, linewidth=0.6)
     above.set_ylabel(f"{joint}\ntorque, N m", fontsize=9)
     below.set_ylabel("error, N m", fontsize=9)

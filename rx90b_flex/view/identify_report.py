@@ -81,6 +81,7 @@ def _errors(result: Identified) -> Section:
             torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint),
             f"Torque of {joint}, measured and predicted",
             f"{joint}: recording {first.recording.name} ({first.recording.role})",
+            zoom=True,
         )
         for i, joint in enumerate(joints)
     )

@@ -32,7 +32,7 @@ def measured_section(of: MeasuredTip) -> Section:
     else:
         share = "Without the prediction the measured deviation would be smaller: the model does not explain it."
     text = (f"{how} {share}",)
-    figure = image(measured_along_path(of), "Measured and predicted deviation over the length of the path")
+    figure = image(measured_along_path(of), "Measured and predicted deviation over the length of the path", zoom=True)
     return Section("Measured against predicted", text, (Table(head, tuple(rows)),), (figure,))
 
 

@@ -16,6 +16,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from rx90b_flex.signals.tables import write_whole
+from rx90b_flex.view.zoom import ZOOM_COLUMNS, described, script, script_hash, thin, zoom_style
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Image:
     width: int
     height: int
     caption: str = ""
+    zoom: str = ""  # Markup: what it shows as JSON, where it zooms in a browser
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,9 @@ def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[S
 def page_html(title: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
     """The text of a page with all its figures in it."""
     return template("page.html").render(
-        title=title, lead=list(lead), sections=list(sections), version=package_version(), style=style()
-    )
+        title=title, lead=list(lead), sections=list(sections), version=package_version(), style=style(),
+        script=script(), script_hash=script_hash(),
+    )  # fmt: skip
 
 
 def write_text(path: Path, text: str) -> None:
@@ -92,6 +95,7 @@ def write_text(path: Path, text: str) -> None:
 def template(name: str, **filters: object) -> jinja2.Template:
     """A template of this folder, with filters added."""
     environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rx90b_flex.view", ""),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -99,23 +103,37 @@ def template(name: str, **filters: object) -> jinja2.Template:
         keep_trailing_newline=True,
     )
     environment.filters.update(filters)
-    return environment.from_string(resources.files("rx90b_flex.view").joinpath(name).read_text(encoding="utf-8"))
+    return environment.get_template(name)
 
 
 def style() -> markupsafe.Markup:
     """The style sheet of all pages."""
-    return markupsafe.Markup(resources.files("rx90b_flex.view").joinpath("style.css").read_text(encoding="utf-8"))
+    own = resources.files("rx90b_flex.view").joinpath("style.css").read_text(encoding="utf-8")
+    return markupsafe.Markup(own) + zoom_style()
 
 
-def image(figure: Figure, alt: str, caption: str = "") -> Image:
-    """A figure as SVG in a data URI: sharp on paper, and its ids cannot clash with those of other figures."""
+def image(figure: Figure, alt: str, caption: str = "", zoom: bool = False) -> Image:
+    """A figure as SVG in a data URI: sharp on paper, and its ids cannot clash with those of other figures.
+
+    Long lines are thinned for it. With `zoom` the page holds them finer, too, and a browser draws them so that one can zoom in.
+
+    Raises
+    ------
+    ValueError
+        A figure that shall zoom and holds more than lines, bands and spans.
+    """
+    said = ""
+    if zoom:
+        thin(figure, ZOOM_COLUMNS)
+        said = described(figure)
+    thin(figure)
     buffer = io.BytesIO()
     # the salt makes ids, and so the whole report, the same for the same result
     with matplotlib.rc_context({"svg.hashsalt": "rx90b_flex", "svg.fonttype": "path"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     source = "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
     width, height = (round(96 * x) for x in figure.get_size_inches())
-    return Image(source, alt, width, height, caption)
+    return Image(source, alt, width, height, caption, said)
 
 
 def package_version() -> str:

@@ -43,9 +43,8 @@ def deviation_along_path(result: PathCheck) -> Figure:
 
 def _steps(ax: Axes, of: Deviation, colour: str, label: str) -> None:
     value = np.where(np.isfinite(of.by_mm), of.by_mm, np.nan)
-    ax.stairs(
-        value, np.append(np.arange(len(value)), of.length_mm), color=colour, linewidth=1.1, label=label, baseline=None
-    )
+    edges = np.append(np.arange(len(value)), of.length_mm)
+    ax.plot(edges, np.append(value, value[-1]), drawstyle="steps-post", color=colour, linewidth=1.1, label=label)
 
 
 def contributions(result: PathCheck) -> Figure:

@@ -43,7 +43,11 @@ def _deviation(result: PathCheck) -> Section:
     tables = [Table(head, tuple(_row(name, of, result.options.tolerance_mm) for name, of in cases))]
     tables += [_stretches(f"{name}: stretches that fail", of, result.options.tolerance_mm) for name, of in cases]
     figures = (
-        image(path_plots.deviation_along_path(result), "Deviation over the length of the path, with the tolerance"),
+        image(
+            path_plots.deviation_along_path(result),
+            "Deviation over the length of the path, with the tolerance",
+            zoom=True,
+        ),
         image(path_plots.path_picture(result), "The path and the tip's deviation from above and from the side"),
     )
     text = "Across is the distance from the path's tangent at the place where the tip should be; seam.csv has every millimetre."

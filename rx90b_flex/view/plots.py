@@ -8,7 +8,6 @@ and marks that stay apart on paper.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
 BEFORE, AFTER, MEASURED, FLOOR = "#d55e00", "#0072b2", "#8a8a8a", "#000000"
 FREE = "#009e73"  # what a free-form model reaches
 WIDTH_IN = 5.4  # about the width of a column of the report, so that text keeps its size
-DRAWN_COLUMNS = 600  # columns of a line's envelope: two points each, about one a pixel
 BINS = 32
+CURVE = 0.5  # of the variance of what was added to a torque, from which a curve shows it best
 SEGMENT_S = 2.0  # of the spectra's averaged parts; their lines lie 1 / SEGMENT_S apart
 DECADES = 4.0  # shown of a spectrum
 UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "time": "s"}
@@ -111,25 +110,23 @@ def residual_in_time(result: ClosedLoop, joint: str) -> Figure:
     column = result.joints.index(joint)
     figure, axes = _figure(3, 3.5, heights=(1.0, 1.0, 1.0), sharex=True)
     pieces = list(_end_to_end(result.predictions))
-    total = sum(len(t) for t, _ in pieces)
     for time, p in pieces:
-        columns = max(2, round(DRAWN_COLUMNS * len(time) / total))
         tau, before, after = (x[:, column] for x in (p.torque, p.before, p.after))
-        axes[0].plot(*envelope(time, tau, columns), color=MEASURED, linewidth=1.8)
-        axes[0].plot(*envelope(time, after, columns), color=AFTER, linewidth=0.7)
-        axes[1].plot(*envelope(time, tau - before, columns), color=BEFORE, linewidth=0.7)
-        axes[2].plot(*envelope(time, tau - after, columns), color=AFTER, linewidth=0.7)
+        axes[0].plot(time, tau, color=MEASURED, linewidth=1.8, label="measured")
+        axes[0].plot(time, after, color=AFTER, linewidth=0.7, label="final model")
+        axes[1].plot(time, tau - before, color=BEFORE, linewidth=0.7, label="error before")
+        axes[2].plot(time, tau - after, color=AFTER, linewidth=0.7, label="error after")
         for ax in axes if len(pieces) > 1 else ():
             ax.axvline(time[0], color=MEASURED, linewidth=0.6, linestyle=":")
     errors = [(p.torque - x)[_inside(result, p), column] for p in result.predictions for x in (p.before, p.after)]
     limit = 1.08 * max(float(np.abs(e).max()) for e in errors) or 1.0
     for ax, label in zip(axes[1:], ("error before", "error after"), strict=True):
         ax.set_ylim(-limit, limit)
-        ax.set_ylabel(f"{label}\nN m", fontsize=9)
+        ax.set_ylabel(f"{label},\nN m", fontsize=9)
         if result.noise_floor is not None:
             for sign in (-1, 1):
                 ax.axhline(sign * result.noise_floor[column], color=FLOOR, linewidth=0.7, linestyle="--")
-    axes[0].set_ylabel("torque\nN m", fontsize=9)
+    axes[0].set_ylabel("torque,\nN m", fontsize=9)
     axes[-1].set_xlabel("time, s" if len(pieces) == 1 else "time, s (recordings end to end)", fontsize=9)
     figure.align_ylabels(axes)
     return figure
@@ -148,7 +145,7 @@ def residual_in_frequency(result: ClosedLoop, joint: str) -> Figure:
         hz, amplitude = _spectrum(result, column, kind)
         top = max(top, float(amplitude.max()))
         style = "--" if kind == "before" else "-"
-        ax.plot(*envelope(hz, amplitude), color=colour, linewidth=width, linestyle=style, label=label)
+        ax.plot(hz, amplitude, color=colour, linewidth=width, linestyle=style, label=label)
     if top > 0:
         ax.set_yscale("log")
         ax.set_ylim(top / 10**DECADES, 2 * top)
@@ -167,6 +164,24 @@ def residual_against_position(result: ClosedLoop, joint: str) -> Figure:
 def residual_against_velocity(result: ClosedLoop, joint: str) -> Figure:
     """Mean and spread of one joint's residual over its own velocity, before and after."""
     return _residual_against(result, joint, "velocity")
+
+
+def change_at_joint(result: ClosedLoop, joint: str) -> tuple[Figure, str]:
+    """One joint's residual before and after where the difference shows best, and over what that is.
+
+    Over its velocity or position where a curve over that holds most of what was added to the model's torque there; else over time.
+    """
+    column = result.joints.index(joint)
+    added = np.concatenate([(p.after - p.before)[:, column] for p in result.predictions])
+    shares = {}
+    for kind in ("velocity", "position"):
+        x = [(p.recording.position if kind == "position" else p.velocity)[:, column] for p in result.predictions]
+        curve = Binned(np.concatenate(x), added)
+        shares[kind] = 1.0 - float(curve.count @ curve.std**2) / max(len(added) * float(added.var()), 1e-300)
+    best = max(shares, key=lambda kind: shares[kind])
+    if shares[best] < CURVE:
+        return residual_in_time(result, joint), "time"
+    return _residual_against(result, joint, best), best
 
 
 def remaining_dependence(result: ClosedLoop, dependence: Dependence) -> Figure | None:
@@ -232,7 +247,7 @@ def _rests(result: ClosedLoop, column: int) -> Figure:
             ax.fill_between(
                 time, 0, 1, where=resting[span], transform=bounds, color=MEASURED, alpha=0.3, linewidth=0, step="mid"
             )
-            ax.plot(*envelope(time, left[span, column]), color=AFTER, linewidth=0.7)
+            ax.plot(time, left[span, column], color=AFTER, linewidth=0.7)
             ax.axvline(at, color=MEASURED, linewidth=0.6, linestyle=":")
             at += len(stretch) / stretch.rate_hz
     ax.axhline(0.0, color="#555555", linewidth=0.6)
@@ -246,7 +261,7 @@ class Binned:
 
     Attributes
     ----------
-    centre, mean, std, low, high : array, shape (bins,)
+    centre, mean, std, count, low, high : array, shape (bins,)
     band : pair of array, shape (bins,)
         Mean less and plus one standard deviation.
     """
@@ -265,19 +280,10 @@ class Binned:
         self.centre = np.add.reduceat(x, starts) / counts
         self.mean = np.add.reduceat(y, starts) / counts
         self.std = np.sqrt(np.add.reduceat((y - np.repeat(self.mean, counts)) ** 2, starts) / counts)
+        self.count = counts
         self.low = np.minimum.reduceat(y, starts)
         self.high = np.maximum.reduceat(y, starts)
         self.band = (self.mean - self.std, self.mean + self.std)
-
-
-def envelope(x: Array, y: Array, columns: int = DRAWN_COLUMNS) -> tuple[Array, Array]:
-    """Thin a line for drawing: of each column the smallest and the largest sample, in their order. Peaks stay."""
-    if len(x) <= 2 * columns:
-        return x, y
-    edges = np.linspace(0, len(x), columns + 1).astype(int)
-    kept = [a + i for a, b in pairwise(edges) for i in {y[a:b].argmin(), y[a:b].argmax()}]
-    places = np.sort(np.array([0, *kept, len(x) - 1]))
-    return x[places], y[places]
 
 
 def tip_deviation(result: Simulation) -> Figure:
@@ -286,7 +292,7 @@ def tip_deviation(result: Simulation) -> Figure:
     places = {"up": 2, "across (left)": 1, "along": 0}
     for ax, (name, column) in zip(axes, places.items(), strict=True):
         ax.axhline(0.0, color="#555555", linewidth=0.6)
-        ax.plot(*envelope(result.time, result.path_deviation_mm[:, column]), color=AFTER, linewidth=1.0)
+        ax.plot(result.time, result.path_deviation_mm[:, column], color=AFTER, linewidth=1.0)
         ax.set_ylabel(f"{name}, mm", fontsize=9)
     axes[-1].set_xlabel("time, s", fontsize=9)
     axes[0].set_title(f"tip deviation, {_plain(result.recording.name)}", fontsize=9, loc="left")

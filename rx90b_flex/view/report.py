@@ -1,4 +1,4 @@
-"""The report of a closed loop: one HTML file that opens offline, without JavaScript, on paper and on a telephone."""
+"""The report of a closed loop: one HTML file that opens offline, on paper and on a telephone; figures zoom where scripts run."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ from rx90b_flex.view.advice import (
 from rx90b_flex.view.check_report import check_section
 from rx90b_flex.view.deflection_section import gear_section
 from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
+from rx90b_flex.view.zoom import script, script_hash
 
 MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
+SHOWN_FINDINGS = 4  # joints with a figure beside their first finding; the residuals hold all
 SHOWN_DEPENDENCES = 4  # plots of what remains; the table holds all
 
 VERDICTS = {
@@ -92,6 +94,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         floor=_floor_words(result),
         motion=motion,
         motion_is_known=isinstance(motion, MotionErrors),
+        finding_figures=_finding_figures(result),
         joint_figures=[_joint_figures(result, joint) for joint in result.joints],
         rounds=_rounds(result),
         gears=gear_section(result.deflection),
@@ -106,6 +109,8 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
         facts=_facts(result),
         version=package_version(),
+        script=script(),
+        script_hash=script_hash(),
         evidence=evidence,
         near_floor=NEAR_FLOOR,
         segment_s=plots.SEGMENT_S,
@@ -504,6 +509,24 @@ def _steps_figure(result: ClosedLoop) -> Image | None:
     return image(plots.error_by_step(result), "Validation error after each added effect")
 
 
+def _finding_figures(result: ClosedLoop) -> list[Image | None]:
+    """Beside each finding the joint of its place whose error fell most; a joint once."""
+    fell = np.square(result.before.validation.torque_rms) - np.square(result.after.validation.torque_rms)
+    shown: set[str] = set()
+    out: list[Image | None] = []
+    for found in result.effects:
+        own = [joint for joint in found.effect.joints if joint in result.joints]
+        joint = max(own or result.joints, key=lambda name: fell[result.joints.index(name)])
+        if joint in shown or len(shown) == SHOWN_FINDINGS:
+            out.append(None)
+            continue
+        shown.add(joint)
+        figure, over = plots.change_at_joint(result, joint)
+        text = f"{joint} before and after, over {over if over == 'time' else f'its {over}'}"
+        out.append(image(figure, f"Error of {text}", text, zoom=True))
+    return out
+
+
 def _joint_figures(result: ClosedLoop, joint: str) -> JointFigures:
     kinds: tuple[tuple[Callable[[ClosedLoop, str], Figure], str], ...] = (
         (plots.residual_in_time, "In time: measured torque (grey) and final model (blue); error before; error after"),
@@ -512,7 +535,7 @@ def _joint_figures(result: ClosedLoop, joint: str) -> JointFigures:
         (plots.residual_against_velocity, "Against the joint's velocity: mean and ± 1 standard deviation"),
     )
     return JointFigures(
-        joint, tuple(image(draw(result, joint), f"Error of {joint}. {text}", text) for draw, text in kinds)
+        joint, tuple(image(draw(result, joint), f"Error of {joint}. {text}", text, zoom=True) for draw, text in kinds)
     )
 
 
@@ -524,7 +547,7 @@ def _dependence_figures(result: ClosedLoop) -> list[Image]:
             over = "over time" if d.signal == evidence.STANDSTILL else f"against {d.signal}, in motion"
             over = f"over one of the {d.signal.rpartition(' ')[2]} cycles of a turn, in motion" if d.order else over
             text = f"Error left of {d.joint} {over} ({percent(d.score)} of its power)"
-            out.append(image(figure, text, text))
+            out.append(image(figure, text, text, zoom=True))
     return out
 
 
@@ -532,5 +555,5 @@ def _band_figures(result: ClosedLoop) -> list[Image]:
     out = []
     for joint in dict.fromkeys(b.joint for b in result.unexplained.bands[:SHOWN_DEPENDENCES]):
         text = f"Spectrum of the error left of {joint}; shaded: where it repeats with the motion"
-        out.append(image(plots.remaining_bands(result, joint), text, text))
+        out.append(image(plots.remaining_bands(result, joint), text, text, zoom=True))
     return out

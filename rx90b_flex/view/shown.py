@@ -18,6 +18,7 @@ from rx90b_flex.diagnose.refused import RefusedLoop
 from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.output import fleet_table
 from rx90b_flex.identify.command import Identified
+from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.path.check import PathCheck
@@ -27,7 +28,8 @@ from rx90b_flex.view import frf_plots, path_plots, plots
 from rx90b_flex.view.fleet_report import fleet_figure, headline
 from rx90b_flex.view.identify_plots import torque_fit
 from rx90b_flex.view.measured_section import measured_along_path
-from rx90b_flex.view.page import image
+from rx90b_flex.view.page import image, template
+from rx90b_flex.view.zoom import script, zoom_style
 
 SHOWN_ROWS = 30  # of a table in a cell
 ESTIMATE = ("parameter", "value", "std", "unit")
@@ -74,14 +76,18 @@ def cell_of(result: object) -> str:
     more = f"<p>{len(table) - SHOWN_ROWS} more rows in .to_pandas()</p>" if len(table) > SHOWN_ROWS else ""
     if undetermined:
         more += f"<p>{undetermined} parameters are not determined by themselves</p>"
-    parts = [f"<p><b>{escape(words_of(result))}</b></p>", shown if len(table) else "", more]
+    parts: list[str] = [f"<p><b>{escape(words_of(result))}</b></p>", shown if len(table) else "", more]
     try:
-        picture = image(figure_of(result), words_of(result))
+        figure = figure_of(result)
     except ValueError:  # nothing to draw
         return "".join(parts)
-    parts.append(
-        f'<img src="{picture.source}" alt="{escape(picture.alt)}" width="{picture.width}" style="max-width:100%">'
-    )
+    try:
+        picture = image(figure, words_of(result), zoom=True)
+    except ValueError:  # bars
+        picture = image(figure, words_of(result))
+    parts.append(str(template("parts.html").module.figure(picture)))  # type: ignore[attr-defined]
+    if picture.zoom:
+        parts.append(f"<style>{zoom_style()}</style><script>{script()}</script>")
     return "".join(parts)
 
 
@@ -214,6 +220,33 @@ def _(result: MotorIdentification) -> Figure:
 def _(result: MotorIdentification) -> str:
     lost = f"; left out: {', '.join(x.stage for x in result.left_out)}" if result.left_out else ""
     return f"{result.robot.name} from motor signals, {len(result.poses)} pose(s){lost}"
+
+
+@table_of.register
+def _(result: FrequencyResponse) -> pd.DataFrame:
+    """A row a line and entry."""
+    lines, n = len(result.hz), len(result.joints)
+    return pd.DataFrame(
+        {
+            "hz": np.repeat(result.hz, n * n),
+            "acceleration": np.tile(np.repeat(result.joints, n), lines),
+            "torque": np.tile(result.joints, lines * n),
+            "real": result.value.real.ravel(),
+            "imag": result.value.imag.ravel(),
+            "std": result.std().ravel(),
+        }
+    )
+
+
+@figure_of.register
+def _(result: FrequencyResponse) -> Figure:
+    return frf_plots.magnitude(result)
+
+
+@words_of.register
+def _(result: FrequencyResponse) -> str:
+    lines = f"{len(result.hz)} lines from {result.hz[0]:.3g} to {result.hz[-1]:.3g} Hz"
+    return f"Frequency response of {', '.join(result.joints)}, {lines}"
 
 
 # ---- paths and runs ---------------------------------------------------------------------------------------------
