@@ -47,7 +47,7 @@ ESTIMATED_ZEROS = [[14.9, 39.1, 53.6, 70.2, 79.7], [20.6, 32.5, 50.8, 59.2, 76.5
 RIGID_MASS = np.array([[17.24, 0.00, -0.05], [0.00, 14.56, 3.35], [-0.05, 3.35, 2.58]])
 
 
-@pytest.mark.parametrize(("drive", "inertia", "stiffness"), [(0, 3.25, 1.48e5), (1, 1.50, 2.16e5), (2, 0.79, 0.98e5)])
+@pytest.mark.parametrize(("drive", "inertia", "stiffness"), [(0, 3.25, 1.49e5), (1, 1.50, 2.16e5), (2, 0.79, 0.98e5)])
 def test_tables_6_1_and_6_3_give_table_6_2_within_the_rounding_of_the_frequencies(
     drive: int, inertia: float, stiffness: float
 ) -> None:
