@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -84,6 +86,47 @@ def test_every_effect_comes_back_from_its_table(kind):
     for effect in draw_effect(kind, robot, np.random.default_rng(4)):
         back = effect_from_table(effect_to_table(effect), "here", robot.joints, frames)
         assert back == effect
+
+
+# ---- friction's side --------------------------------------------------------------------------------------------
+
+
+def test_friction_on_the_motor_follows_the_drive_alone_and_leaves_the_hinge_alone():
+    declared = load_robot("rx90b_4dof")
+    rng = np.random.default_rng(5)
+    q, v, a = rng.uniform(-1, 1, (3, declared.model.nv))
+    v *= 1e-3  # within the turn-over, where dry friction has a slope
+    motion = declared.motion(q, v, a)
+    for kind in (
+        "coulomb_friction",
+        "viscous_friction",
+        "viscous_power_friction",
+        "stribeck_friction",
+        "friction_drift",
+    ):
+        (effect,) = draw_effect(kind, declared, rng)
+        on = {side: dataclasses.replace(effect, side=side) for side in ("joint", "motor")}
+        drive, torsion = (declared.coordinates.index(f"{effect.joint}:{k}") for k in ("drive", "torsion"))
+        motor, joint = (on[side].force(motion)[0] for side in ("motor", "joint"))
+        assert motor[drive] != 0.0 and np.count_nonzero(motor) == 1, kind
+        assert joint[drive] == joint[torsion] != motor[drive], kind
+        slope = on["motor"].derivatives(motion)[1][0]
+        assert slope[drive, drive] != 0.0 and np.count_nonzero(slope) == 1, kind
+        assert effect_to_table(on["motor"])["side"] == "motor"
+        assert "side" not in effect_to_table(on["joint"])
+        back = effect_from_table(effect_to_table(on["motor"]), "here", declared.joints)
+        assert back == on["motor"]
+    # without a flexible drive there is no difference
+    rigid = declared.rigid()
+    one = [rigid.with_effects([dataclasses.replace(effect, side=side)]) for side in ("joint", "motor")]
+    state = rng.uniform(-1, 1, (3, 4))
+    np.testing.assert_array_equal(one[0].inverse_dynamics(*state), one[1].inverse_dynamics(*state))
+
+
+def test_a_side_that_there_is_not_is_refused():
+    table = {"type": "viscous_friction", "joint": "joint_2", "side": "motors"}
+    with pytest.raises(ValueError, match=r"here \(viscous_friction\): side is 'motors'; did you mean 'motor'\?"):
+        effect_from_table(table, "here", ["joint_1", "joint_2"])
 
 
 # ---- flexibilities ------------------------------------------------------------------------------------------

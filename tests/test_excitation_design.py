@@ -85,7 +85,8 @@ def section_422() -> Simulation:
 def test_an_arm_that_points_up_keeps_its_distance_and_one_that_reaches_below_the_floor_does_not() -> None:
     up, down = np.zeros(4), np.array([0.0, np.pi / 2, np.pi / 2, 0.0])
     distance = limits().distances(robot().tree, np.stack([up, down]))
-    assert distance[0].min() > 0.1
+    # nearest are the base's end and the upper arm's start: the hinges of joints 1 and 2, each with its radius
+    assert distance[0].min() == pytest.approx(np.hypot(0.10, 0.28) - 0.2, abs=1e-6)
     # the forearm's capsule, radius 0.1 m, ends 0.535 m below the elbow, which is 0.42 m above the floor
     assert distance[1].min() == pytest.approx(0.42 - 0.535 - 0.1, abs=1e-6)
 

@@ -11,6 +11,7 @@ from drawn_effects import ROBOTS, TYPES, draw_state, tree, with_drawn_effects
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rx90b_flex.effects import Effect
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility
 from rx90b_flex.effects.springs import JointSpring
@@ -46,9 +47,20 @@ def undamped(lin: Linearization) -> Linearization:
     return dataclasses.replace(lin, **{n: dataclasses.replace(t, D=np.zeros_like(t.D)) for n, t in groups.items()})
 
 
+def as_table_d1(robot: Robot) -> Robot:
+    """The same with damping of 1e-3 s times stiffness, and friction on the joints."""
+    effects: list[Effect] = []
+    for e in robot.effects:
+        if e.part == "flexibility":
+            stiffness = np.split(e.coefficients, 2)[0]
+            e = e.with_coefficients(np.r_[stiffness, 1e-3 * stiffness])
+        effects.append(dataclasses.replace(e, side="joint") if e.part == "friction" else e)
+    return robot.with_effects(effects)
+
+
 def stretched(v: float = 0.0) -> Linearization:
-    """The three-axis arm stretched horizontally, each drive turning at v rad/s."""
-    robot = load_robot("rx90b_3dof")
+    """The three-axis arm stretched horizontally, each drive turning at v rad/s; damping and friction's side as in table D.1."""
+    robot = as_table_d1(load_robot("rx90b_3dof"))
     q = np.zeros(robot.model.nv)
     q[robot.coordinates.index("joint_2:drive")] = np.pi / 2
     return robot.linearize(q, robot.input_matrix @ np.full(3, v))
@@ -107,7 +119,7 @@ def test_the_matrices_are_the_sums_that_the_source_writes():
 
 def test_the_friction_block_on_drive_and_torsion_is_full():
     """Friction acts on e + eps1, so (3.92) is [[f', f'], [f', f']] and not diagonal."""
-    robot = load_robot("rx90b_3dof")
+    robot = as_table_d1(load_robot("rx90b_3dof"))
     lin = robot.linearize(*moving_state(robot, 4))
     slopes = []
     for joint in robot.joints:
@@ -117,6 +129,14 @@ def test_the_friction_block_on_drive_and_torsion_is_full():
         slopes.append(block[0, 0])
     assert min(slopes) > 0
     assert np.count_nonzero(lin.F0) == 4 * len(slopes)
+
+
+def test_friction_on_the_motors_has_a_slope_on_the_drives_alone():
+    robot = load_robot("rx90b_3dof")  # friction's side is "motor" there
+    lin = robot.linearize(*moving_state(robot, 4))
+    drives = np.flatnonzero(robot.input_matrix.any(axis=1))
+    assert (np.diag(lin.F0)[drives] > 0).all()
+    assert np.count_nonzero(lin.F0) == len(drives)
 
 
 def test_in_joint_angles_the_coupling_of_drive_and_link_is_in_stiffness_and_damping():

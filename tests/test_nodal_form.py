@@ -40,10 +40,10 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 X, Y, Z = np.eye(3)
 # From node to node when the arm points up (PHYSICS.md), and the axes of drive and torsion, bend_1, bend_2.
 HINGES = [
-    (np.array([0.0, 0.0, 0.10]), (Z, Z, X, Y)),
-    (np.array([0.0, 0.0, 0.32]), (Y, Y, Z, X)),
+    (np.array([0.0, 0.0, 0.14]), (Z, Z, X, Y)),
+    (np.array([0.0, 0.1, 0.28]), (Y, Y, Z, X)),
     (np.array([0.0, 0.0, 0.45]), (Y, Y, Z, X)),
-    (np.array([0.0, 0.0, 0.00]), (Z, Z, X, Y)),
+    (np.array([0.0, -0.1, 0.07]), (Z, Z, X, Y)),
 ]
 
 

@@ -149,3 +149,20 @@ def test_a_whole_period_of_excitation_agrees_with_the_nonlinear_simulation() -> 
     for a, b in zip(true, found, strict=True):
         error = np.linalg.norm(a.tip_deviation_mm - b.tip_deviation_mm)
         assert error < 0.01 * np.linalg.norm(a.tip_deviation_mm)
+
+
+def test_a_frozen_manipulator_answers_alike_at_every_place_of_the_motion() -> None:
+    """Links linear and time-invariant (section 6.6.6): the same push has the same answer early and late in the motion."""
+    # the spring's law of one angle keeps its nonlinearity, as friction does
+    robot = ROBOT.with_effects([e for e in ROBOT.effects if e.part not in ("friction", "spring")])
+    wave = square_wave(robot, [0.0, np.pi / 2, 0.0, 0.0], moving=robot.joints[:3])
+    count = 400
+    pushes = np.zeros((3, count, 4))
+    pushes[1, 100:110, 1] = pushes[2, 300:310, 1] = 20.0
+    runs = [wave.part(0.0, count / 250).with_feedforward(push) for push in pushes]
+    differences = {}
+    for manipulator in ("moving", "frozen"):
+        q = [run.q for run in perturb_lanes(robot, CONTROLLER.ideal(), runs, manipulator=manipulator)]
+        early, late = (q[1] - q[0])[100:190], (q[2] - q[0])[300:390]
+        differences[manipulator] = np.abs(early - late).max() / np.abs(early).max()
+    assert differences["frozen"] < 1e-6 < 1e-3 < differences["moving"]

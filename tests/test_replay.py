@@ -83,9 +83,6 @@ def test_the_response_without_distortion_is_the_linear_one(
     assert (doubted.std() >= plain.std()).all()
 
 
-@pytest.mark.xfail(
-    reason="1.7 % of one value instead of 1.25 % after three steps, since dry friction turns over as a tangent does"
-)
 @pytest.mark.slow
 def test_wrong_friction_is_found_from_the_distortion(replay: Replay) -> None:
     robot = load_robot("rx90b_3dof")

@@ -23,6 +23,7 @@ from scipy import stats
 from scipy.special import gammaln
 
 from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
+from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 
@@ -265,7 +266,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
 
     for i, c in enumerate(coefficients):
         if c.effect < 0:
-            port = full.layout.port(joints[c.column])  # friction acts on e + eps1
+            port = friction_port(full.effects, full.layout, joints[c.column])
             patterns[1, i] = np.outer(port, port)
         else:
             effect = full.effects[c.effect]

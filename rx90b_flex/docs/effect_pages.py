@@ -84,6 +84,9 @@ def page(cls: type[Effect], picture: bool = False) -> str:
     for name, p in cls.parameters().items():
         size = f" [{p.size}]" if p.size > 1 else ""
         lines.append(f"| `{name}`{size} | {p.unit} | {_bounds(p)} | {KINDS[p.kind]} |")
+    for name, words in cls.choices().items():
+        said = ", ".join(f'`"{word}"`' for word in words)
+        lines.append(f"| `{name}` | | {said} | stated; left out: {words[0]} |")
     lines += ["", EXAMPLE, "", "```toml", *_table(cls), "```", ""]
     for heading, body in zip(HEADINGS, text.sections, strict=True):
         lines += [f"## {heading}", "", _linked(body, cls), ""]

@@ -285,7 +285,7 @@ class _LostMotion(JointEffect):
     The torque F through both follows ``torsion = F / stiffness + gap / 2 * tanh(F / LOAD_SCALE)``, with F against the load.
     """
 
-    side: ClassVar[str] = "torsion"
+    acts_at: ClassVar[str] = "torsion"
     part: ClassVar[str] = "flexibility"
     law_stores: ClassVar[bool] = True
 
@@ -293,7 +293,7 @@ class _LostMotion(JointEffect):
     stiffness: float
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
-        port = motion.coordinates.port(self.joint, self.side)
+        port = motion.coordinates.port(self.joint, self.port_kind)
         values = np.array([self.gap, self.stiffness, LOAD_SCALE])
         return (Law(port, function=self.law, parameters=values, stores=True),)
 
@@ -323,19 +323,19 @@ class _LostMotion(JointEffect):
         return out[:, 0], out[:, 1]
 
     def columns(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint, self.side)
+        at = motion.joint(self.joint, self.port_kind)
         return np.outer(self._asked(at)[0], at.port)[:, :, None]
 
     def force(self, motion: Motion) -> Array:
         return np.asarray(self.columns(motion)[:, :, 0])
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
-        at = motion.joint(self.joint, self.side)
+        at = motion.joint(self.joint, self.port_kind)
         by_q = self._asked(at)[1][:, None, None] * np.outer(at.port, at.port)
         return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
 
     def potential(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint, self.side)
+        at = motion.joint(self.joint, self.port_kind)
         torque = self._asked(at)[0] + self.stiffness * at.q
         part = torque / LOAD_SCALE
         # log(cosh) without overflow

@@ -33,7 +33,7 @@ class DriveInertia(JointEffect):
     Control 109(4), 1987.
     """
 
-    side: ClassVar[str] = "drive"
+    acts_at: ClassVar[str] = "drive"
     adds_inertia: ClassVar[bool] = True
     part: ClassVar[str] = "drives"
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
@@ -49,7 +49,7 @@ class DriveInertia(JointEffect):
         return zero, zero, zero + 1.0
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
-        port = motion.coordinates.port(self.joint, self.side)
+        port = motion.coordinates.port(self.joint, self.port_kind)
         return (Law(port, inertia=float(self.known_coefficients()[0])),)
 
     @classmethod
@@ -57,7 +57,7 @@ class DriveInertia(JointEffect):
         return [cls(joint=j, inertia=1.0) for j in sites.moving]
 
     def starts_at_rest(self, sizes: RestSizes) -> Array:
-        return np.array([[0.05], [0.3]]) * sizes.inertia(sizes.coordinates.port(self.joint, self.side))
+        return np.array([[0.05], [0.3]]) * sizes.inertia(sizes.coordinates.port(self.joint, self.port_kind))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,7 @@ class TorqueOffset(JointEffect):
     Robots*, 2002).
     """
 
-    side: ClassVar[str] = "drive"
+    acts_at: ClassVar[str] = "drive"
     law = staticmethod(constant)
     law_stores: ClassVar[bool] = True
 
@@ -94,4 +94,4 @@ class TorqueOffset(JointEffect):
         return zero, zero, zero
 
     def potential(self, motion: Motion) -> Array:
-        return self.known_coefficients()[0] * motion.joint(self.joint, self.side).q
+        return self.known_coefficients()[0] * motion.joint(self.joint, self.port_kind).q

@@ -128,6 +128,11 @@ def derived(unit: str, *, lower: float = -np.inf, size: int = 1) -> Any:
     return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "derived", lower, size=size)})
 
 
+def choice(*values: str) -> Any:
+    """Field of an effect: one of a few words, the first where a robot file says nothing."""
+    return dataclasses.field(default=values[0], metadata={"choice": values})
+
+
 def given(unit: str, *, size: int = 1) -> Any:
     """Field of an effect: stated geometry."""
     return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "given", size=size)})
@@ -179,6 +184,14 @@ class Effect(ABC):
         fields = [f for f in dataclasses.fields(cls) if "parameter" in f.metadata]
         named = ((f.metadata.get("public") or f.name, f) for f in fields)
         return MappingProxyType({n: dataclasses.replace(f.metadata["parameter"], attribute=f.name) for n, f in named})
+
+    @classmethod
+    @cache
+    def choices(cls) -> Mapping[str, tuple[str, ...]]:
+        """Words that it may be given, by name, the usual one first."""
+        return MappingProxyType(
+            {f.name: f.metadata["choice"] for f in dataclasses.fields(cls) if "choice" in f.metadata}
+        )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -540,13 +553,18 @@ class JointEffect(Effect):
     """An effect on one joint: a torque that depends on that joint's own motion."""
 
     joint: str
-    side: ClassVar[str] = "joint"  # acts on the joint angle theta, or on the "drive" angle alone
+    acts_at: ClassVar[str] = "joint"  # the joint angle theta, or the "drive" angle alone
     law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; parameters: coefficients, shape
     law_stores: ClassVar[bool] = False  # whether that law is the gradient of `potential`
 
     @property
     def joints(self) -> tuple[str, ...]:
         return (self.joint,)
+
+    @property
+    def port_kind(self) -> str:
+        """Which of the joint's angles it acts on, as `Coordinates.port` has it."""
+        return self.acts_at
 
     @abstractmethod
     def basis(self, at: JointMotion) -> Array:
@@ -560,20 +578,20 @@ class JointEffect(Effect):
         function = type(self).law
         if function is None:
             return None
-        port = motion.coordinates.port(self.joint, self.side)
+        port = motion.coordinates.port(self.joint, self.port_kind)
         values = np.concatenate([self.known_coefficients(), self.known_shape()])
         return (Law(port, function=function, parameters=values, stores=self.law_stores),)
 
     def factors(self, motion: Motion) -> tuple[Array, Array] | None:
-        at = motion.joint(self.joint, self.side)
+        at = motion.joint(self.joint, self.port_kind)
         return at.port, self.basis(at)
 
     def columns(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint, self.side)
+        at = motion.joint(self.joint, self.port_kind)
         return at.port[None, :, None] * self.basis(at)[:, None, :]
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
-        at = motion.joint(self.joint, self.side)
+        at = motion.joint(self.joint, self.port_kind)
         outer = np.outer(at.port, at.port)[None]
         c = self.known_coefficients()
         by_q, by_v, by_a = (outer * (slope @ c)[:, None, None] for slope in self.slopes(at))
@@ -673,7 +691,7 @@ def effect_from_table(
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
     key = {"robot or joint": "joint"}.get(cls.on, cls.on if cls.on != "robot" else None)
-    allowed = ["type", *([key] if key else []), *cls.parameters()]
+    allowed = ["type", *([key] if key else []), *cls.parameters(), *cls.choices()]
     for name in table:
         if name not in allowed:
             raise ValueError(f"{where}: unknown key {name!r}; {close_match(name, allowed)}")
@@ -688,6 +706,11 @@ def effect_from_table(
             values[parameter.attribute] = _read_value(table[name], parameter, f"{where}: {name}")
         elif parameter.kind == "given":
             raise ValueError(f"{where}: key {name!r} is missing; it cannot be identified")
+    for name, words in cls.choices().items():
+        if name in table:
+            if table[name] not in words:
+                raise ValueError(f"{where}: {name} is {table[name]!r}; {close_match(str(table[name]), words)}")
+            values[name] = table[name]
     return cls(**values)
 
 
@@ -747,4 +770,7 @@ def effect_to_table(effect: Effect) -> dict[str, Any]:
         value = getattr(effect, parameter.attribute)
         if value is not None:
             table[name] = list(value) if isinstance(value, tuple) else float(value)
+    table |= {
+        name: getattr(effect, name) for name, words in effect.choices().items() if getattr(effect, name) != words[0]
+    }
     return table

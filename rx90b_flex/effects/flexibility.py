@@ -419,7 +419,7 @@ class StiffnessHardening(JointEffect):
     Not in Hardeman 2008; the cubic term of a hardening gear, as strain-wave gears have it.
     """
 
-    side: ClassVar[str] = "torsion"
+    acts_at: ClassVar[str] = "torsion"
     needs: ClassVar[tuple[str, ...]] = ("drive_flexibility",)
     part: ClassVar[str] = "flexibility"
     law_stores: ClassVar[bool] = True
@@ -450,7 +450,7 @@ class StiffnessHardening(JointEffect):
         out[2] = 0.0
 
     def potential(self, motion: Motion) -> Array:
-        return 0.25 * self.known_coefficients()[0] * motion.joint(self.joint, self.side).q ** 4
+        return 0.25 * self.known_coefficients()[0] * motion.joint(self.joint, self.port_kind).q ** 4
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, JointEffect, linear, shape
+from rx90b_flex.effects.effect import FRICTION, Effect, JointEffect, choice, linear, shape
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
@@ -19,7 +20,26 @@ SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its sta
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
-class VelocityFriction(JointEffect):
+@dataclass(frozen=True, kw_only=True)
+class SidedFriction(JointEffect):
+    """Friction of one joint on either side of its drive's flexibility.
+
+    Attributes
+    ----------
+    side : str
+        ``joint``: it acts on the joint's velocity, that of e + eps1, as in (3.53). ``motor``: on the drive's, that of e: bearings
+        and seals of the motor and of the gear's first stage.
+    """
+
+    side: str = choice("joint", "motor")
+
+    @property
+    def port_kind(self) -> str:
+        return "drive" if self.side == "motor" else "joint"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocityFriction(SidedFriction):
     """Friction whose one column is a function of velocity."""
 
     @abstractmethod
@@ -108,7 +128,7 @@ class ViscousFriction(VelocityFriction):
         return np.ones_like(v)
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
-        port = motion.coordinates.port(self.joint, self.side)
+        port = motion.coordinates.port(self.joint, self.port_kind)
         return (Law(port, damping=float(self.known_coefficients()[0])),)
 
 
@@ -228,7 +248,7 @@ class StribeckFriction(VelocityFriction, DryFriction):
         return float(self.known_coefficients()[0])
 
     def own_range(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint)
+        at = motion.joint(self.joint, self.port_kind)
         low, _ = turnover_range(at)
         out = self.shape_bounds()
         out[:, 0] = FADES * low, max(FADED * Resolution.of(at).speed, 8.0 * FADES * low)
@@ -269,7 +289,7 @@ class StribeckFriction(VelocityFriction, DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionDrift(JointEffect):
+class FrictionDrift(SidedFriction):
     """Viscous friction that fades as the joint warms up, ``coefficient * exp(-t / time_constant) * v``.
 
     The time is the file's, from its start.
@@ -314,3 +334,14 @@ class FrictionDrift(JointEffect):
 
     def independent_shapes(self, motion: Motion) -> int:
         return 3
+
+
+def friction_side(effects: Iterable[Effect], joint: str) -> str:
+    """Side of a joint's friction among these effects: ``motor`` where one of them acts there, else ``joint``."""
+    own = (e for e in effects if isinstance(e, SidedFriction) and e.joint == joint)
+    return "motor" if any(e.side == "motor" for e in own) else "joint"
+
+
+def friction_port(effects: Iterable[Effect], coordinates: Coordinates, joint: str) -> Array:
+    """Row of the coordinates that a joint's friction acts on, shape (n,): e + eps1, or e where it is the motor's."""
+    return coordinates.port(joint, "drive" if friction_side(effects, joint) == "motor" else "joint")

@@ -65,7 +65,7 @@ class GravitySpring(JointEffect):
 
     def potential(self, motion: Motion) -> Array:
         stiffness, prestress = self.known_coefficients()
-        elongation, _, _ = self._elongation(motion.joint(self.joint, self.side))
+        elongation, _, _ = self._elongation(motion.joint(self.joint, self.port_kind))
         return (0.5 * stiffness * elongation + prestress) * elongation
 
     def _elongation(self, at: JointMotion) -> tuple[Array, Array, Array]:
@@ -107,7 +107,7 @@ class GravitySpring(JointEffect):
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         values = np.concatenate([self.known_coefficients(), self._geometry(motion)])
-        port = motion.coordinates.port(self.joint, self.side)
+        port = motion.coordinates.port(self.joint, self.port_kind)
         return (Law(port, function=self.law, parameters=values, stores=True),)
 
     def line_spring(self) -> tuple[Array, Array, float, float]:

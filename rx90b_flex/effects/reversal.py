@@ -146,7 +146,7 @@ class DryFriction(JointEffect):
     def shape_range(self, motion: Motion) -> Array:
         """The turn-over's from what the log resolves; of other shapes what `own_range` says."""
         out = self.own_range(motion)
-        out[:, -1] = turnover_range(motion.joint(self.joint))
+        out[:, -1] = turnover_range(motion.joint(self.joint, self.port_kind))
         return out
 
     def own_range(self, motion: Motion) -> Array:
@@ -155,7 +155,7 @@ class DryFriction(JointEffect):
 
     def shape_starts(self, motion: Motion) -> Array:
         """The shapes of `own_starts`, each with a turn-over in the lower part of its range."""
-        low, high = turnover_range(motion.joint(self.joint))
+        low, high = turnover_range(motion.joint(self.joint, self.port_kind))
         own = self.own_starts(motion)
         return np.concatenate([own, np.full((len(own), 1), np.exp(0.7 * np.log(low) + 0.3 * np.log(high)))], axis=1)
 

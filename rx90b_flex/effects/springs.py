@@ -86,7 +86,7 @@ class JointSpring(JointEffect):
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         stiffness, preload = self.known_coefficients()
-        port = motion.coordinates.port(self.joint, self.side)
+        port = motion.coordinates.port(self.joint, self.port_kind)
         return (Law(port, stiffness=float(stiffness), function=constant, parameters=np.array([-preload]), stores=True),)
 
     @classmethod

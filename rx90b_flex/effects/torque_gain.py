@@ -40,7 +40,7 @@ class TorqueGain(JointEffect):
     in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
     multiplies: ClassVar[bool] = True
-    side: ClassVar[str] = "drive"
+    acts_at: ClassVar[str] = "drive"
 
     gain: float | None = derived("-", lower=0.0)
 

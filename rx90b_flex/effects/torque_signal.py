@@ -148,7 +148,7 @@ class MotorSaturation(JointEffect):
     acts_on: ClassVar[str] = "signals"
     in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
-    side: ClassVar[str] = "drive"
+    acts_at: ClassVar[str] = "drive"
 
     coefficient: float | None = linear("1/(N m)^2", lower=0.0)
 
@@ -213,7 +213,7 @@ class LineInterference(SineEffect):
     by_clock: ClassVar[bool] = True
     repeats_with_motion: ClassVar[bool] = False
     in_dynamics: ClassVar[bool] = False
-    side: ClassVar[str] = "drive"
+    acts_at: ClassVar[str] = "drive"
     repeats: ClassVar[bool] = True
     PEAKS: ClassVar[int] = 6
 

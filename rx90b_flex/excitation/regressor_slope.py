@@ -40,7 +40,7 @@ def regressor_slope(robot: Robot, q: Array, v: Array, a: Array, weight: Array) -
 
 def _of_effect(effect: Effect, motion: Motion, weight: Array) -> Slopes:
     if isinstance(effect, JointEffect):
-        at = motion.joint(effect.joint, effect.side)
+        at = motion.joint(effect.joint, effect.port_kind)
         on_joint = np.einsum("tnk,n->tk", weight, at.port)
         by_q, by_v, by_a = (np.outer((on_joint * slope).sum(axis=1), at.port) for slope in effect.slopes(at))
         return by_q, by_v, by_a

@@ -42,7 +42,7 @@ EDGE_S = 0.3  # left out at both ends of a log, where the filters continue it
 CORRELATION_S = 0.25  # longest correlation of the residuals that covariances allow for
 HUBER = 1.345  # standard deviations; beyond them a residual counts linearly (95 % as efficient as least squares on normal noise)
 ROUNDING = 1e-9  # singular values below this part of the largest are exact dependences
-OWN_SHARE = 0.99  # a parameter whose unit vector lies in the essential space to this part is told by itself
+OWN_SHARE = 0.999  # a parameter whose unit vector lies in the essential space to this part is told by itself
 
 
 # ---- what is measured -----------------------------------------------------------------------------------------

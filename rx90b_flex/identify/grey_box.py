@@ -17,6 +17,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from rx90b_flex.effects import Effect, close_match
+from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Mask, Motion
 from rx90b_flex.export import with_link_parameters
 from rx90b_flex.identify.accelerometers import AccelerationResponse, sensor_rows
@@ -246,7 +247,7 @@ def _slope_name(joint: str, experiment: int, experiments: int) -> str:
 def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     """Slope of the declared friction at a usual speed of such experiments; only a place to start from."""
     q = np.zeros(robot.model.nv)
-    port = robot.layout.port(joint)
+    port = friction_port(robot.effects, robot.layout, joint)
     motion = robot.motion(q, speed * robot.layout.port(joint, "drive"), q)
     frictions = [e for e in robot.effects if e.part == "friction" and e.joints == (joint,) and e.acts_on == "forces"]
     slope = sum(float(port @ e.derivatives(motion)[1][0] @ port) / float(port @ port) ** 2 for e in frictions)
@@ -287,7 +288,7 @@ def _pose(
         elif effect.part != "friction":
             add(0, effect.derivatives(motion))
     for joint in joints:
-        port = robot.layout.port(joint)  # friction acts on e + eps1
+        port = friction_port(robot.effects, robot.layout, joint)
         D[index[slopes[joint]]] += np.outer(port, port)
     for b, (link, _) in enumerate(robot.bodies):
         if f"{link}.{MASS}" in index:

@@ -176,7 +176,8 @@ def drive_damping(poles: ArrayLike, zeros: ArrayLike, drive_inertia: float) -> f
 
     The traces that give the stiffness give it too: ``d = J (sum Re(z) - sum Re(p))`` over all poles p of the system and all
     zeros z of its drive point, real ones and both of each pair counted, rad/s. It is exact, for damping of any kind, because friction
-    acts behind the flexibility, on the joint angle, and not on the drive's own row of the damping matrix.
+    acts behind the flexibility, on the joint angle, and not on the drive's own row of the damping matrix. Friction on the motor
+    does stand in that row: its slope then comes on top.
     """
     return float(drive_inertia * (np.real(np.asarray(zeros)).sum() - np.real(np.asarray(poles)).sum()))
 

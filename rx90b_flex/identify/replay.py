@@ -22,7 +22,7 @@ import joblib
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.friction import ViscousFriction
+from rx90b_flex.effects.friction import ViscousFriction, friction_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
@@ -138,7 +138,10 @@ def linear_response(
     robot: Robot, joints: Sequence[str], pose: Array, slopes: dict[str, float], hz: Array
 ) -> ComplexArray:
     """L: the robot at rest at a pose, its friction viscous with given slopes (N m s/rad); shape (F, n, n)."""
-    viscous = [ViscousFriction(joint=joint, coefficient=slope) for joint, slope in slopes.items()]
+    viscous = [
+        ViscousFriction(joint=joint, coefficient=slope, side=friction_side(robot.effects, joint))
+        for joint, slope in slopes.items()
+    ]
     line = robot.with_effects([*(e for e in robot.effects if e.part != "friction"), *viscous])
     rows = [line.joints.index(j) for j in joints]
     return np.asarray(line.linearize(line.input_matrix @ pose).frf(hz)[:, rows][:, :, rows])

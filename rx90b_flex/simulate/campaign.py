@@ -30,7 +30,7 @@ from rx90b_flex.signals.folders import claim, claimed
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, save_cs8
-from rx90b_flex.simulate.perturbation import perturb_lanes, steps_bytes
+from rx90b_flex.simulate.perturbation import Manipulator, perturb_lanes, steps_bytes
 from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_LINES,
     FEEDFORWARD_PEAK,
@@ -104,6 +104,8 @@ class Plan:
     seed : int
     method : str
         ``nonlinear`` or ``perturbation``.
+    manipulator : str
+        ``moving``, or for the perturbation method ``frozen``: see `rx90b_flex.simulate.perturbation.perturb_lanes`.
     """
 
     robot: Robot
@@ -122,6 +124,7 @@ class Plan:
     noise: Noise = dataclasses.field(default_factory=Noise)
     seed: int = 0
     method: Method = "nonlinear"
+    manipulator: Manipulator = "moving"
 
     def __post_init__(self) -> None:
         shape = np.shape(self.input_matrix)
@@ -139,6 +142,10 @@ class Plan:
             )
         if self.method not in ("nonlinear", "perturbation"):
             raise ValueError(f"method is {self.method!r}; expected 'nonlinear' or 'perturbation'")
+        if self.manipulator != "moving" and (self.manipulator, self.method) != ("frozen", "perturbation"):
+            raise ValueError(
+                f"manipulator is {self.manipulator!r}; expected 'moving', or 'frozen' with the perturbation method"
+            )
 
     def __getstate__(self) -> dict[str, object]:
         # to another process without what the robot has worked out: addresses of compiled laws mean nothing there
@@ -154,7 +161,9 @@ class Plan:
     def digest(self) -> str:
         """Of everything that decides the results, hexadecimal."""
         text = [self.robot.urdf, self.robot.tip_frame, repr(self.robot.effects), repr(self.controller)]
-        text += [repr((f.name, getattr(self, f.name))) for f in dataclasses.fields(self)[3:]]
+        # a folder that was begun before there was this choice goes on
+        usual = {"manipulator"} if self.manipulator == "moving" else set()
+        text += [repr((f.name, getattr(self, f.name))) for f in dataclasses.fields(self)[3:] if f.name not in usual]
         text += [repr((self.reference.joints, self.reference.rate_hz, self.reference.period_s))]
         state = hashlib.sha256("\n".join(text).encode())
         for array in (self.reference.position, self.reference.velocity):
@@ -348,8 +357,12 @@ def _simulate(plan: Plan, keys: Sequence[RunKey]) -> list[Simulation]:
     noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
     noise = plan.noise if noisy else None
     rng = _Spawned([plan.generator(key) for key in keys])
-    advance = perturb_lanes if plan.method == "perturbation" else simulate_lanes
-    runs = advance(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
+    if plan.method == "perturbation":
+        runs = perturb_lanes(
+            plan.robot, plan.controller, trajectories, noise=noise, rng=rng, manipulator=plan.manipulator
+        )
+    else:
+        runs = simulate_lanes(plan.robot, plan.controller, trajectories, noise=noise, rng=rng)
     return [dataclasses.replace(run, recording=_without_tail(plan, run.recording)) for run in runs]
 
 

@@ -38,6 +38,7 @@ from rx90b_flex.simulate.trajectories import Trajectory
 Indices = NDArray[np.int64]
 Nominal = Literal["rigid", "reference"]
 Friction = Literal["exact", "linear"]
+Manipulator = Literal["moving", "frozen"]
 
 KNOWN_BYTES = 128e6  # of steps that are kept in case the motion repeats: 97 MB for 4.096 s of 16 coordinates
 PROBES = (-1.3, -0.21, 0.0, 0.37, 2.9)  # rad; a torque that is the same at these angles does not depend on the angle
@@ -54,6 +55,7 @@ def perturb_lanes(
     role: Role = "identification",
     nominal: Nominal = "reference",
     friction: Friction = "exact",
+    manipulator: Manipulator = "moving",
     progress: Progress | None = None,
 ) -> list[Simulation]:
     """Several runs of one nominal motion by the perturbation method, advanced together.
@@ -72,6 +74,10 @@ def perturb_lanes(
     friction : str
         ``exact``: effects that are compiled laws of one rate or angle (friction, hardening) keep their nonlinearity;
         ``linear``: all is linear in the perturbation, as in (3.90).
+    manipulator : str
+        ``moving``: mass, damping and stiffness matrices follow the nominal motion; ``frozen``: they stay those at rest in its mean
+        pose, so that links and hinges are linear and time-invariant, as in section 6.6.6. Friction and springs with a law of
+        their own see the motion in either case.
 
     Returns
     -------
@@ -100,7 +106,9 @@ def perturb_lanes(
     position, velocity = _nominal_motion(robot, own, first, nominal)
     job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, role)
     children = [] if rng is None else rng.spawn(len(trajectories))
-    return _PerturbationRunner(job, children, position, velocity, friction == "exact").run(progress)
+    return _PerturbationRunner(job, children, position, velocity, friction == "exact", manipulator == "frozen").run(
+        progress
+    )
 
 
 def _nominal_motion(robot: Robot, controller: CS8, trajectory: Trajectory, nominal: Nominal) -> tuple[Array, Array]:
@@ -141,7 +149,10 @@ def _ports(robot: Robot, exact: bool) -> Ports:
 class _Along:
     """M, D, K and the nominal motion, chunk by chunk."""
 
-    def __init__(self, robot: Robot, position: Array, velocity: Array, rate_hz: float, up: int) -> None:
+    def __init__(
+        self, robot: Robot, position: Array, velocity: Array, rate_hz: float, up: int, frozen: bool = False
+    ) -> None:
+        self.pose = position.mean(axis=0) if frozen else None
         self.robot, self.rate_hz, self.up = robot, rate_hz, up
         self.position, self.velocity = position, velocity
         self.drives = drive_places(robot)
@@ -157,7 +168,10 @@ class _Along:
     def nodes(self, rows: Indices) -> Array:
         """M, D and K without the compiled laws' functions at samples of the nominal motion, (len(rows), 3, n, n)."""
         rows = np.minimum(rows, len(self.position) - 1)
-        motion = self.robot.motion(*(self._whole(x[rows]) for x in (self.position, self.velocity, self.acceleration)))
+        state = [x[rows] for x in (self.position, self.velocity, self.acceleration)]
+        if self.pose is not None:
+            state = [np.tile(self.pose, (len(rows), 1)), *(np.zeros_like(x) for x in state[1:])]
+        motion = self.robot.motion(*(self._whole(x) for x in state))
         totals = [own + fixed for own, fixed in zip(motion.on_tree.derivatives(), self.constant, strict=True)]
         for effect in (*self.robot.plant.others, *self.robot.plant.in_tree):
             for total, own in zip(totals, effect.derivatives(motion), strict=True):
@@ -208,11 +222,12 @@ class _PerturbationRunner(closed_loop._Runner):
         position: Array,
         velocity: Array,
         exact: bool,
+        frozen: bool = False,
     ) -> None:
         super().__init__(job, children)
         self.exact = exact
         self.ports = _ports(job.robot, exact)
-        self.along = _Along(job.robot, position, velocity, job.trajectories[0].rate_hz, self.up)
+        self.along = _Along(job.robot, position, velocity, job.trajectories[0].rate_hz, self.up, frozen)
         q, v = self.along.at_samples(np.array([0]))
         angle = np.ascontiguousarray(self.lanes.q[:, self.loop.drive].T)
         y = np.concatenate([(self.lanes.v - v[0]).T, (self.lanes.q - q[0]).T, self.lanes.held])

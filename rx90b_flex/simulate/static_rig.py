@@ -33,7 +33,7 @@ PULLEY_DISTANCE = 2.0  # m, from the cable's end: choice, far enough for the pul
 # joint_2 about the upper arm's own line the forearm folded back to the shoulder.
 _STRETCHED = (0.0, np.pi / 2)
 POSES: dict[str, tuple[float, ...]] = {
-    "joint_1:torsion": (0.0, np.pi / 2 + np.arcsin(0.32 / 0.985)),
+    "joint_1:torsion": (0.0, np.pi / 2 + np.arcsin(0.28 / 0.985)),
     "joint_1:bend_1": (),
     "joint_1:bend_2": (),
     "joint_2:bend_1": (0.0, 0.0, np.radians(140.0)),
