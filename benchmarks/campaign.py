@@ -18,10 +18,10 @@ import joblib
 
 import rx90b_flex as rf
 from rx90b_flex.simulate import Noise, load_cs8
-from rx90b_flex.simulate.campaign import Plan, run_campaign, section_662
+from rx90b_flex.simulate.campaign import CampaignPlan, run_campaign, section_662
 
 
-def measure(plan: Plan, jobs: int) -> tuple[float, float]:
+def measure(plan: CampaignPlan, jobs: int) -> tuple[float, float]:
     """Wall time in s and robot time in s of a campaign into a folder that is thrown away."""
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()

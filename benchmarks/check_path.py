@@ -15,7 +15,7 @@ import time
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import rx90b_flex as rf
-from rx90b_flex.path import Options, PathCheck, check_path, load_seam
+from rx90b_flex.path import PathCheck, PathOptions, check_path, load_seam
 from rx90b_flex.simulate.command import controller_of
 
 HEAD = (
@@ -47,7 +47,7 @@ def main() -> None:
     given = parser.parse_args()
     robot = rf.load_robot(given.robot)
     controller = controller_of(robot, None)
-    options = Options(given.tolerance_mm, contributions=given.contributions)
+    options = PathOptions(given.tolerance_mm, contributions=given.contributions)
     print(f"{robot.name}, tolerance {given.tolerance_mm:g} mm\n{HEAD}", flush=True)
     for path in given.paths:
         for speed in given.speeds:

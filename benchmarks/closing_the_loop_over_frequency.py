@@ -36,7 +36,7 @@ from modal_generator import Truth, carrying, heavier, measured_response, truth_o
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.close_flexible import ResponseLoop, close_response
-from rx90b_flex.diagnose.flexible import Found, Structure
+from rx90b_flex.diagnose.flexible import FoundChange, Structure
 from rx90b_flex.diagnose.response import ResponseResidual, thinned
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.identify.frequency_response import FrequencyResponse
@@ -489,7 +489,7 @@ def draw(case: Case) -> Drawn | str:
     return f"{case.name}, {way}, shows too little on {robot_of(case)} at strength {case.strength:g}"
 
 
-def joints_of(found: Found, structure: Structure) -> list[str]:
+def joints_of(found: FoundChange, structure: Structure) -> list[str]:
     """Joints of a change; what it calls its place where it is on several effects."""
     here = (
         e

@@ -19,11 +19,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import rx90b_flex as rf
-from rx90b_flex.excitation.design import Design, design_excitation, periodic_derivative, simulated_margins
-from rx90b_flex.excitation.limits import Limits
+from rx90b_flex.excitation_design.limits import Limits
+from rx90b_flex.excitation_design.search import Design, design_excitation, periodic_derivative, simulated_margins
 from rx90b_flex.identify.all_coordinates import (
+    CoordinatesFit,
     Equations,
-    Fit,
     FullLog,
     indirect_inference,
     logs_everything,
@@ -62,10 +62,10 @@ def errors(design: Design, trajectory: Trajectory, draws: int) -> dict[str, Arra
     """Errors of the scaled parameters, projected on the essential space, shape (draws, p), by way of identification."""
     robot, space = design.robot, design.essential
 
-    def estimate(measured: Sequence[FullLog]) -> Fit:
+    def estimate(measured: Sequence[FullLog]) -> CoordinatesFit:
         return reweighted(Equations.of(robot, measured), design.scale, dimension=space.shape[1])
 
-    ways: dict[str, Callable[[list[FullLog]], Fit]] = {
+    ways: dict[str, Callable[[list[FullLog]], CoordinatesFit]] = {
         "re-weighted": estimate,
         "without bias": lambda x: indirect_inference(robot, x, estimate, lambda r: logs(r, trajectory)),
     }

@@ -20,8 +20,8 @@ import rx90b_flex as rf
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import with_parameters
 from rx90b_flex.identify.all_coordinates import (
+    CoordinatesFit,
     Equations,
-    Fit,
     FullLog,
     full_log,
     indirect_inference,
@@ -56,7 +56,7 @@ def experiment(robot: Robot, seed: int, periods: int = 2) -> FullLog:
     return full_log(run).downsampled()
 
 
-def errors(fit: Fit, true: Array, part: str) -> list[float]:
+def errors(fit: CoordinatesFit, true: Array, part: str) -> list[float]:
     """Relative errors in the essential space of the parameters whose name holds `part`, %."""
     found, expected = fit.essential(fit.parameters), fit.essential(true)
     places = [i for i, name in enumerate(fit.equations.robot.parameter_names) if part in name]
@@ -103,7 +103,7 @@ def main() -> None:
     start = true * (1 + GUESS * np.random.default_rng(options.seed + 1).uniform(-1, 1, len(true)))
     log = experiment(robot, options.seed)
     own = Equations.of(robot, [log])
-    ways: dict[str, Callable[[], Fit]] = {
+    ways: dict[str, Callable[[], CoordinatesFit]] = {
         "source's way": lambda: least_squares(Equations.of(robot, [log], upsampling=1), start),
         "least squares": lambda: least_squares(own, start),
         "re-weighted": lambda: reweighted(own, start),

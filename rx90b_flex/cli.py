@@ -111,13 +111,13 @@ def close_loop_command(
     for name, value in (("--robot", robot), ("--model-error", model_error)):
         if value is not None and campaign.exists():  # what is not there is said to be missing, further on
             raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
-    from rx90b_flex.closing import Options, close_campaign
+    from rx90b_flex.closing import LoopOptions, close_campaign
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
 
     check_folder(out, CLOSED_LOOP, overwrite, [campaign])
     with progress() as tell:
         tell("reading", 0.0)
-        closed = close_campaign(campaign, Options(seed, basics, despite_faults), tell)
+        closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults), tell)
         closed.write(out, overwrite)
     if closed.motion is None:
         _end_refused(closed.result.checked, out)
@@ -309,10 +309,10 @@ def frf(
     if mains_hz is not None and not mains_hz > 0.0:
         raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
     read = read_campaign(campaign)
-    from rx90b_flex.identify.frf_command import Options, identify_from_motors, write_motor_identification
+    from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
     from rx90b_flex.view.frf_report import write_frf_report
 
-    options = Options(
+    options = FrfOptions(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
         mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
@@ -377,10 +377,10 @@ def excite(
 
     check_folder(out, CAMPAIGN, overwrite)
     check_robot(robot)
-    from rx90b_flex.simulate.excite import Request, excite_into
+    from rx90b_flex.simulate.excite import ExciteRequest, excite_into
 
     poses = tuple(tuple(math.radians(x) for x in _numbers("pose", text)) for text in pose or [])
-    request = Request(
+    request = ExciteRequest(
         robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
         _numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
         not one_sign, white, controller, seed,
@@ -472,10 +472,10 @@ def simulate_command(
     if trajectory is not None and not trajectory.is_file():
         raise ValueError(f"{trajectory}: no such trajectory file")
     from rx90b_flex.simulate.closed_loop import Noise
-    from rx90b_flex.simulate.command import Request, simulate_into, summary
+    from rx90b_flex.simulate.command import RunRequest, simulate_into, summary
 
     noise = Noise(torque_noise, position_noise, velocity_noise)
-    request = Request(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
+    request = RunRequest(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
     with progress() as tell:
         result = simulate_into(request, out, tell, overwrite)
     for text in summary(result):
@@ -509,9 +509,9 @@ def import_command(
 
     Finds out columns, units and rate, and says how sure it is of each.
     """
-    from rx90b_flex.importing import Request, import_into, options_of
+    from rx90b_flex.importing import ImportRequest, import_into, options_of
 
-    request = Request(
+    request = ImportRequest(
         tuple(files),
         robot,
         options_of(columns or [], joints, rate, degrees, gear, offset, topic),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Options:
+class LoopOptions:
     """How a loop is closed: seed of the permutation test, whether basics are declared, whether faults of the data stop it."""
 
     seed: int = 0
@@ -65,7 +65,7 @@ def declared_robot(campaign: Campaign, basics: bool) -> Robot:
     return with_basics(robot, joints, campaign.torque_side == "behind_gear")
 
 
-def close_campaign(path: Path, options: Options, tell: Callable[[str, float], None] | None = None) -> Closed:
+def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float], None] | None = None) -> Closed:
     """Close the loop on a campaign file and simulate the result.
 
     Raises

@@ -13,9 +13,9 @@ import numpy as np
 from yourdfpy.urdf import Inertial  # type: ignore[import-untyped, unused-ignore]
 
 from rx90b_flex import flexify as virtual
+from rx90b_flex.bodies import Inconsistency, inconsistencies, moments_about_centre, pseudo_inertia
 from rx90b_flex.effects import effect_to_table
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.physical import Inconsistency, inconsistencies, moments_about_centre, pseudo_inertia
 from rx90b_flex.robot import Robot
 
 # Largest error of a parameter read back from the URDF, as a part of its body's largest one.

@@ -14,7 +14,7 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.signals.importers import Axes, Finding, Imported, Options, import_logs
+from rx90b_flex.signals.importers import Axes, Finding, Imported, ReadingOptions, import_logs
 from rx90b_flex.signals.recording import load_campaign, write_campaign
 
 FILTERS = 4  # times the length of the low-pass that a recording must have
@@ -22,7 +22,7 @@ FORMATS = ("parquet", "csv", "csv.gz")
 
 
 @dataclass(frozen=True)
-class Request:
+class ImportRequest:
     """What the user asks for.
 
     Attributes
@@ -36,7 +36,7 @@ class Request:
 
     files: tuple[Path, ...]
     robot: str
-    options: Options = field(default_factory=Options)
+    options: ReadingOptions = field(default_factory=ReadingOptions)
     file_format: str = "parquet"
     basics: bool = False
 
@@ -49,7 +49,7 @@ def options_of(
     gear: str | None,
     offset: str | None,
     topic: str | None,
-) -> Options:
+) -> ReadingOptions:
     """Options from the command line's words.
 
     Raises
@@ -66,7 +66,9 @@ def options_of(
     gears = tuple(_numbers("--gear", row) for row in (gear or "").split(";") if row.strip())
     if joints is not None and not _listed(joints):
         raise ValueError(f"--joints {joints}: expected names with commas between")
-    return Options(chosen, _listed(joints or ""), rate, degrees, gears, _numbers("--offset", offset or ""), topic)
+    return ReadingOptions(
+        chosen, _listed(joints or ""), rate, degrees, gears, _numbers("--offset", offset or ""), topic
+    )
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:
@@ -80,7 +82,7 @@ def _listed(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def import_into(request: Request, folder: Path, overwrite: bool = False) -> Imported:
+def import_into(request: ImportRequest, folder: Path, overwrite: bool = False) -> Imported:
     """Import and write the campaign; nothing is written unless all of it is, and can be read again.
 
     Raises

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rx90b_flex.path.seam import Seam
     from rx90b_flex.robot import Robot
     from rx90b_flex.signals import Campaign
-    from rx90b_flex.simulate import Noise, Plan, Simulation, Trajectory
+    from rx90b_flex.simulate import CampaignPlan, Noise, Simulation, Trajectory
     from rx90b_flex.simulate.excite import Matrix
     from rx90b_flex.view import Run, View
 
@@ -126,13 +126,13 @@ def simulate(
     """
     from rx90b_flex.robot import load_robot
     from rx90b_flex.simulate import Noise, Trajectory
-    from rx90b_flex.simulate.command import Request, prepare, run
+    from rx90b_flex.simulate.command import RunRequest, prepare, run
 
     loaded = load_robot(robot)
     given = motion if isinstance(motion, Trajectory) else None
     named = given.name if given is not None else str(motion)
     file = None if controller is None else Path(controller)
-    request = Request(loaded.name, named, file, periods, seed, noise or Noise(), perturbation)
+    request = RunRequest(loaded.name, named, file, periods, seed, noise or Noise(), perturbation)
     return run(prepare(request, loaded, given), progress)
 
 
@@ -189,9 +189,9 @@ def frf(
     >>> found.poses[0].measured.value.shape[1:]
     (3, 3)
     """
-    from rx90b_flex.identify.frf_command import Options, identify_from_motors
+    from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors
 
-    options = Options(
+    options = FrfOptions(
         band_hz, None if controller is None else Path(controller), link_mass_std, bending_alike_std, seed=seed,
         references=None if references is None else Path(references), mains_hz=mains_hz, replay=replay, jobs=jobs,
     )  # fmt: skip
@@ -217,7 +217,7 @@ def excite(
     seed: int = 0,
     overwrite: bool = False,
     progress: Progress | None = None,
-) -> tuple[Plan, ...]:
+) -> tuple[CampaignPlan, ...]:
     """Design the motions that `rx90b_flex.frf` needs; the command ``excite``.
 
     Parameters
@@ -269,11 +269,11 @@ def excite(
     ('joint_1', 'joint_2', 'joint_3')
     """
     from rx90b_flex.robot import load_robot
-    from rx90b_flex.simulate.excite import Request, excitation_plans, excite_into
+    from rx90b_flex.simulate.excite import ExciteRequest, excitation_plans, excite_into
     from rx90b_flex.simulate.trajectories import PERIOD_S
 
     loaded = load_robot(robot)
-    request = Request(
+    request = ExciteRequest(
         loaded.name, tuple(tuple(np.deg2rad(pose).tolist()) for pose in poses_deg), tuple(joints), matrix, tuple(peak), band_hz,
         PERIOD_S if period_s is None else period_s, realisations=realisations, periods=periods, both_signs=both_signs, white=white,
         controller=None if controller is None else Path(controller), seed=seed,
@@ -329,7 +329,7 @@ def check_path(
     >>> checked.before.max_across > checked.options.tolerance_mm
     True
     """
-    from rx90b_flex.path.check import Options
+    from rx90b_flex.path.check import PathOptions
     from rx90b_flex.path.check import check_path as checked
     from rx90b_flex.path.output import ROBOT
     from rx90b_flex.path.seam import Seam, load_seam
@@ -340,7 +340,7 @@ def check_path(
     loaded = load_robot(robot if robot is not None else seam.robot or ROBOT)
     for effect in loaded.effects:
         effect.known_coefficients()
-    options = Options(tolerance_mm, correct, contributions, iterations, jobs)
+    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     gains = controller_of(loaded, None if controller is None else Path(controller))
     return checked(seam, loaded, gains, options, progress)
 

@@ -14,14 +14,14 @@ from test_grey_box import truth, wrong
 
 from rx90b_flex import cli
 from rx90b_flex.identify.accelerometers import sensor_rows
-from rx90b_flex.identify.frf_command import MotorIdentification, Options, frf_json, identify_from_motors
+from rx90b_flex.identify.frf_command import FrfOptions, MotorIdentification, frf_json, identify_from_motors
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.signals.stated import Accelerometer
 from rx90b_flex.view.frf_report import write_frf_report
 
 ROBOT = viscous_robot()
 SENSORS = tuple(Accelerometer(link, p) for link in ("link_2", "link_3") for p in ((0.0, 0.12, 0.3), (0.1, -0.1, 0.05)))
-QUICK = Options(starts=0, modes=(5,), bending_alike_std=0.0, replay=False)
+QUICK = FrfOptions(starts=0, modes=(5,), bending_alike_std=0.0, replay=False)
 
 
 @pytest.fixture(scope="module")

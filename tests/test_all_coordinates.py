@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.bodies import inconsistencies
 from rx90b_flex.export import save_robot, with_parameters
 from rx90b_flex.identify.all_coordinates import (
+    CoordinatesFit,
     Equations,
-    Fit,
     FullLog,
     full_log,
     indirect_inference,
@@ -20,7 +21,6 @@ from rx90b_flex.identify.all_coordinates import (
     other_periods,
     reweighted,
 )
-from rx90b_flex.identify.physical import inconsistencies
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import load_cs8, simulate, sine_excitation, straight_line
 
@@ -53,7 +53,7 @@ def equations(robot: Robot, log: FullLog) -> Equations:
 
 
 @pytest.fixture(scope="module")
-def fit(robot: Robot, equations: Equations) -> Fit:
+def fit(robot: Robot, equations: Equations) -> CoordinatesFit:
     return least_squares(equations, guess(robot))
 
 
@@ -68,7 +68,7 @@ def places(robot: Robot, part: str, joints: int = 4) -> list[int]:
     return [i for i, name in enumerate(robot.parameter_names) if any(name.startswith(n) for n in names)]
 
 
-def relative_errors(fit: Fit, part: str, joints: int = 4) -> Array:
+def relative_errors(fit: CoordinatesFit, part: str, joints: int = 4) -> Array:
     """Of estimates projected on the essential space, from the true ones (table D.1's last column)."""
     true = fit.equations.robot.parameters
     found, expected = (fit.essential(x)[places(fit.equations.robot, part, joints)] for x in (fit.parameters, true))
@@ -78,14 +78,14 @@ def relative_errors(fit: Fit, part: str, joints: int = 4) -> Array:
 # ---- the experiment of section 4.2.2 ----------------------------------------------------------------------------
 
 
-def test_stiffness_drive_inertia_and_friction_are_found_to_the_accuracy_that_is_asked_for(fit: Fit) -> None:
+def test_stiffness_drive_inertia_and_friction_are_found_to_the_accuracy_that_is_asked_for(fit: CoordinatesFit) -> None:
     assert relative_errors(fit, "drive_flexibility.stiffness", 3).max() < 0.02
     assert relative_errors(fit, "joint_flexibility.stiffness", 3).max() < 0.02
     assert relative_errors(fit, "drive_inertia").max() < 0.04
     assert relative_errors(fit, "viscous").max() < 0.01
 
 
-def test_the_dimension_from_the_estimated_noise_is_that_from_the_true_parameters_residual(fit: Fit) -> None:
+def test_the_dimension_from_the_estimated_noise_is_that_from_the_true_parameters_residual(fit: CoordinatesFit) -> None:
     true = fit.equations.robot.parameters
     crossed = int(np.argmax(fit.residual_norms <= fit.norm_of(true)))
     assert abs(fit.dimension - crossed) <= 3
@@ -93,7 +93,9 @@ def test_the_dimension_from_the_estimated_noise_is_that_from_the_true_parameters
     assert fit.noise_norm == pytest.approx(fit.norm_of(true), rel=0.05)
 
 
-def test_the_tip_of_the_identified_model_stays_within_a_hundredth_of_a_millimetre_of_the_true_one(fit: Fit) -> None:
+def test_the_tip_of_the_identified_model_stays_within_a_hundredth_of_a_millimetre_of_the_true_one(
+    fit: CoordinatesFit,
+) -> None:
     robot = fit.equations.robot
     parameters = fit.parameters.copy()
     asperity = [i for i, name in enumerate(robot.parameter_names) if "stribeck" in name]
@@ -109,7 +111,7 @@ def tip_difference_mm(robot: Robot, other: Robot) -> float:
 
 
 def test_repeating_the_experiment_on_the_identified_robot_removes_the_bias_of_friction(
-    robot: Robot, log: FullLog, fit: Fit
+    robot: Robot, log: FullLog, fit: CoordinatesFit
 ) -> None:
     better = indirect_inference(
         robot, [log], lambda logs: least_squares(Equations.of(robot, logs), guess(robot)), lambda r: [run(r)]
@@ -120,7 +122,7 @@ def test_repeating_the_experiment_on_the_identified_robot_removes_the_bias_of_fr
     assert tip_difference_mm(robot, better.robot) < 0.01
 
 
-def test_differences_at_the_logs_own_rate_lose_accuracy(robot: Robot, log: FullLog, fit: Fit) -> None:
+def test_differences_at_the_logs_own_rate_lose_accuracy(robot: Robot, log: FullLog, fit: CoordinatesFit) -> None:
     source = least_squares(Equations.of(robot, [log], upsampling=1), guess(robot))
     for part in ("joint_flexibility.stiffness", "drive_inertia", "joint_flexibility.damping"):
         # of the first three joints: what is left of joint 4's stiffness, 0.28 %, comes from the guess beyond the essential space
@@ -132,7 +134,7 @@ def test_differences_at_the_logs_own_rate_lose_accuracy(robot: Robot, log: FullL
 # ---- the essential space ----------------------------------------------------------------------------------------
 
 
-def test_what_lies_outside_the_essential_space_stays_at_the_guess(robot: Robot, fit: Fit) -> None:
+def test_what_lies_outside_the_essential_space_stays_at_the_guess(robot: Robot, fit: CoordinatesFit) -> None:
     outside = fit.parameters - fit.essential(fit.parameters)
     np.testing.assert_allclose(outside / fit.scale, (fit.start - fit.essential(fit.start)) / fit.scale, atol=1e-9)
     np.testing.assert_allclose(fit.essential(fit.essential(fit.start)), fit.essential(fit.start), rtol=1e-9, atol=1e-12)
@@ -140,14 +142,16 @@ def test_what_lies_outside_the_essential_space_stays_at_the_guess(robot: Robot, 
     assert mass.value is None  # it moves about a vertical axis: nothing tells its mass
 
 
-def test_the_residual_falls_with_every_direction_and_ends_at_the_unexplained(fit: Fit) -> None:
+def test_the_residual_falls_with_every_direction_and_ends_at_the_unexplained(fit: CoordinatesFit) -> None:
     assert (np.diff(fit.residual_norms) <= 0).all()
     assert fit.residual_norms[0] == pytest.approx(np.linalg.norm(fit.equations.force))
     inside = fit.essential(fit.parameters)
     assert fit.norm_of(inside) == pytest.approx(fit.residual_norms[fit.dimension], rel=1e-6)
 
 
-def test_a_guess_of_other_size_changes_the_scale_but_not_what_is_found(fit: Fit, equations: Equations) -> None:
+def test_a_guess_of_other_size_changes_the_scale_but_not_what_is_found(
+    fit: CoordinatesFit, equations: Equations
+) -> None:
     told = fit.determined
     other = least_squares(equations, 3.0 * fit.start)
     np.testing.assert_allclose(other.parameters[told] / fit.parameters[told], 1.0, atol=0.05)
@@ -157,11 +161,11 @@ def test_a_guess_of_other_size_changes_the_scale_but_not_what_is_found(fit: Fit,
 
 
 @pytest.fixture(scope="module")
-def sharp(equations: Equations) -> Fit:
+def sharp(equations: Equations) -> CoordinatesFit:
     return reweighted(equations, guess(equations.robot))
 
 
-def test_weights_by_equation_sharpen_stiffness_and_friction(sharp: Fit, fit: Fit) -> None:
+def test_weights_by_equation_sharpen_stiffness_and_friction(sharp: CoordinatesFit, fit: CoordinatesFit) -> None:
     for part in ("joint_flexibility.stiffness", "drive_flexibility.stiffness", "viscous"):
         assert np.linalg.norm(relative_errors(sharp, part)) < 0.5 * np.linalg.norm(relative_errors(fit, part))
 
@@ -232,7 +236,7 @@ def test_the_standard_deviations_of_the_instrumental_estimates_are_those_of_repe
 # ---- physical consistency and files -----------------------------------------------------------------------------
 
 
-def test_links_that_cannot_exist_are_replaced_within_the_confidence_of_the_fit(fit: Fit, tmp_path) -> None:
+def test_links_that_cannot_exist_are_replaced_within_the_confidence_of_the_fit(fit: CoordinatesFit, tmp_path) -> None:
     names = [name for name, _ in fit.equations.robot.bodies]
     with pytest.raises(ValueError, match=r"link_\d: the smallest eigenvalue of the pseudo-inertia is -"):
         save_robot(fit.robot, tmp_path)
@@ -246,7 +250,7 @@ def test_links_that_cannot_exist_are_replaced_within_the_confidence_of_the_fit(f
     np.testing.assert_allclose(again.parameters, consistent.parameters, rtol=1e-9, atol=1e-9)
 
 
-def test_the_links_of_table_d1_contradict_a_fit_that_is_sharp_enough(sharp: Fit) -> None:
+def test_the_links_of_table_d1_contradict_a_fit_that_is_sharp_enough(sharp: CoordinatesFit) -> None:
     # no body has the table's links 1 and 2; the weighted bendings see it in the combinations that are determined, too
     _, found = sharp.consistent()
     assert found.p_value < 1e-6

@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 from test_report import HIDDEN, NOISE, closed_loop
 
-from rx90b_flex.path import Options, Seam, check_path
+from rx90b_flex.path import PathOptions, Seam, check_path
 from rx90b_flex.robot import load_robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, straight_line
 from rx90b_flex.view import compare, show, show_modes, write_report
@@ -367,7 +367,7 @@ def test_the_report_of_a_path_opens_without_a_request(browser: Any, tmp_path: Pa
     seam = Seam("seam", np.array([[0.55, -0.01, 0.35], [0.55, 0.01, 0.35]]), speed=0.1, start=np.deg2rad([0, 34, 69]))
     report = tmp_path / "report.html"
     write_path_report(
-        check_path(seam, robot, load_cs8().for_joints(robot.joints), Options(contributions=False)), report
+        check_path(seam, robot, load_cs8().for_joints(robot.joints), PathOptions(contributions=False)), report
     )
     page = opened(browser, report.as_uri(), pictures)
     shown = page.page.evaluate("[...document.images].map(i => i.complete && i.naturalWidth > 0)")

@@ -14,10 +14,10 @@ import rx90b_flex as rf
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, simulate_lanes
 from rx90b_flex.simulate import campaign as campaigns
-from rx90b_flex.simulate.campaign import Plan, batch_bytes, run_campaign, section_662, simulate_batch
+from rx90b_flex.simulate.campaign import CampaignPlan, batch_bytes, run_campaign, section_662, simulate_batch
 
 
-def small_plan(**changes: object) -> Plan:
+def small_plan(**changes: object) -> CampaignPlan:
     """Two joints of three move for a tenth of a second, twice: 2 realisations, 3 experiments, both signs."""
     robot = rf.load_robot("rx90b_3dof")
     plan = section_662(robot, load_cs8(), realisations=2, periods=2, lines=(1, 3, 5), noise=Noise(0.1, 1e-6, 1e-4))

@@ -18,7 +18,7 @@ from rx90b_flex import cli
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
-from rx90b_flex.path import Deviation, Options, PathCheck, Plan, Seam, check_path, load_seam, plan
+from rx90b_flex.path import Deviation, PathCheck, PathOptions, PathPlan, Seam, check_path, load_seam, plan
 from rx90b_flex.path.check import across_axes, deviation, sticking
 from rx90b_flex.path.correct import Learner, tip_response
 from rx90b_flex.path.output import RUNS, write_check
@@ -48,7 +48,7 @@ def elastic() -> Robot:
     return robot().with_effects([e for e in robot().effects if e.part in ("drives", "flexibility")])
 
 
-def planned(seam: Seam, of: Robot | None = None) -> Plan:
+def planned(seam: Seam, of: Robot | None = None) -> PathPlan:
     of = of or robot()
     return plan(seam, of, controller_of(of, None))
 
@@ -254,7 +254,7 @@ def test_a_run_that_ends_early_fails_and_is_still_reported(checked: PathCheck, t
 
 
 def test_the_effects_of_a_linear_robot_add_up() -> None:
-    check = check_path(SHORT, elastic(), controller_of(elastic(), None), Options(correct=False))
+    check = check_path(SHORT, elastic(), controller_of(elastic(), None), PathOptions(correct=False))
     done = [c for c in check.contributions if c.why_not is None]
     assert len(done) == 7 and done[0].name == "links and controller"  # and two kinds of hinges in three joints
     # sag and vibration are linear in the compliances but for the modes' frequencies: second order in what the hinges give
@@ -359,12 +359,12 @@ def test_a_correction_moves_the_arm_and_leaves_the_wrist_to_the_orientation() ->
 @pytest.mark.slow
 def test_a_square_with_a_fixed_orientation_is_corrected_where_its_speed_has_the_wrist_slide() -> None:
     seam = dataclasses.replace(load_seam("square", 250.0), orientation="keep")
-    check = check_path(seam, robot("rx90b"), controller_of(robot("rx90b"), None), Options(contributions=False))
+    check = check_path(seam, robot("rx90b"), controller_of(robot("rx90b"), None), PathOptions(contributions=False))
     assert check.verdict == "corrected_within_tolerance"
 
 
 def test_a_correction_that_does_not_reach_the_tolerance_says_so() -> None:
-    options = Options(tolerance_mm=1e-4, contributions=False, iterations=1)
+    options = PathOptions(tolerance_mm=1e-4, contributions=False, iterations=1)
     check = check_path(SHORT, robot(), controller_of(robot(), None), options)
     assert check.verdict == "outside_tolerance"
     assert "correction in 1 steps brings" in check.sentence and "millimetres stay over 0.0001 mm" in check.sentence
@@ -377,7 +377,7 @@ def test_another_robot_with_elastic_drives_is_corrected_too(name: str) -> None:
     effects += [DriveFlexibility(joint=j, stiffness=2e4, damping=20.0) for j in rigid.joints]
     of = rigid.with_effects(effects)
     seam = Seam("short", np.array([[0.5, -0.03, 0.4], [0.5, 0.03, 0.4]]), speed=0.1)
-    check = check_path(seam, of, controller_of(of, None), Options(contributions=False))
+    check = check_path(seam, of, controller_of(of, None), PathOptions(contributions=False))
     assert check.verdict == "corrected_within_tolerance"
 
 
@@ -517,7 +517,7 @@ def test_an_example_is_written_to_start_from_and_can_be_planned(command, name: s
     assert command(name, "--save-example", file).status == 2  # it is there already
 
 
-def seam_samples(found: Plan) -> float:
+def seam_samples(found: PathPlan) -> float:
     return found.seam.duration_s * found.rate_hz + 1
 
 

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.excitation.design import (
+from rx90b_flex.excitation_design.limits import Limits, capsules
+from rx90b_flex.excitation_design.prediction import CandidateMotion, PrecisionPrediction
+from rx90b_flex.excitation_design.regressor_slope import regressor_slope
+from rx90b_flex.excitation_design.search import (
     Design,
+    _DesignProblem,
     _on_own_modes,
-    _Problem,
     _problem,
     assess,
     column_scale,
@@ -23,9 +26,6 @@ from rx90b_flex.excitation.design import (
     simulated_margins,
     steady_states,
 )
-from rx90b_flex.excitation.limits import Limits, capsules
-from rx90b_flex.excitation.prediction import Candidate, Prediction
-from rx90b_flex.excitation.regressor_slope import regressor_slope
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import CS8, Simulation, Trajectory, load_cs8, simulate, sine_excitation
 from rx90b_flex.simulate.cs8 import drive_places
@@ -50,7 +50,7 @@ def limits() -> Limits:
 
 
 @cache
-def problem(spectrum: str | None = None) -> _Problem:
+def problem(spectrum: str | None = None) -> _DesignProblem:
     rng = np.random.default_rng(0)
     return _problem(robot(), controller(), limits(), "condition", spectrum, PERIOD, 3, None, 256, 6, rng)  # type: ignore[arg-type]
 
@@ -129,7 +129,7 @@ def test_the_excitation_of_section_422_passes_a_speed_limit_and_the_floor() -> N
 
 def test_references_are_periodic_and_their_derivatives_are_each_other() -> None:
     rng = np.random.default_rng(1)
-    c = Candidate(rng.normal(size=(7, 4)), np.zeros((0, 4), complex))
+    c = CandidateMotion(rng.normal(size=(7, 4)), np.zeros((0, 4), complex))
     time = np.arange(64) / 64 * PERIOD
     r, v, a = c.references(time, PERIOD)
     assert np.allclose(periodic_derivative(r, PERIOD), v, atol=1e-11)
@@ -170,8 +170,8 @@ def test_slow_bending_is_predicted_as_simulated() -> None:
     """
     motion = np.zeros((7, 4))
     motion[0], motion[1] = [0.0, 0.8, 0.6, 0.0], 0.3
-    c = Candidate(motion, np.zeros((0, 4), complex))
-    q, _, _ = Prediction(problem("below").at(np.arange(1024) / 250.0).frame, c).motion
+    c = CandidateMotion(motion, np.zeros((0, 4), complex))
+    q, _, _ = PrecisionPrediction(problem("below").at(np.arange(1024) / 250.0).frame, c).motion
     r, v, _ = c.references(np.arange(1024) / 250.0, PERIOD)
     slow = Trajectory("slow", robot().joints, 250.0, r, v, None, PERIOD)
     simulated, _, _ = steady_states(simulate(robot(), controller(), slow.repeated(2)))

@@ -15,7 +15,7 @@ from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Recording, load_campaign, save_recording
 from rx90b_flex.simulate import load_cs8, square_wave
 from rx90b_flex.simulate.command import read_trajectory
-from rx90b_flex.simulate.excite import Request, excitation_plans, white_amplitudes
+from rx90b_flex.simulate.excite import ExciteRequest, excitation_plans, white_amplitudes
 
 RATE = 250.0
 
@@ -66,7 +66,7 @@ def test_a_reference_file_is_a_trajectory_that_can_be_simulated(
 ) -> None:
     out = tmp_path / "out"
     assert run(monkeypatch, "excite", "rx90b_3dof", "--out", str(out), "--realisations", "1", "--periods", "2") == 0
-    (plan,) = excitation_plans(Request("rx90b_3dof", realisations=1, periods=1))
+    (plan,) = excitation_plans(ExciteRequest("rx90b_3dof", realisations=1, periods=1))
     read = read_trajectory(out / "references" / "runs" / "run_000_3_minus.csv", plan.robot, RATE)
     meant = plan.trajectory(plan.runs[5])
     for field in ("position", "velocity", "torque"):
@@ -99,16 +99,16 @@ def test_logs_put_where_the_campaign_file_names_them_are_all_that_is_missing(
 
 
 def test_torques_follow_each_joints_limit_unless_a_peak_is_given() -> None:
-    (plan,) = excitation_plans(Request("rx90b_3dof", realisations=1))
+    (plan,) = excitation_plans(ExciteRequest("rx90b_3dof", realisations=1))
     peaks = np.abs(plan.trajectory(plan.runs[0]).torque).max(axis=0)
     np.testing.assert_allclose(peaks, 0.1 * load_robot("rx90b_3dof").tree.effortLimit)
-    (plan,) = excitation_plans(Request("rx90b_3dof", realisations=1, peak=(30.0,), joints=("joint_1", "joint_3")))
+    (plan,) = excitation_plans(ExciteRequest("rx90b_3dof", realisations=1, peak=(30.0,), joints=("joint_1", "joint_3")))
     np.testing.assert_allclose(np.abs(plan.trajectory(plan.runs[0]).torque).max(axis=0), [30.0, 0.0, 30.0])
 
 
 @pytest.mark.parametrize("matrix", ["ones", "hadamard", "identity"])
 def test_experiments_are_independent_for_each_input_matrix(matrix: str) -> None:
-    (plan,) = excitation_plans(Request("rx90b_3dof", realisations=1, matrix=matrix))  # type: ignore[arg-type]
+    (plan,) = excitation_plans(ExciteRequest("rx90b_3dof", realisations=1, matrix=matrix))  # type: ignore[arg-type]
     waves = np.stack([plan.trajectory(k).torque[:1024] for k in plan.runs if k.sign > 0], axis=-1)
     spectra = np.fft.rfft(waves, axis=0)[list(plan.lines)]
     spectra /= np.linalg.norm(spectra, axis=-1, keepdims=True)
@@ -118,7 +118,7 @@ def test_experiments_are_independent_for_each_input_matrix(matrix: str) -> None:
 
 
 def test_white_torques_reach_the_drives_through_the_loop() -> None:
-    (plan,) = excitation_plans(Request("rx90b_3dof", realisations=1, white=True))
+    (plan,) = excitation_plans(ExciteRequest("rx90b_3dof", realisations=1, white=True))
     robot, lines = plan.robot, np.array(plan.lines)
     speed = np.abs(plan.reference.velocity).max(axis=0)
     at = robot.linearize(robot.input_matrix @ [0.0, 0.5 * np.pi, 0.0], v=robot.input_matrix @ speed)
@@ -132,7 +132,7 @@ def test_white_torques_reach_the_drives_through_the_loop() -> None:
 
 def test_a_long_period_has_finer_lines_and_more_swings_keep_the_joints_near() -> None:
     coarse, fine = (
-        excitation_plans(Request("rx90b_3dof", realisations=1, period_s=4.096 * k, swings=k))[0] for k in (1, 3)
+        excitation_plans(ExciteRequest("rx90b_3dof", realisations=1, period_s=4.096 * k, swings=k))[0] for k in (1, 3)
     )
     assert np.diff(fine.lines).min() / (3 * 4.096) == pytest.approx(np.diff(coarse.lines).min() / 4.096 / 3)
     assert np.ptp(fine.reference.position, axis=0).max() == pytest.approx(

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rx90b_flex.bodies import pseudo_inertia
 from rx90b_flex.effects import Effect, effect_from_table
 from rx90b_flex.export import save_robot, toml_value, with_link_parameters
-from rx90b_flex.identify.physical import pseudo_inertia
 from rx90b_flex.robot import Robot, load_robot
 
 

@@ -15,7 +15,7 @@ from linear_campaign import BENT, HZ, LINES, RATE, SAMPLES, changed, recordings_
 from rx90b_flex import cli
 from rx90b_flex.identify import frf_command
 from rx90b_flex.identify.frf import POSE_SPREAD, confidence_radius, estimate_frequency_response, group_poses
-from rx90b_flex.identify.frf_command import Options, frf_json, identify_from_motors
+from rx90b_flex.identify.frf_command import FrfOptions, frf_json, identify_from_motors
 from rx90b_flex.identify.grey_box import VAGUE
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.simulate.excite import write_reference
@@ -23,7 +23,7 @@ from rx90b_flex.simulate.trajectories import Trajectory
 from rx90b_flex.view import frf_report
 from rx90b_flex.view.page import Image
 
-QUICK = Options(starts=0, modes=(5,), bending_alike_std=0.0, replay=False)
+QUICK = FrfOptions(starts=0, modes=(5,), bending_alike_std=0.0, replay=False)
 STRETCHED = np.array([0.0, 0.5 * np.pi, 0.0])
 ROBOT = viscous_robot()
 
@@ -124,7 +124,7 @@ def test_a_campaign_with_many_faults_is_used_where_it_is_sound_and_each_fault_is
     second = recordings_at(ROBOT, BENT[1], rng, noise=0.01, name="two")
     file = write(tmp_path / "c", ROBOT, [*first, *changed(second, lambda name: "_3_" not in name)])
     # one number of modes, one start and no figures: none of them are what this is about, all take long
-    monkeypatch.setattr(frf_command, "Options", functools.partial(Options, starts=0, modes=(5,)))
+    monkeypatch.setattr(frf_command, "Options", functools.partial(FrfOptions, starts=0, modes=(5,)))
     monkeypatch.setattr("rx90b_flex.view.frf_report.write_frf_report", lambda result, path: path.write_text("report"))
     assert run(file, tmp_path / "out", monkeypatch, "--high-hz", "300") == 0
     said = capsys.readouterr().out

@@ -17,7 +17,7 @@ from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify import frf_command
 from rx90b_flex.identify.frf_command import (
-    Options,
+    FrfOptions,
     feedback_of,
     frf_json,
     identify_from_motors,
@@ -51,7 +51,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_stiffness_comes_from_motor_signals_and_is_written(campaign, tmp_path):
     out = tmp_path / "out"
-    result = identify_from_motors(campaign, Options(bending_alike_std=0.0, starts=0, modes=(5,), replay=False))
+    result = identify_from_motors(campaign, FrfOptions(bending_alike_std=0.0, starts=0, modes=(5,), replay=False))
     write_motor_identification(result, out)
     assert {p.name for p in out.iterdir()} >= {"frf.json", "robot.toml"}
     found = json.loads((out / "frf.json").read_text())
@@ -95,7 +95,7 @@ def test_the_command_does_it_all_by_itself(campaign, tmp_path, monkeypatch):
 
 def test_a_stage_that_fails_is_left_out_with_its_reason(campaign):
     # a band of three lines is too little for transfer functions, and so for poles and zeros; the grey box goes on
-    result = identify_from_motors(campaign, Options(band_hz=(30.0, 31.5), starts=0, replay=False))
+    result = identify_from_motors(campaign, FrfOptions(band_hz=(30.0, 31.5), starts=0, replay=False))
     (at,) = result.poses
     assert at.transfer is None and at.drives is None and result.grey is not None
     stages = {x["stage"]: x["why"] for x in frf_json(result)["left_out"]}
@@ -167,7 +167,9 @@ def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_remov
     with_dry_friction, tmp_path, monkeypatch
 ):
     out = tmp_path / "out"
-    options = functools.partial(Options, starts=0, modes=(5,))  # neither many starts nor orders are what this is about
+    options = functools.partial(
+        FrfOptions, starts=0, modes=(5,)
+    )  # neither many starts nor orders are what this is about
     monkeypatch.setattr(frf_command, "Options", options)
     no_picture = Image("", "", 1, 1, "")
     monkeypatch.setattr("rx90b_flex.view.frf_report.image", lambda figure, alt, caption="", zoom=False: no_picture)
@@ -201,7 +203,7 @@ def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_remov
 
 
 def test_what_keeps_a_replay_away_is_said_and_the_rest_goes_on(with_dry_friction, tmp_path):
-    options = Options((8.0, 30.0), starts=0, modes=(3,))
+    options = FrfOptions((8.0, 30.0), starts=0, modes=(3,))
     lone = shutil.copytree(with_dry_friction.parent, tmp_path / "lone")
     (lone / "controller.toml").unlink()
     result = identify_from_motors(lone / "campaign.toml", options)

@@ -14,8 +14,9 @@ from scipy import optimize
 
 import rx90b_flex as rf
 from rx90b_flex import cli
+from rx90b_flex.bodies import inconsistencies
 from rx90b_flex.identify.command import Identified, identify_campaign, write_identified
-from rx90b_flex.identify.physical import consistent_parameters, inconsistencies
+from rx90b_flex.identify.physical import consistent_parameters
 from rx90b_flex.view.identify_report import headline
 
 RATE_HZ, CUTOFF_HZ = 100.0, 10.0

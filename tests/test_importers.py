@@ -19,7 +19,7 @@ from scipy.io import savemat
 from rx90b_flex import cli
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
-from rx90b_flex.signals.importers import Axes, Imported, Options, import_logs
+from rx90b_flex.signals.importers import Axes, Imported, ReadingOptions, import_logs
 
 ROBOT = "rx90b_3dof"
 JOINTS = ("joint_1", "joint_2", "joint_3")
@@ -238,7 +238,7 @@ def test_angles_that_fit_in_no_unit_are_refused_unless_gears_are_given(tmp_path:
     table(["time", *numbered("q", "tau")], TIME, Q * gear, TAU / gear).to_csv(path, index=False)
     with pytest.raises(ValueError, match=r"run\.csv: column 'q\d' runs from .* motor side \(--gear\)\?"):
         import_logs([path], AXES)
-    imported = import_logs([path], AXES, Options(gear=(tuple(gear),)))
+    imported = import_logs([path], AXES, ReadingOptions(gear=(tuple(gear),)))
     np.testing.assert_allclose(whole(imported, "position"), Q, atol=1e-12)
     np.testing.assert_allclose(whole(imported, "torque"), TAU, atol=1e-10)
 
@@ -362,7 +362,7 @@ def test_another_rate_is_reached_by_filtering(tmp_path: Path) -> None:
     hum = np.sin(2 * np.pi * 110.0 * TIME)[:, None]  # above half of the new rate
     path = tmp_path / "run.csv"
     table(["time", *numbered("q", "tau")], TIME, Q, hum + np.zeros(3)).to_csv(path, index=False)
-    imported = import_logs([path], AXES, Options(rate_hz=125.0))
+    imported = import_logs([path], AXES, ReadingOptions(rate_hz=125.0))
     assert imported.recordings[0].sample_rate_hz == 125.0
     assert np.abs(whole(imported, "torque")[20:-20]).max() < 1e-2
     np.testing.assert_allclose(whole(imported, "position")[20:-20], Q[::2][20:-20], atol=1e-3)
@@ -373,9 +373,9 @@ def test_a_bag_with_several_topics_takes_the_longest_or_the_one_asked_for(tmp_pa
     imported = import_logs([path], AXES)
     assert whole(imported, "position").shape == (SAMPLES, 3) and "other topics" in said(imported)
     with pytest.raises(ValueError, match=r"10 samples; too few"):
-        import_logs([path], AXES, Options(topic="/leader/joint_states"))
+        import_logs([path], AXES, ReadingOptions(topic="/leader/joint_states"))
     with pytest.raises(ValueError, match="no topic '/nothing'"):
-        import_logs([path], AXES, Options(topic="/nothing"))
+        import_logs([path], AXES, ReadingOptions(topic="/nothing"))
 
 
 # ---- what cannot be -------------------------------------------------------------------------------------------
@@ -558,7 +558,7 @@ def test_the_tx40_log_is_read_as_its_campaign_says() -> None:
     tree = load_robot(folder / "tx40.toml").tree
     axes = Axes(campaign.joints, tuple(tree.lowerPositionLimit), tuple(tree.upperPositionLimit))
     motor = tomllib.loads((folder / "campaign.toml").read_text())["motor"]
-    options = Options(gear=tuple(map(tuple, motor["gear_matrix"])), offset=tuple(motor["offset"]))
+    options = ReadingOptions(gear=tuple(map(tuple, motor["gear_matrix"])), offset=tuple(motor["offset"]))
     imported = import_logs([folder / "tx40.csv.gz"], axes, options)
     assert imported.recordings[0].sample_rate_hz == campaign.sample_rate_hz
     for field in ("position", "torque"):
@@ -594,7 +594,7 @@ def test_a_log_given_twice_is_refused(tmp_path):
 def test_a_column_chosen_twice_is_refused(tmp_path):
     columns = {"motor_position": ("q1", "q2", "q3"), "torque": ("tau1", "q2", "tau3")}
     with pytest.raises(ValueError, match="--columns torque: column 'q2' is already used by motor_position"):
-        import_logs(three_logs(tmp_path, 1.0), AXES, Options(columns))
+        import_logs(three_logs(tmp_path, 1.0), AXES, ReadingOptions(columns))
 
 
 def test_an_imported_campaign_says_its_period_and_a_low_pass_that_keeps_the_motion(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from test_cli import Command
 
 import rx90b_flex as rf
-from rx90b_flex.path import Options, PathCheck, Seam, check_path, compare_measured
+from rx90b_flex.path import PathCheck, PathOptions, Seam, check_path, compare_measured
 from rx90b_flex.path.planning import HOLD_S
 from rx90b_flex.simulate.command import controller_of
 
@@ -28,7 +28,7 @@ PATHS = {"line": LINE, "square": Seam("square", SQUARE, speed=0.1, start=START)}
 @cache
 def checked(name: str = "line") -> PathCheck:
     robot = rf.load_robot("rx90b_3dof")
-    return check_path(PATHS[name], robot, controller_of(robot, None), Options(0.1, False, False))
+    return check_path(PATHS[name], robot, controller_of(robot, None), PathOptions(0.1, False, False))
 
 
 def tracker(result: PathCheck, rate_hz: float = 130.0, off: Array | None = None) -> tuple[Array, Array]:

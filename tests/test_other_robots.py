@@ -17,7 +17,7 @@ import pytest
 from independent import TWO_JOINTS
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.residual import Replay
+from rx90b_flex.diagnose.residual import ReplayedTorques
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
@@ -267,7 +267,7 @@ def true_error(name: str, folder: Path, with_hidden: bool) -> float:
     """Relative error that the true arm itself makes on the log that is held out: noise, and what the log does to sharp friction."""
     rigid, true = arm(name, folder), truth(name, folder, with_hidden)
     (recording,) = campaign(name, folder, with_hidden).validation
-    replay = Replay(rigid, prepare(rigid, recording, CUTOFF_HZ, thin=False))
+    replay = ReplayedTorques(rigid, prepare(rigid, recording, CUTOFF_HZ, thin=False))
     error = replay.torque - replay.predict(true.effects, true.link_parameters)
     return float(np.linalg.norm(error) / np.linalg.norm(replay.torque))
 

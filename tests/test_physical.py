@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rx90b_flex.bodies import inconsistencies, pseudo_inertia
 from rx90b_flex.identify import physical
 from rx90b_flex.identify.least_squares import solve_weighted
-from rx90b_flex.identify.physical import consistent_parameters, inconsistencies, pseudo_inertia
+from rx90b_flex.identify.physical import consistent_parameters
 from rx90b_flex.robot import Robot, load_robot
 
 NOISE = np.array([2.0, 2.0, 1.0, 0.3, 0.3, 0.1])  # N m, about what a UR10's residuals are

@@ -11,7 +11,7 @@ import rx90b_flex as rf
 from rx90b_flex.diagnose.close import predict
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.output import write_result
-from rx90b_flex.diagnose.residual import Errors, Replay
+from rx90b_flex.diagnose.residual import Errors, ReplayedTorques
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects.reversal import SHARP
 from rx90b_flex.export import save_robot
@@ -49,7 +49,7 @@ def declared(request: pytest.FixtureRequest) -> Declared:
         patch.setattr("rx90b_flex.effects.reversal.turnover_range", lambda at: (SHARP, 1.01 * SHARP))
         model = with_possible_values(identify(regression, regression.robot.effects, fit_links=True))
     rigid = regression.robot
-    replays = [Replay(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in campaign.validation]
+    replays = [ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in campaign.validation]
     held_out = tuple(HeldOut(r.torque, predict(r, model)) for r in replays)
     errors = Errors.of([h.torque for h in held_out], [h.declared for h in held_out])
     return Declared(request.param, campaign, robot, model, held_out, errors)

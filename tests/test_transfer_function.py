@@ -15,7 +15,7 @@ from rx90b_flex.identify.transfer_function import (
     TransferFit,
     TransferFunctions,
     _delayed_jacobian,
-    _Layout,
+    _TermLayout,
     fit_transfer_functions,
 )
 
@@ -49,7 +49,7 @@ def test_the_rigid_mass_matrix_is_the_gain_below_the_resonances() -> None:
 @pytest.mark.parametrize("delays", [0, 1, 2])
 def test_the_jacobian_is_the_derivative(delays: int) -> None:
     rng = np.random.default_rng(3)
-    layout = _Layout(3, 2, 80.0, delays)
+    layout = _TermLayout(3, 2, 80.0, delays)
     x = layout.pack(
         TransferFunctions(
             np.array([20.0, 30.0, 45.0]),

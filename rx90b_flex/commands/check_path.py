@@ -67,8 +67,8 @@ def check_path_command(
         named = load_seam(path, speed_mm_s).robot
         if robot or named:
             check_robot(robot or named or "")
-    from rx90b_flex.path.check import Options
-    from rx90b_flex.path.output import Request, run_request, write_check, write_example
+    from rx90b_flex.path.check import PathOptions
+    from rx90b_flex.path.output import PathRequest, run_request, write_check, write_example
 
     if save_example is not None:
         write_example(path, save_example)
@@ -79,9 +79,9 @@ def check_path_command(
 
         read_measured(measured)  # before anything is simulated
         correct = contributions = False
-    options = Options(tolerance_mm, correct, contributions, iterations, jobs)
+    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     with progress() as tell:
-        result = run_request(Request(path, robot, controller, speed_mm_s, options), tell)
+        result = run_request(PathRequest(path, robot, controller, speed_mm_s, options), tell)
         if measured is not None:
             _end_measured(result, measured, out, overwrite)
         tell("writing the report", 0.98)

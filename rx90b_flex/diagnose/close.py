@@ -21,7 +21,7 @@ from rx90b_flex.diagnose.identified import identified_robot, with_possible_value
 from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
 from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
-from rx90b_flex.diagnose.residual import Errors, Replay, RoleErrors, noise_floor
+from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, Trial, added, choose
@@ -226,16 +226,16 @@ class _Data:
     """A campaign's recordings in the two forms that the loop needs: to fit, and to replay."""
 
     regression: Regression
-    identification: tuple[Replay, ...]
-    validation: tuple[Replay, ...]
+    identification: tuple[ReplayedTorques, ...]
+    validation: tuple[ReplayedTorques, ...]
 
     @staticmethod
     def of(robot: Robot, campaign: Campaign) -> _Data:
         regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz)
 
-        def replays(recordings: Sequence[Recording]) -> tuple[Replay, ...]:
+        def replays(recordings: Sequence[Recording]) -> tuple[ReplayedTorques, ...]:
             rigid = regression.robot
-            return tuple(Replay(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings)
+            return tuple(ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings)
 
         return _Data(regression, replays(campaign.identification), replays(campaign.validation))
 
@@ -266,11 +266,11 @@ class _Data:
         repeating = [r for r in self.identification if r.recording.period_s is not None]
         return noise_floor(repeating, [r.torque - predict(r, model) for r in repeating], campaign)
 
-    def _errors(self, replays: Sequence[Replay], model: Identification) -> Errors:
+    def _errors(self, replays: Sequence[ReplayedTorques], model: Identification) -> Errors:
         return Errors.of([r.torque for r in replays], [predict(r, model) for r in replays])
 
 
-def predict(replay: Replay, model: Identification) -> Array:
+def predict(replay: ReplayedTorques, model: Identification) -> Array:
     """Torque of an identified model on a recording, shape (N, joints), N m."""
     return replay.predict(model.effects, model.link_parameters)
 

@@ -18,13 +18,13 @@ from rx90b_flex.diagnose.flexible import (
     MOST_CHANGES,
     NEW_STD,
     Change,
-    Fit,
-    Found,
+    FlexibleFit,
+    FlexibleTrial,
+    FoundChange,
     Progress,
     Residual,
     SearchResult,
     Structure,
-    Trial,
     search,
 )
 from rx90b_flex.diagnose.modal import (
@@ -102,7 +102,7 @@ class FlexibleLoop:
         return self.result.verdict
 
     @property
-    def found(self) -> tuple[Found, ...]:
+    def found(self) -> tuple[FoundChange, ...]:
         """What the data support, in the order in which it was added."""
         return self.result.found
 
@@ -258,7 +258,9 @@ def close_modal(
     )  # fmt: skip
 
 
-def _separation(robot: Robot, table: ModalTable, pose: ModalPose, found: Fit, trial: Trial) -> Separation | None:
+def _separation(
+    robot: Robot, table: ModalTable, pose: ModalPose, found: FlexibleFit, trial: FlexibleTrial
+) -> Separation | None:
     """The pose, of a few, where two explanations differ most in a mode of the band."""
     tree, turned = robot.tree, table.joints[1:3]
     reach = {}
@@ -400,7 +402,7 @@ def close_response(
     )
 
 
-def _response_errors(residual: ResponseResidual, fit: Fit) -> tuple[ResponseErrors, ...]:
+def _response_errors(residual: ResponseResidual, fit: FlexibleFit) -> tuple[ResponseErrors, ...]:
     return tuple(ResponseErrors(*pair) for pair in residual.errors(fit))
 
 
@@ -466,7 +468,7 @@ def _shared_json(loop: FlexibleLoop) -> dict[str, Any]:
     }
 
 
-def _found_json(found: Found) -> dict[str, Any]:
+def _found_json(found: FoundChange) -> dict[str, Any]:
     change = found.change
     return {
         "type": change.type,
@@ -483,7 +485,7 @@ def _found_json(found: Found) -> dict[str, Any]:
     }
 
 
-def _trial_json(trial: Trial) -> dict[str, Any]:
+def _trial_json(trial: FlexibleTrial) -> dict[str, Any]:
     return {
         "type": trial.change.type,
         "place": trial.change.place,
@@ -492,7 +494,7 @@ def _trial_json(trial: Trial) -> dict[str, Any]:
     }
 
 
-def _errors_json(compared: tuple[Compared, ...], left_out: float, fit: Fit, chance: float) -> dict[str, Any]:
+def _errors_json(compared: tuple[Compared, ...], left_out: float, fit: FlexibleFit, chance: float) -> dict[str, Any]:
     return {
         "log_frequency_rms": _number(error_rms(compared)),
         "log_frequency_rms_in_order": _number(in_order_rms(compared)),
@@ -519,7 +521,7 @@ def response_json(loop: ResponseLoop) -> dict[str, Any]:
     """The content of ``closed_loop.json`` for frequency responses."""
 
     def errors(
-        fitted: tuple[ResponseErrors, ...], held_out: tuple[ResponseErrors, ...], fit: Fit, chance: float
+        fitted: tuple[ResponseErrors, ...], held_out: tuple[ResponseErrors, ...], fit: FlexibleFit, chance: float
     ) -> Any:
         lists = {"identification": fitted, "validation": held_out}
         return {
@@ -587,7 +589,7 @@ def close_over_frequency(
     return close_modal(source, robot, model_error=model_error or MODEL_ERROR, progress=progress)
 
 
-def change_words(found: Found) -> str:
+def change_words(found: FoundChange) -> str:
     """A found change with its values, in a sentence."""
     c: Change = found.change
     if c.adds:

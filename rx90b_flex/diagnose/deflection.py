@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from rx90b_flex.diagnose.residual import Replay
+from rx90b_flex.diagnose.residual import ReplayedTorques
 from rx90b_flex.diagnose.spring_look import spring_words
 from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
 from rx90b_flex.effects import Effect
@@ -156,7 +156,7 @@ def _cutoff(recordings: Sequence[Recording]) -> float:
 def _torques(model: Identification, recording: Recording, cutoff_hz: float | None) -> Array:
     """Torque that the model asks of the drives without friction, and whole, (N, joints, 2), N m."""
     robot = model.regression.robot
-    replay = Replay(robot, prepare(robot, recording, cutoff_hz, thin=False))
+    replay = ReplayedTorques(robot, prepare(robot, recording, cutoff_hz, thin=False))
     smooth = [e for e in model.effects if e.part != "friction" and e.in_dynamics]
     return np.stack([replay.predict(x, model.link_parameters) for x in (smooth, model.effects)], axis=2)
 

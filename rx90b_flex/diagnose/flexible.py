@@ -359,7 +359,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class FlexibleFit:
     """A robot with some changes, fitted.
 
     Attributes
@@ -398,29 +398,31 @@ class Residual(ABC):
         """The deviance at x, nuisances first."""
 
     @abstractmethod
-    def chance(self, fit: Fit) -> float:
+    def chance(self, fit: FlexibleFit) -> float:
         """Probability of a misfit as large as this one, if the model were right to within the stated errors."""
 
     def fit(
         self, changes: tuple[Change, ...], begin: dict[Change, Array] | None = None, error: float = FIRST_ERROR
-    ) -> Fit:
+    ) -> FlexibleFit:
         """Most likely values, from all starts of what has none in `begin`; the model error shrinks from `error`."""
         scouted = self.scouted(changes, begin, error)
         found = [self.followed(f) for f in scouted[:2] if f.deviance < scouted[0].deviance + CLOSE]
         return min(found, key=lambda f: f.deviance)
 
-    def scouted(self, changes: tuple[Change, ...], begin: dict[Change, Array] | None, error: float) -> list[Fit]:
+    def scouted(
+        self, changes: tuple[Change, ...], begin: dict[Change, Array] | None, error: float
+    ) -> list[FlexibleFit]:
         """From each start until a step gains little, best first."""
         known = begin or {}
         choices = [np.atleast_2d(known[c]) if c in known else c.starts for c in (*self.nuisance, *changes)]
         starts = [np.concatenate([*start, np.zeros(0)]) for start in itertools.product(*choices)]
         return sorted((self._descend(changes, x, error, SCOUTED) for x in starts), key=lambda f: f.deviance)
 
-    def followed(self, fit: Fit) -> Fit:
+    def followed(self, fit: FlexibleFit) -> FlexibleFit:
         """A fit brought to its end."""
         return self._descend(fit.changes, fit.x, fit.model_error, STEPS)
 
-    def _descend(self, changes: tuple[Change, ...], x: Array, error: float, least: int) -> Fit:
+    def _descend(self, changes: tuple[Change, ...], x: Array, error: float, least: int) -> FlexibleFit:
         """Levenberg-Marquardt on the deviance; the model error shrinks as the fit gets better.
 
         After `least` steps one that gains less than `CLOSE` is the last.
@@ -460,9 +462,9 @@ class Residual(ABC):
                 break
         curvature = state.information + np.diag(weight)
         covariance: Array = np.asarray(np.linalg.inv(curvature)) if len(x) else np.zeros((0, 0))
-        return Fit(changes, x, covariance, value, error)
+        return FlexibleFit(changes, x, covariance, value, error)
 
-    def begin(self, fit: Fit) -> dict[Change, Array]:
+    def begin(self, fit: FlexibleFit) -> dict[Change, Array]:
         """A fit's values by change, to begin another from."""
         out, at = {}, 0
         for change in (*self.nuisance, *fit.changes):
@@ -475,7 +477,7 @@ class Residual(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class FlexibleTrial:
     """A change that was tried beside others.
 
     Attributes
@@ -492,14 +494,14 @@ class Trial:
     """
 
     change: Change
-    fit: Fit
+    fit: FlexibleFit
     gain: float
     p_value: float
     criterion: float
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundChange:
     """A change that the data support.
 
     Attributes
@@ -522,10 +524,10 @@ class Found:
     stds: Array
     gain: float
     p_value: float
-    before: Fit
-    after: Fit
+    before: FlexibleFit
+    after: FlexibleFit
     criterion: float
-    alternatives: tuple[Trial, ...]
+    alternatives: tuple[FlexibleTrial, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -548,10 +550,10 @@ class SearchResult:
         Changes that a round may try.
     """
 
-    before: Fit
-    after: Fit
-    found: tuple[Found, ...]
-    refused: tuple[Trial, ...]
+    before: FlexibleFit
+    after: FlexibleFit
+    found: tuple[FoundChange, ...]
+    refused: tuple[FlexibleTrial, ...]
     verdict: str
     chance_before: float
     chance_after: float
@@ -568,11 +570,11 @@ def search(residual: Residual, progress: Progress | None = None, most: int = MOS
     most : int
         Changes at the most.
     """
-    return _Search(residual, progress or (lambda text, part: None), most).run()
+    return _FlexibleSearch(residual, progress or (lambda text, part: None), most).run()
 
 
 @dataclass(eq=False)
-class _Search:
+class _FlexibleSearch:
     residual: Residual
     tell: Progress
     most: int
@@ -583,9 +585,9 @@ class _Search:
 
     def run(self) -> SearchResult:
         declared = self.residual.fit(())
-        present: Fit = declared
-        refused: tuple[Trial, ...] = ()
-        rounds: dict[Change, tuple[Fit, Fit]] = {}
+        present: FlexibleFit = declared
+        refused: tuple[FlexibleTrial, ...] = ()
+        rounds: dict[Change, tuple[FlexibleFit, FlexibleFit]] = {}
         while len(present.changes) < self.most and self.residual.chance(present) < MISFIT:
             refused = tuple(self._round(present.changes, present))
             best = refused[0]
@@ -607,7 +609,9 @@ class _Search:
             self.residual.chance(declared), chance, len(self._changes),
         )  # fmt: skip
 
-    def _two_together(self, present: Fit, trials: Sequence[Trial]) -> tuple[Trial, Trial] | None:
+    def _two_together(
+        self, present: FlexibleFit, trials: Sequence[FlexibleTrial]
+    ) -> tuple[FlexibleTrial, FlexibleTrial] | None:
         """Two changes of which none is sure alone, each needed beside the other; None where no two are sure together."""
         many = len(self._changes)
         for first in [t for t in trials[:PAIRS] if t.criterion < self._criterion(present)]:
@@ -619,7 +623,7 @@ class _Search:
                 return first, second
         return None
 
-    def _round(self, kept: tuple[Change, ...], beside: Fit) -> list[Trial]:
+    def _round(self, kept: tuple[Change, ...], beside: FlexibleFit) -> list[FlexibleTrial]:
         """Try every change beside `kept`, whose values begin near those of a fit."""
         key = frozenset(kept)
         if key not in self._rounds:
@@ -636,28 +640,28 @@ class _Search:
             self._rounds[key] = sorted(trials, key=lambda t: t.criterion)
         return self._rounds[key]
 
-    def _trial(self, change: Change, without: Fit, fit: Fit) -> Trial:
+    def _trial(self, change: Change, without: FlexibleFit, fit: FlexibleFit) -> FlexibleTrial:
         gain = without.deviance - fit.deviance
         p_value = min(1.0, len(self._changes) * self._by_chance(gain, change.size, fit))
-        return Trial(change, fit, gain, p_value, self._criterion(fit))
+        return FlexibleTrial(change, fit, gain, p_value, self._criterion(fit))
 
-    def _by_chance(self, gain: float, size: int, fit: Fit) -> float:
+    def _by_chance(self, gain: float, size: int, fit: FlexibleFit) -> float:
         """Probability of such a gain by parameters that mean nothing."""
         # a likelihood ratio of few data is too large: charge it for the parameters already fitted
         fair = max(1.0 - (len(fit.x) + 1) / self.residual.size, 0.1)
         return float(stats.chi2.sf(max(fair * gain, 0.0), size))
 
-    def _criterion(self, fit: Fit) -> float:
+    def _criterion(self, fit: FlexibleFit) -> float:
         chosen, many = len(fit.changes), len(self._changes)
         ways = gammaln(many + 1) - gammaln(chosen + 1) - gammaln(many - chosen + 1)
         return fit.deviance + len(fit.x) * np.log(self.residual.size) + 2.0 * float(ways)
 
-    def _refit(self, changes: tuple[Change, ...], near: Fit) -> Fit:
+    def _refit(self, changes: tuple[Change, ...], near: FlexibleFit) -> FlexibleFit:
         if changes == near.changes:
             return near
         return self.residual.fit(changes, self.residual.begin(near))
 
-    def _pruned(self, present: Fit) -> Fit:
+    def _pruned(self, present: FlexibleFit) -> FlexibleFit:
         """Without what the rest can do without."""
         while len(present.changes) > 1:
             trials = []
@@ -670,7 +674,7 @@ class _Search:
             present = less
         return present
 
-    def _swapped(self, present: Fit, rounds: dict[Change, tuple[Fit, Fit]]) -> Fit:
+    def _swapped(self, present: FlexibleFit, rounds: dict[Change, tuple[FlexibleFit, FlexibleFit]]) -> FlexibleFit:
         """Each change against every other in its stead; the better one stays."""
         for old in present.changes:
             kept = tuple(c for c in present.changes if c is not old)
@@ -681,14 +685,16 @@ class _Search:
         return present
 
     @cached_property
-    def _rounds(self) -> dict[frozenset[Change], list[Trial]]:
+    def _rounds(self) -> dict[frozenset[Change], list[FlexibleTrial]]:
         return {}
 
     @cached_property
-    def _beside(self) -> dict[Change, list[Trial]]:
+    def _beside(self) -> dict[Change, list[FlexibleTrial]]:
         return {}
 
-    def _found(self, present: Fit, change: Change, rounds: dict[Change, tuple[Fit, Fit]]) -> Found:
+    def _found(
+        self, present: FlexibleFit, change: Change, rounds: dict[Change, tuple[FlexibleFit, FlexibleFit]]
+    ) -> FoundChange:
         kept = tuple(c for c in present.changes if c is not change)
         trial = self._trial(change, self._refit(kept, present), present)
         near = [t for t in self._beside[change] if t.criterion < trial.criterion + RIVAL]
@@ -696,7 +702,7 @@ class _Search:
         own = slice(at, at + change.size)
         value = np.exp(present.x[own])
         std = value * np.sqrt(np.diag(present.covariance)[own])
-        return Found(change, value, std, trial.gain, trial.p_value, *rounds[change], trial.criterion, tuple(near))
+        return FoundChange(change, value, std, trial.gain, trial.p_value, *rounds[change], trial.criterion, tuple(near))
 
 
 def _verdict(found: bool, chance: float) -> str:

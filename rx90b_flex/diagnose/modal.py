@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, stats
 
-from rx90b_flex.diagnose.flexible import Change, Fit, Residual, State, Structure
+from rx90b_flex.diagnose.flexible import Change, FlexibleFit, Residual, State, Structure
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.files.toml import read_toml
@@ -404,10 +404,10 @@ class ModalResidual(Residual):
         total = variance[:, None] + errors**2
         return float(errors[np.argmin((np.log(total) + residual[:, None] ** 2 / total).sum(axis=0))])
 
-    def _of(self, fit: Fit) -> list[_Paired]:
+    def _of(self, fit: FlexibleFit) -> list[_Paired]:
         return self._paired(fit.changes, fit.x, max(fit.model_error, self.smallest_error))
 
-    def chance(self, fit: Fit) -> float:
+    def chance(self, fit: FlexibleFit) -> float:
         """By chi-squared of all pairs at the stated errors; a measured mode without a partner counts as four standard deviations."""
         total, count = 0.0, 0
         for p in self._of(fit):
@@ -416,11 +416,11 @@ class ModalResidual(Residual):
             count += len(p.measured.hz)
         return float(stats.chi2.sf(total, max(count - len(fit.x), 1)))
 
-    def compare(self, fit: Fit) -> tuple[Compared, ...]:
+    def compare(self, fit: FlexibleFit) -> tuple[Compared, ...]:
         """Every list of the table beside a fitted model's modes."""
         return tuple(Compared(p.pose, p.measured, np.exp(p.model), p.pairing) for p in self._of(fit))
 
-    def left_out(self, fit: Fit) -> float:
+    def left_out(self, fit: FlexibleFit) -> float:
         """Root mean square of the errors with which each measured mode is predicted by a fit to the others.
 
         To first order: an error over ``1 - h``, h its leverage in the fit.

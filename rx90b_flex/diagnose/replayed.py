@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rx90b_flex.diagnose.residual import Errors, Replay
+from rx90b_flex.diagnose.residual import Errors, ReplayedTorques
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.regression import prepare
 from rx90b_flex.robot import Robot, load_robot
@@ -45,9 +45,9 @@ def replay_errors(
     return Errors.of([r.torque for r, _ in both], [t for _, t in both])
 
 
-def replayed(robot: Robot, campaign: Campaign, role: Role) -> list[tuple[Replay, Array]]:
+def replayed(robot: Robot, campaign: Campaign, role: Role) -> list[tuple[ReplayedTorques, Array]]:
     """Recordings of one role, each with the torque of a robot as it stands, (N, joints), N m, after the low-pass."""
     rigid = robot.over_time().restricted(campaign.joints)
     recordings = [r for r in campaign.recordings if r.role == role]
-    replays = [Replay(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings]
+    replays = [ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings]
     return [(r, r.predict(rigid.effects, rigid.link_parameters)) for r in replays]

@@ -53,7 +53,7 @@ class RoleErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class ReplayedTorques:
     """One recording at its own sample rate, ready to be predicted by any model of the same tree.
 
     Attributes
@@ -118,7 +118,7 @@ class Replay:
         return self._filtered(out[:, self._rows])
 
 
-def noise_floor(replays: Sequence[Replay], residuals: Sequence[Array], campaign: Campaign) -> Array | None:
+def noise_floor(replays: Sequence[ReplayedTorques], residuals: Sequence[Array], campaign: Campaign) -> Array | None:
     """Noise of the torque after the low-pass, a joint; from repeated periods, else from a stated noise, else None."""
     return noise_between_periods([replay.recording for replay in replays], residuals, campaign)
 

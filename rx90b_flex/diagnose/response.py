@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, stats
 
-from rx90b_flex.diagnose.flexible import Change, Fit, Residual, State, Structure
+from rx90b_flex.diagnose.flexible import Change, FlexibleFit, Residual, State, Structure
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_box import REACH_HZ, smoothed_covariance
@@ -158,7 +158,7 @@ class ResponseResidual(Residual):
     def _errors(self) -> Array:
         return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
 
-    def chance(self, fit: Fit) -> float:
+    def chance(self, fit: FlexibleFit) -> float:
         total, count = 0.0, 0.0
         for k, (r, (whitener, _), many) in enumerate(
             zip(self.responses, self._whiteners(self.smallest_error), self._together, strict=True)
@@ -168,7 +168,7 @@ class ResponseResidual(Residual):
             count += 2.0 * r.value.size / many
         return float(stats.chi2.sf(total, max(count - len(fit.x), 1.0)))
 
-    def errors(self, fit: Fit) -> list[tuple[float, float]]:
+    def errors(self, fit: FlexibleFit) -> list[tuple[float, float]]:
         """Of each response, root mean square error over |P| about each line, and over the stated errors."""
         out = []
         for k, (r, (whitener, _), size) in enumerate(
@@ -180,10 +180,10 @@ class ResponseResidual(Residual):
             out.append((next(both), next(both)))
         return out
 
-    def _predicted(self, pose: int, fit: Fit, hz: Array) -> ComplexArray:
+    def _predicted(self, pose: int, fit: FlexibleFit, hz: Array) -> ComplexArray:
         return response_of(self.structure, pose, (*self.nuisance, *fit.changes), fit.x, hz)
 
-    def predict(self, fit: Fit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
+    def predict(self, fit: FlexibleFit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
         """Responses of a fitted model, at the data's lines or others."""
         lines = [r.hz for r in self.responses] if hz is None else hz
         return tuple(self._predicted(k, fit, h) for k, h in enumerate(lines))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rx90b_flex.closing import Options
+from rx90b_flex.closing import LoopOptions
 from rx90b_flex.diagnose.modal_files import speaks_of_frequency
 from rx90b_flex.fleet.make import MakeParameter, RobotValue, parameters, sought
 from rx90b_flex.fleet.robots import REFUSED, Outcome, Task, close_robot, fit_again
@@ -129,7 +129,7 @@ def close_loop_many(
     from rx90b_flex.early import check_jobs
 
     check_jobs(jobs)
-    options = Options(seed, basics, despite_faults)
+    options = LoopOptions(seed, basics, despite_faults)
     tell = progress or (lambda _text, _part: None)
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -160,7 +160,7 @@ def _give_up(place: Path) -> None:
         place.rmdir()
 
 
-def _tasks(campaigns: Sequence[str | os.PathLike[str]], folder: Path, options: Options) -> tuple[Task, ...]:
+def _tasks(campaigns: Sequence[str | os.PathLike[str]], folder: Path, options: LoopOptions) -> tuple[Task, ...]:
     paths = [Path(os.path.abspath(c)) for c in campaigns]
     if not paths:
         raise ValueError("no campaign is given; expected one a robot")

@@ -12,7 +12,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from rx90b_flex.closing import Options, close_campaign, declared_robot
+from rx90b_flex.closing import LoopOptions, close_campaign, declared_robot
 from rx90b_flex.diagnose.refused import DATA_FAULT
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.effects import Effect
@@ -40,7 +40,7 @@ class Task:
     name: str
     campaign: Path
     folder: Path
-    options: Options
+    options: LoopOptions
 
     @property
     def done(self) -> bool:

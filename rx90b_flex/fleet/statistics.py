@@ -224,7 +224,7 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Change:
+class LevelChange:
     """When a robot's parameter changed.
 
     Attributes
@@ -243,7 +243,7 @@ class Change:
     p_value: float
 
 
-def change(values: Array, covariance: Array, tests: int = 1) -> Change | None:
+def change(values: Array, covariance: Array, tests: int = 1) -> LevelChange | None:
     """The date between two levels that fits estimates by date best; None where one level does as well.
 
     Parameters
@@ -255,7 +255,7 @@ def change(values: Array, covariance: Array, tests: int = 1) -> Change | None:
         For which the p-value is corrected, beside the dates.
     """
     count = len(values)
-    best: tuple[float, Change] | None = None
+    best: tuple[float, LevelChange] | None = None
     inverse = np.linalg.pinv(covariance, rcond=1e-10, hermitian=True)
     for at in range(1, count):
         design = np.stack([np.arange(count) < at, np.arange(count) >= at], axis=1).astype(float)
@@ -265,5 +265,5 @@ def change(values: Array, covariance: Array, tests: int = 1) -> Change | None:
         size = abs(after - before) / np.sqrt(variance) if variance > 0.0 else 0.0
         p = min(1.0, tests * (count - 1) * float(2.0 * stats.norm.sf(size)))
         if best is None or size > best[0]:
-            best = size, Change(at, float(before), float(after), p)
+            best = size, LevelChange(at, float(before), float(after), p)
     return best[1] if best is not None and best[1].p_value < CHANGED else None

@@ -204,7 +204,7 @@ def _equations(robot: Robot, log: FullLog, upsampling: int) -> tuple[Array, Arra
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CoordinatesFit:
     """Essential parameters by truncated singular value decomposition.
 
     Attributes
@@ -345,7 +345,7 @@ def least_squares(
     weights: Array | None = None,
     dimension: int | None = None,
     instruments: Equations | None = None,
-) -> Fit:
+) -> CoordinatesFit:
     """Weighted linear least squares on the essential parameter space.
 
     Parameters
@@ -403,7 +403,7 @@ def least_squares(
     inside = kept @ (inverse @ right)
     reduced = inverse @ noise[:dimension, :dimension] @ inverse.T
     covariance = scale[:, None] * (kept @ reduced @ kept.T) * scale
-    return Fit(
+    return CoordinatesFit(
         equations, start, w, scale, s, v, mixed, contributions, noise, unexplained, dimension, scale * (inside + outside), covariance
     )  # fmt: skip
 
@@ -452,7 +452,7 @@ def reweighted(
     rounds: int = 8,
     dimension: int | None = None,
     instruments: Equations | None = None,
-) -> Fit:
+) -> CoordinatesFit:
     """Iteratively re-weighted least squares: each equation by its own residual, outliers by Huber's weights.
 
     The rows of a joint's drive carry the current's noise and their friction's reversals, those of a bending hinge next
@@ -485,11 +485,11 @@ def reweighted(
 def indirect_inference(
     robot: Robot,
     logs: Sequence[FullLog],
-    estimate: Callable[[Sequence[FullLog]], Fit],
+    estimate: Callable[[Sequence[FullLog]], CoordinatesFit],
     repeat: Callable[[Robot], Sequence[FullLog]],
     *,
     rounds: int = 2,
-) -> Fit:
+) -> CoordinatesFit:
     """An estimate without the bias that its own way of getting there has: what logs and filters do to sharp friction.
 
     The experiment is repeated in simulation on the identified robot and identified in the same way. What comes back differs from what

@@ -15,17 +15,12 @@ import numpy as np
 from scipy import linalg
 from threadpoolctl import threadpool_limits
 
+from rx90b_flex.bodies import Inconsistency, inconsistencies
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale, identify
-from rx90b_flex.identify.physical import (
-    Inconsistency,
-    inconsistencies,
-    information_root,
-    possible_coefficients,
-    with_coefficients,
-)
+from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
@@ -111,7 +106,7 @@ class Consistency:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class IdentifiedPrediction:
     """Torques of one recording, each (N, joints), N m, after the low-pass; what the exported robot says, and the log."""
 
     recording: Recording
@@ -152,7 +147,7 @@ class Identified(Showing):
     consistency: Consistency
     identification: RoleError
     validation: RoleError | None
-    predictions: tuple[Prediction, ...]
+    predictions: tuple[IdentifiedPrediction, ...]
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -343,7 +338,7 @@ def _units(model: Identification) -> list[str]:
 
 def _predictions(
     robot: Robot, rigid: Robot, recordings: Sequence[Recording], cutoff_hz: float | None
-) -> tuple[Prediction, ...]:
+) -> tuple[IdentifiedPrediction, ...]:
     """What the exported robot says of recordings, at their own rate."""
     own = robot.over_time().restricted(rigid.joints)
     rows = np.array([own.layout.index(j) for j in recordings[0].joints]) if recordings else np.zeros(0, dtype=int)
@@ -357,11 +352,11 @@ def _predictions(
         force = np.array(motion.on_tree.load())
         for effect in own.effects:
             force = force + effect.force(motion)
-        out.append(Prediction(recording, stretch.torque, stretch.brought(force[:, rows])))
+        out.append(IdentifiedPrediction(recording, stretch.torque, stretch.brought(force[:, rows])))
     return tuple(out)
 
 
-def _error(predictions: Sequence[Prediction]) -> RoleError:
+def _error(predictions: Sequence[IdentifiedPrediction]) -> RoleError:
     measured = np.concatenate([p.measured for p in predictions])
     error = measured - np.concatenate([p.predicted for p in predictions])
     rms = np.sqrt((error**2).mean(axis=0))
@@ -400,7 +395,7 @@ def identification_json(result: Identified) -> dict[str, Any]:
     }
 
 
-def prediction_table(prediction: Prediction) -> str:
+def prediction_table(prediction: IdentifiedPrediction) -> str:
     """CSV of one recording: time, measured torque, torque of the exported robot."""
     joints = prediction.recording.joints
     names = ["time", *(f"{prefix}{joint}" for prefix in ("tau_", "tau_model_") for joint in joints)]

@@ -47,7 +47,7 @@ LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this f
 
 
 @dataclass(frozen=True)
-class Options:
+class FrfOptions:
     """What the user may choose.
 
     Attributes
@@ -149,7 +149,7 @@ class MotorIdentification(Showing):
 
     campaign: Path
     robot: Robot
-    options: Options
+    options: FrfOptions
     poses: tuple[AtPose, ...]
     grey: GreyBox | None
     fitted: tuple[int, ...]
@@ -189,7 +189,7 @@ class _Stages:
 
 
 def identify_from_motors(
-    source: str | os.PathLike[str] | Campaign, options: Options | None = None, progress: Progress | None = None
+    source: str | os.PathLike[str] | Campaign, options: FrfOptions | None = None, progress: Progress | None = None
 ) -> MotorIdentification:
     """Identify a robot from a campaign of periodic excitation about one or several poses: motor angles and torques only.
 
@@ -208,7 +208,7 @@ def identify_from_motors(
     ValueError
         A campaign without a frequency response, or files that cannot be read. What fails later is in `left_out`.
     """
-    options = options or Options()
+    options = options or FrfOptions()
     tell = progress or (lambda text, part: None)
     tell("reading", 0.0)
     campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
@@ -297,7 +297,7 @@ def _at_pose(
     recordings: tuple[Recording, ...],
     robot: Robot,
     sensors: tuple[Accelerometer, ...],
-    options: Options,
+    options: FrfOptions,
     stages: _Stages,
     part: tuple[float, int],
 ) -> AtPose | None:
@@ -386,7 +386,7 @@ def mean_motion(recordings: Iterable[Recording], joints: tuple[str, ...]) -> Arr
 
 
 def _grey_box(
-    poses: Sequence[AtPose], robot: Robot, controller: CS8 | None, options: Options, tell: Progress
+    poses: Sequence[AtPose], robot: Robot, controller: CS8 | None, options: FrfOptions, tell: Progress
 ) -> GreyBox:
     motions = [mean_motion(p.recordings, robot.joints) for p in poses]
     responses = []
@@ -414,7 +414,7 @@ def _grey_box(
 
 
 def _replay(
-    poses: Sequence[AtPose], robot: Robot, grey: GreyBox, controller: CS8 | None, options: Options, tell: Progress
+    poses: Sequence[AtPose], robot: Robot, grey: GreyBox, controller: CS8 | None, options: FrfOptions, tell: Progress
 ) -> ReplayedGreyBox:
     if controller is None:
         raise ValueError(f"no controller file (no {CONTROLLER} beside the campaign), so the loop cannot be simulated")

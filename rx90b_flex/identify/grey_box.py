@@ -378,7 +378,7 @@ def smoothed_covariance(response: FrequencyResponse) -> tuple[ComplexArray, floa
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _GreyBoxProblem:
     """Whitened residuals of all responses and their Jacobian, as functions of the logarithms x of the parameters."""
 
     parameters: tuple[GreyParameter, ...]
@@ -435,7 +435,7 @@ class _Problem:
         """Errors or slopes with the bias, too, brought to unit variance."""
         return [bias.white(e) for bias, e in zip(self.bias, errors, strict=True)] if self.bias else errors
 
-    def with_bias(self, x: Array, sizes: tuple[float | None, float | None]) -> _Problem:
+    def with_bias(self, x: Array, sizes: tuple[float | None, float | None]) -> _GreyBoxProblem:
         """The same problem with the bias that a response near x may have; sizes that are None are estimated there.
 
         The estimate is the restricted likelihood's: of the sizes given what the parameters cannot explain.
@@ -472,7 +472,7 @@ class _Problem:
         x[self.free] = free
         return x
 
-    def coarser(self, part: float, step: int) -> _Problem:
+    def coarser(self, part: float, step: int) -> _GreyBoxProblem:
         """Every `step`-th line, with `part` of |P| as an additional error: wide valleys, and cheap."""
         responses, motions = [], []
         for r, motion in zip(self.responses, self.motions, strict=True):
@@ -549,7 +549,7 @@ def _bias(model: ComplexArray, friction: ComplexArray, sizes: tuple[float, float
 
 
 def _bias_sizes(
-    problem: _Problem,
+    problem: _GreyBoxProblem,
     x: Array,
     functions: list[tuple[ComplexArray, ComplexArray]],
     given: tuple[float | None, float | None],
@@ -823,7 +823,7 @@ def _problem(
     torques: Sequence[ComplexArray] | None,
     bending_alike_std: float,
     accelerations: Sequence[AccelerationResponse] | None = None,
-) -> _Problem:
+) -> _GreyBoxProblem:
     if not given:
         raise ValueError("no frequency response to fit to")
     if along is not None and len(along) != len(given):
@@ -877,7 +877,7 @@ def _problem(
     motions += shown
     kept += tuple(other for other in beside if other.sensors)
     whiteners = tuple(_whitener(smoothed_covariance(r)[0], r) for r in kept)
-    return _Problem(
+    return _GreyBoxProblem(
         parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std
     )
 
@@ -905,7 +905,7 @@ def _torques(
     return out
 
 
-def _drawn(problem: _Problem, spread: float, rng: np.random.Generator) -> Array:
+def _drawn(problem: _GreyBoxProblem, spread: float, rng: np.random.Generator) -> Array:
     """A random step of the logarithms, no larger than priors allow."""
     return np.asarray(
         rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters])
@@ -917,8 +917,8 @@ SAME = 1e-3  # of the logarithms: starts that are so near each other after the c
 
 
 def _search(
-    problem: _Problem, begin: list[tuple[str, Array]], sizes: tuple[float | None, float | None], tell: Progress
-) -> tuple[_Problem, Array, tuple[Start, ...]]:
+    problem: _GreyBoxProblem, begin: list[tuple[str, Array]], sizes: tuple[float | None, float | None], tell: Progress
+) -> tuple[_GreyBoxProblem, Array, tuple[Start, ...]]:
     coarse, middle = problem.coarser(COARSE, 3), problem.coarser(0.1 * COARSE, 3)
     found = []
     for k, (name, x) in enumerate(begin):
@@ -943,7 +943,7 @@ def _search(
     return problem, ends[best][1], starts
 
 
-def _result(robot: Robot, problem: _Problem, x: Array, starts: tuple[Start, ...]) -> GreyBox:
+def _result(robot: Robot, problem: _GreyBoxProblem, x: Array, starts: tuple[Start, ...]) -> GreyBox:
     free = np.flatnonzero(problem.free)
     errors = problem.whitened(problem.errors(x))
     slopes = problem.whitened([d[:, free] for d in problem.slopes(x)])
@@ -996,7 +996,7 @@ def _directions(information: Array, names: Sequence[str]) -> tuple[Direction, ..
     return tuple(out)
 
 
-def _expected_cost(problem: _Problem, fitted: int) -> tuple[float, float]:
+def _expected_cost(problem: _GreyBoxProblem, fitted: int) -> tuple[float, float]:
     """Mean and standard deviation of the cost of a right model; covariances from few realisations make it larger."""
     mean, variance = 0.0, 0.0
     for r in problem.responses:

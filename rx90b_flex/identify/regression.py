@@ -182,7 +182,7 @@ def _noise(off: Array) -> Array:
     return np.asarray(MAD_TO_STD * np.median(np.abs(off - np.median(off, axis=0)), axis=0))
 
 
-def _standing(moved: filters.Motion, noise: Array, rate: float) -> filters.Motion:
+def _standing(moved: filters.FilteredMotion, noise: Array, rate: float) -> filters.FilteredMotion:
     """A motion without velocity and acceleration where a joint stands still.
 
     There the angle stays within the log's `noise`, (joints,), rad, and the velocity's sign would be that of the noise.

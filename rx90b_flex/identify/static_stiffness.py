@@ -214,7 +214,7 @@ def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _StaticFit:
     """Linear least squares: values, their standard deviations, and the noise about them."""
 
     values: Array
@@ -227,7 +227,7 @@ class _Fit:
         return float(np.sqrt(self.squares / self.dof))
 
 
-def _fit(columns: Array, values: Array) -> _Fit:
+def _fit(columns: Array, values: Array) -> _StaticFit:
     # columns of one length, nearly square to each other: the normal equations lose nothing
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns / size
@@ -235,10 +235,10 @@ def _fit(columns: Array, values: Array) -> _Fit:
     found = inverse @ (scaled.T @ values)
     squares = float(((values - scaled @ found) ** 2).sum())
     dof = len(values) - columns.shape[1]
-    return _Fit(found / size, np.sqrt(squares / dof * np.diag(inverse)) / size, squares, dof)
+    return _StaticFit(found / size, np.sqrt(squares / dof * np.diag(inverse)) / size, squares, dof)
 
 
-def _f_test(small: _Fit, large: _Fit) -> float:
+def _f_test(small: _StaticFit, large: _StaticFit) -> float:
     """Chance that the larger model fits that much better where the smaller one is true."""
     if large.squares == 0.0:
         return 1.0 if small.squares == 0.0 else 0.0

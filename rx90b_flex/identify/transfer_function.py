@@ -129,7 +129,7 @@ class TransferFunctions:
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _TermLayout:
     """Where each parameter stands in the vector: modes (frequency, damping, Re u, Im u), D, E, a, R, T."""
 
     modes: int
@@ -200,7 +200,7 @@ class _Layout:
         return out
 
 
-def _start(data: SymmetricData, poles: ComplexArray, layout: _Layout, decay_hz: float) -> TransferFunctions:
+def _start(data: SymmetricData, poles: ComplexArray, layout: _TermLayout, decay_hz: float) -> TransferFunctions:
     """Model over given poles: the best residues, each replaced by its nearest of rank one."""
     n = layout.size
     found, _ = residue_fit(data, np.concatenate([poles, [-TURN * decay_hz]]))
@@ -241,7 +241,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateModel:
     """A number of modes that was tried.
 
     Attributes
@@ -295,9 +295,9 @@ class TransferFit:
     cost: float
     inflation: float
     parameters: int
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[CandidateModel, ...]
     pole_sets: tuple[PoleSet, ...]
-    _layout: _Layout
+    _layout: _TermLayout
 
     @property
     def resonances_hz(self) -> Array:
@@ -365,7 +365,7 @@ class TransferFit:
         )
 
 
-def _zero_derivatives(layout: _Layout, model: TransferFunctions, drive: int, z: ComplexArray) -> ComplexArray:
+def _zero_derivatives(layout: _TermLayout, model: TransferFunctions, drive: int, z: ComplexArray) -> ComplexArray:
     """Derivatives of zeros z of a drive point by the parameters, shape (z, p)."""
     free = layout.count - layout.delays
     rows, columns = np.triu_indices(layout.size)
@@ -427,7 +427,7 @@ def fit_transfer_functions(
     n, high = len(response.joints), float(response.hz[-1]) if len(response.hz) else 1.0
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
     count = {"none": 0, "common": 1, "each": n}[delays]
-    layouts = {m: _Layout(m, n, high, count) for m in tried}
+    layouts = {m: _TermLayout(m, n, high, count) for m in tried}
     rows = 2 * len(response.hz) * n * n
     needed = max((layout.count for layout in layouts.values()), default=0)
     if not tried or min(tried) < 1 or rows < 2 * needed:
@@ -436,14 +436,14 @@ def fit_transfer_functions(
             "expected modes from 1 on and twice as many numbers as parameters"
         )
     bounds = _filled(bounds or Bounds(), response)
-    problem = _Problem(response, _zero_bounds(bounds, response))
+    problem = _TransferFunctionProblem(response, _zero_bounds(bounds, response))
     sets: tuple[PoleSet, ...] = ()
     if start is None:
         sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
     price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
     spread = efficiency(response)[0]
-    best: tuple[float, Array, float, _Layout] | None = None
-    candidates: list[Candidate] = []
+    best: tuple[float, Array, float, _TermLayout] | None = None
+    candidates: list[CandidateModel] = []
     before: TransferFunctions | None = None
     for m in tried:
         layout = layouts[m]
@@ -453,7 +453,7 @@ def fit_transfer_functions(
         x, cost, told = min(fits, key=lambda fit: fit[1])
         before = layout.unpack(x)
         on_bound, value = _on_bound(layout, x, bounds), float(cost / spread + price * layout.count)
-        candidates.append(Candidate(m, cost, layout.count, value, told, on_bound))
+        candidates.append(CandidateModel(m, cost, layout.count, value, told, on_bound))
         score = value * (BOUND_PRICE if on_bound else 1.0)
         if best is None or score < best[0]:
             best = (score, x, cost, layout)
@@ -517,7 +517,7 @@ def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
     return mean, variance / entries, v / (v - entries - 1) if v > entries + 1 else np.inf
 
 
-class _Problem:
+class _TransferFunctionProblem:
     """Residuals and Jacobian of the likelihood over one response."""
 
     def __init__(self, response: FrequencyResponse, zeros: Sequence[tuple[int, float, float]] = ()) -> None:
@@ -528,12 +528,12 @@ class _Problem:
         self.n = len(response.joints)
         self.upper = np.triu_indices(self.n)
 
-    def cost(self, layout: _Layout, x: Array) -> float:
+    def cost(self, layout: _TermLayout, x: Array) -> float:
         model = layout.unpack(x)
         r, beyond = self.residual(layout, model), self.beyond(layout, model)[0]
         return float((np.abs(r) ** 2).sum() + beyond @ beyond) + (0.0 if layout.delays else self.data.rest)
 
-    def beyond(self, layout: _Layout, model: TransferFunctions) -> tuple[Array, Array]:
+    def beyond(self, layout: _TermLayout, model: TransferFunctions) -> tuple[Array, Array]:
         """How far each bounded antiresonance is out of its bounds, over `EDGE_HZ`, and its derivatives, (z,) and (z, p)."""
         values, slopes = [], []
         for drive, low, high in self.zeros:
@@ -548,7 +548,7 @@ class _Problem:
                 slopes.append(by / EDGE_HZ)
         return np.array(values), np.array(slopes).reshape(len(values), layout.count)
 
-    def residual(self, layout: _Layout, model: TransferFunctions) -> ComplexArray:
+    def residual(self, layout: _TermLayout, model: TransferFunctions) -> ComplexArray:
         """Whitened model minus data: of the n*n entries with delays, of what a symmetric model reaches without."""
         s = self.data.s
         if layout.delays:
@@ -557,12 +557,12 @@ class _Problem:
         upper = model._undelayed(s)[:, self.upper[0], self.upper[1]]
         return np.einsum("fak,fk->fa", self.data.weight, upper) - self.data.target
 
-    def jacobian(self, layout: _Layout, model: TransferFunctions) -> ComplexArray:
+    def jacobian(self, layout: _TermLayout, model: TransferFunctions) -> ComplexArray:
         if layout.delays:
             return self.white @ _delayed_jacobian(layout, model, self.data.s)
         return self.data.weight @ layout.jacobian(model, self.data.s)
 
-    def normal_equations(self, layout: _Layout, x: Array) -> tuple[Array, Array]:
+    def normal_equations(self, layout: _TermLayout, x: Array) -> tuple[Array, Array]:
         """Gauss-Newton Hessian and gradient of half the cost."""
         model = layout.unpack(x)
         j, r = self.jacobian(layout, model), self.residual(layout, model)
@@ -571,7 +571,7 @@ class _Problem:
         return rows.T @ rows, rows.T @ target
 
 
-def _delayed_jacobian(layout: _Layout, model: TransferFunctions, s: ComplexArray) -> ComplexArray:
+def _delayed_jacobian(layout: _TermLayout, model: TransferFunctions, s: ComplexArray) -> ComplexArray:
     """Derivatives of all n*n entries of P, delays included, shape (F, n*n, parameters)."""
     n = layout.size
     expand = symmetric_basis(n).reshape(-1, n * n).T  # entries from upper entries
@@ -586,7 +586,7 @@ def _delayed_jacobian(layout: _Layout, model: TransferFunctions, s: ComplexArray
     return out
 
 
-def _limits(layout: _Layout, bounds: Bounds) -> tuple[Array, Array]:
+def _limits(layout: _TermLayout, bounds: Bounds) -> tuple[Array, Array]:
     assert bounds.frequency_hz is not None and bounds.decay_hz is not None
     low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
     width = 2 + 2 * layout.size
@@ -602,7 +602,7 @@ def _limits(layout: _Layout, bounds: Bounds) -> tuple[Array, Array]:
     return low, high
 
 
-def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
+def _on_bound(layout: _TermLayout, x: Array, bounds: Bounds) -> bool:
     """Whether a mode not above the lines sits on a bound. Above them a broad one may stand for all that lies there."""
     low, high = _limits(layout, bounds)
     width = 2 + 2 * layout.size
@@ -610,7 +610,9 @@ def _on_bound(layout: _Layout, x: Array, bounds: Bounds) -> bool:
     return bool(np.any(at & (x[: layout.modes * width : width] <= layout.high_hz)))
 
 
-def _climb(problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterations: int = 150) -> tuple[Array, float]:
+def _climb(
+    problem: _TransferFunctionProblem, layout: _TermLayout, x: Array, bounds: Bounds, iterations: int = 150
+) -> tuple[Array, float]:
     """Levenberg-Marquardt within bounds, until a step would lower the cost by less than a hundredth.
 
     The cost is in units of the noise: a tenth of a parameter's standard deviation is worth a hundredth of it.
@@ -643,8 +645,8 @@ def _climb(problem: _Problem, layout: _Layout, x: Array, bounds: Bounds, iterati
 
 
 def _starts(
-    problem: _Problem,
-    layout: _Layout,
+    problem: _TransferFunctionProblem,
+    layout: _TermLayout,
     sets: Sequence[PoleSet],
     before: TransferFunctions | None,
     bounds: Bounds,
@@ -701,11 +703,11 @@ def _starts(
 
 
 def _result(
-    problem: _Problem,
-    layout: _Layout,
+    problem: _TransferFunctionProblem,
+    layout: _TermLayout,
     x: Array,
     cost: float,
-    candidates: tuple[Candidate, ...],
+    candidates: tuple[CandidateModel, ...],
     sets: tuple[PoleSet, ...],
 ) -> TransferFit:
     order = np.argsort(layout.unpack(x).frequency_hz)

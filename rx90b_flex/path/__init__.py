@@ -6,9 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rx90b_flex.path.check import Contribution, Deviation, Options, PathCheck, check_path
+    from rx90b_flex.path.check import Contribution, Deviation, PathCheck, PathOptions, check_path
     from rx90b_flex.path.measured import MeasuredTip, compare_measured
-    from rx90b_flex.path.planning import Plan, plan
+    from rx90b_flex.path.planning import PathPlan, plan
     from rx90b_flex.path.seam import EXAMPLES, Seam, load_seam
 
 __all__ = [
@@ -16,9 +16,9 @@ __all__ = [
     "Contribution",
     "Deviation",
     "MeasuredTip",
-    "Options",
     "PathCheck",
-    "Plan",
+    "PathOptions",
+    "PathPlan",
     "Seam",
     "check_path",
     "compare_measured",
@@ -32,9 +32,9 @@ _HOME = {
     "Deviation": "rx90b_flex.path.check",
     "EXAMPLES": "rx90b_flex.path.seam",
     "MeasuredTip": "rx90b_flex.path.measured",
-    "Options": "rx90b_flex.path.check",
+    "PathOptions": "rx90b_flex.path.check",
     "PathCheck": "rx90b_flex.path.check",
-    "Plan": "rx90b_flex.path.planning",
+    "PathPlan": "rx90b_flex.path.planning",
     "Seam": "rx90b_flex.path.seam",
     "check_path": "rx90b_flex.path.check",
     "compare_measured": "rx90b_flex.path.measured",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.correct import Learner
-from rx90b_flex.path.planning import HOLD_S, Plan, plan, rates
+from rx90b_flex.path.planning import HOLD_S, PathPlan, plan, rates
 from rx90b_flex.path.seam import Seam
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
@@ -36,7 +36,7 @@ PARTS = {"friction": "friction", "flexibility": "stiffness and damping of hinges
 
 
 @dataclass(frozen=True)
-class Options:
+class PathOptions:
     """What is asked of a check.
 
     Attributes
@@ -211,8 +211,8 @@ class PathCheck(Showing):
     seconds : dict of stage and its time, s
     """
 
-    plan: Plan
-    options: Options
+    plan: PathPlan
+    options: PathOptions
     before: Deviation
     after: Deviation | None
     correction: Array | None
@@ -265,7 +265,7 @@ class PathCheck(Showing):
 
 
 def check_path(
-    seam: Seam, robot: Robot, controller: CS8, options: Options | None = None, tell: Tell | None = None
+    seam: Seam, robot: Robot, controller: CS8, options: PathOptions | None = None, tell: Tell | None = None
 ) -> PathCheck:
     """Plan a path, simulate it, split its deviation into effects, and correct it.
 
@@ -283,7 +283,7 @@ def check_path(
     ValueError
         A path that the robot cannot follow (see `plan`), before anything is simulated; a robot that cannot be simulated.
     """
-    options, tell = options or Options(), tell or (lambda text, part: None)
+    options, tell = options or PathOptions(), tell or (lambda text, part: None)
     clock = _Clock()
     tell("planning", 0.0)
     planned = plan(seam, robot, controller)
@@ -326,7 +326,7 @@ class _Clock:
         self.seconds[stage], self.last = now - self.last, now
 
 
-def deviation(planned: Plan, run: Simulation) -> Deviation:
+def deviation(planned: PathPlan, run: Simulation) -> Deviation:
     """Split the tip's distance from its planned place by the path's direction there."""
     on = run.time - HOLD_S
     inside = (on >= 0.0) & (on <= planned.seam.duration_s)
@@ -348,7 +348,7 @@ def across_axes(tangent: Array) -> tuple[Array, Array]:
     return left, np.cross(tangent, left)
 
 
-def sticking(planned: Plan, run: Simulation) -> tuple[Sticking, ...]:
+def sticking(planned: PathPlan, run: Simulation) -> tuple[Sticking, ...]:
     """Joints whose drives stop `OFTEN` or more times while the plan has them turn on the same way."""
     wanted = rates(planned.position, planned.rate_hz)[: len(run.v)]
     way = np.sign(wanted) * (np.abs(wanted) > SLOWEST)
@@ -364,7 +364,7 @@ def sticking(planned: Plan, run: Simulation) -> tuple[Sticking, ...]:
 
 
 def _correct(
-    planned: Plan, controller: CS8, run: Simulation, options: Options, tell: Tell
+    planned: PathPlan, controller: CS8, run: Simulation, options: PathOptions, tell: Tell
 ) -> tuple[Deviation, Array, tuple[Iteration, ...], Simulation]:
     """The best correction that was found: its deviation, the displacement of the reference, the steps to it, and its run."""
     correction = np.zeros_like(planned.point)
@@ -390,13 +390,13 @@ def _correct(
     return best, kept, tuple(steps), best_run
 
 
-def _at_plan(planned: Plan, run: Simulation) -> Array:
+def _at_plan(planned: PathPlan, run: Simulation) -> Array:
     """Tip less planned tip at the plan's samples, m, shape (N, 3)."""
     tip = np.stack([np.interp(planned.time, run.time, x) for x in run.tip[:, :3, 3].T], axis=1)
     return tip - planned.point
 
 
-def _wrong_models(planned: Plan, controller: CS8, correction: Array) -> list[tuple[str, Deviation]]:
+def _wrong_models(planned: PathPlan, controller: CS8, correction: Array) -> list[tuple[str, Deviation]]:
     out = []
     trajectory = planned.trajectory(correction)
     for part, words in PARTS.items():
@@ -415,7 +415,7 @@ def _wrong_models(planned: Plan, controller: CS8, correction: Array) -> list[tup
 
 
 def _contributions(
-    planned: Plan, controller: CS8, before: Deviation, jobs: int, tell: Tell
+    planned: PathPlan, controller: CS8, before: Deviation, jobs: int, tell: Tell
 ) -> tuple[tuple[Contribution, ...], float]:
     """Each effect switched off in turn, and what is there without any; then what they do only together."""
     effects = planned.robot.effects
@@ -445,7 +445,7 @@ def _contributions(
     return tuple(out), float(np.sqrt(np.mean(rest[1] ** 2 + rest[2] ** 2)))
 
 
-def _run_without(planned: Plan, controller: CS8, effects: Sequence[Effect]) -> Deviation | str:
+def _run_without(planned: PathPlan, controller: CS8, effects: Sequence[Effect]) -> Deviation | str:
     """The path on the same tree with some of the effects; in words why it cannot be simulated."""
     try:
         run = simulate(planned.robot.with_effects(effects), controller, planned.trajectory())

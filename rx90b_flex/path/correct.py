@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.path.planning import HOLD_S, Plan, rates
+from rx90b_flex.path.planning import HOLD_S, PathPlan, rates
 from rx90b_flex.simulate.closed_loop import static_start
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 
@@ -31,7 +31,7 @@ PAD_S = 2.0  # over which the end of the deviation is led back to its beginning
 class Learner:
     """The map from a deviation along a path to a displacement of its reference."""
 
-    def __init__(self, plan: Plan, controller: CS8) -> None:
+    def __init__(self, plan: PathPlan, controller: CS8) -> None:
         total = plan.seam.pieces.total
         self.plan = plan
         self.knots = np.linspace(0.0, total, max(2, round(total / POSE_EVERY) + 1))
@@ -81,7 +81,7 @@ def _between(hz: Array, grid: Array, values: ComplexArray) -> ComplexArray:
     return np.asarray((1.0 - share) * values[k] + share * values[k + 1])
 
 
-def tip_response(plan: Plan, controller: CS8, sample: int, velocity: Array, hz: Array) -> ComplexArray:
+def tip_response(plan: PathPlan, controller: CS8, sample: int, velocity: Array, hz: Array) -> ComplexArray:
     """Displacement of the tip over that of the reference, shape (F, 3, 3), about a sample of the path.
 
     Parameters

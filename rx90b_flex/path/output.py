@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.path.check import Deviation, Options, PathCheck, Tell, check_path
+from rx90b_flex.path.check import Deviation, PathCheck, PathOptions, Tell, check_path
 from rx90b_flex.path.seam import EXAMPLES, load_seam
 from rx90b_flex.robot import load_robot
 from rx90b_flex.simulate.command import controller_of, write_run
@@ -24,7 +24,7 @@ RUNS = ("as_planned", "corrected")  # folders
 
 
 @dataclass(frozen=True)
-class Request:
+class PathRequest:
     """What the user asks for.
 
     Attributes
@@ -44,10 +44,10 @@ class Request:
     robot: str | None = None
     controller: Path | None = None
     speed_mm_s: float | None = None
-    options: Options = field(default_factory=Options)
+    options: PathOptions = field(default_factory=PathOptions)
 
 
-def run_request(request: Request, tell: Tell | None = None) -> PathCheck:
+def run_request(request: PathRequest, tell: Tell | None = None) -> PathCheck:
     """Read everything that a request names, and check the path.
 
     Raises

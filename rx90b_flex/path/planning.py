@@ -53,7 +53,7 @@ class Problem(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PathPlan:
     """A path in joint angles, at the rate at which the controller takes references.
 
     Attributes
@@ -105,7 +105,7 @@ def rates(position: Array, rate_hz: float, order: int = 1) -> Array:
     return np.asarray(CubicSpline(time, position, axis=0, bc_type="clamped")(time, order))
 
 
-def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
+def plan(seam: Seam, robot: Robot, controller: CS8) -> PathPlan:
     """Find the joint references of a path, and refuse a path that the robot cannot follow.
 
     Parameters
@@ -131,7 +131,7 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
     if not starts:
         raise ValueError(f"{seam.name}: {arm.out_of_reach(0.0, point[0])}")
 
-    def follow(start: Array, rows: slice) -> Plan | Problem:
+    def follow(start: Array, rows: slice) -> PathPlan | Problem:
         arm.choose_joints(start)
         wanted = np.tile(arm.frame(start), (len(point), 1, 1)) if seam.orientation == "keep" else frames
         followed = arm.follow(start, distance[rows], point[rows], None if wanted is None else wanted[rows])
@@ -139,7 +139,7 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
             return followed
         position, pull, measure = followed
         rate = controller.reference_rate_hz / (rows.step or 1)
-        found = Plan(seam, robot, rate, distance[rows], point[rows], tangent[rows], position, pull)
+        found = PathPlan(seam, robot, rate, distance[rows], point[rows], tangent[rows], position, pull)
         return (
             _limits(found) or arm.singular(found.distance, measure, position) or _too_fast(found, controller) or found
         )
@@ -149,7 +149,7 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> Plan:
     best, fails = starts[0], (-1, -1.0)
     for start in starts[:TRIED] if len(starts) > 1 else ():
         found = follow(start, slice(None, None, stride))
-        if isinstance(found, Plan):
+        if isinstance(found, PathPlan):
             best = start
             break
         if (KINDS.index(found.kind), found.begin) > fails:
@@ -309,7 +309,7 @@ def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
     return begin, begin + (len(rest) if rest.all() else int(np.argmin(rest))) - 1
 
 
-def _beyond(plan: Plan, kind: Kind, value: Array, low: Array, high: Array) -> tuple[Problem, str, int, int] | None:
+def _beyond(plan: PathPlan, kind: Kind, value: Array, low: Array, high: Array) -> tuple[Problem, str, int, int] | None:
     """The first joint along the path that leaves its range: where, its name, its place and the sample where it is worst."""
     found = []
     for j, joint in enumerate(plan.robot.joints):
@@ -323,7 +323,7 @@ def _beyond(plan: Plan, kind: Kind, value: Array, low: Array, high: Array) -> tu
     return min(found, key=lambda x: x[0].begin, default=None)
 
 
-def _limits(plan: Plan) -> Problem | None:
+def _limits(plan: PathPlan) -> Problem | None:
     low, high = (np.asarray(x) for x in (plan.robot.tree.lowerPositionLimit, plan.robot.tree.upperPositionLimit))
     found = _beyond(plan, "limits", plan.position, low, high)
     if found is None:
@@ -335,7 +335,7 @@ def _limits(plan: Plan) -> Problem | None:
     return where._replace(why=f"needs {joint} at {at:.1f} {unit}, outside its limits {least:.1f} to {most:.1f}")
 
 
-def _too_fast(plan: Plan, controller: CS8) -> Problem | None:
+def _too_fast(plan: PathPlan, controller: CS8) -> Problem | None:
     limit = np.asarray(plan.robot.tree.upperVelocityLimit, dtype=float)
     velocity = rates(plan.position, plan.rate_hz)
     found = _beyond(plan, "speed", velocity, -limit, limit)

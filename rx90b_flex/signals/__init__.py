@@ -8,7 +8,7 @@ from rx90b_flex.signals.recording import Campaign, Recording, load_campaign, sav
 
 if TYPE_CHECKING:
     from rx90b_flex.signals.filters import (
-        Motion,
+        FilteredMotion,
         decimation_factor,
         difference_weights,
         differentiate,
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Campaign",
-    "Motion",
+    "FilteredMotion",
     "Recording",
     "decimation_factor",
     "difference_weights",

@@ -40,7 +40,7 @@ _SIGNAL_OVER_FLOOR = 4.0
 _NEGLIGIBLE_NOISE = 1e-3
 
 
-class Motion(NamedTuple):
+class FilteredMotion(NamedTuple):
     """Position, velocity and acceleration, each (N, ...) in rad, rad/s and rad/s²."""
 
     position: Array
@@ -174,7 +174,7 @@ def differentiate(x: ArrayLike, sample_rate_hz: float, accuracy: int = 8, deriva
     return result
 
 
-def motion(position: ArrayLike, sample_rate_hz: float, cutoff_hz: float | None = None) -> Motion:
+def motion(position: ArrayLike, sample_rate_hz: float, cutoff_hz: float | None = None) -> FilteredMotion:
     """Position, velocity and acceleration from logged positions.
 
     Low-pass (if a cutoff is given), then eighth-order differences. The acceleration is one second difference of the
@@ -204,7 +204,7 @@ def motion(position: ArrayLike, sample_rate_hz: float, cutoff_hz: float | None =
         ahead = math.ceil(sample_rate_hz / (2.0 * cutoff_hz))
         q = lowpass(_continued(position, margin, ahead, _spans(margin)), cutoff_hz, sample_rate_hz)
     inside = slice(margin, len(q) - margin)
-    return Motion(
+    return FilteredMotion(
         q[inside],
         differentiate(q, sample_rate_hz, ACCURACY)[inside],
         differentiate(q, sample_rate_hz, ACCURACY, derivative=2)[inside],

@@ -81,7 +81,7 @@ class Axes:
 
 
 @dataclass(frozen=True)
-class Options:
+class ReadingOptions:
     """What the user says, and so is not worked out.
 
     Attributes
@@ -145,7 +145,7 @@ class _Column:
     extra: int  # words of the name that say nothing known
 
 
-def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = None) -> Imported:
+def import_logs(files: Sequence[Path], axes: Axes, options: ReadingOptions | None = None) -> Imported:
     """Read logs and make recordings of them.
 
     Several files: the last is for validation, the others for identification. One file: the first 70 % identify, the rest
@@ -164,7 +164,7 @@ def import_logs(files: Sequence[Path], axes: Axes, options: Options | None = Non
         One line that names file and column: nothing that can be a position or a torque, two columns for one place, times that run
         backwards, files that do not fit together.
     """
-    options = options or Options()
+    options = options or ReadingOptions()
     if not files:
         raise ValueError("no files to import")
     _check_options(options, axes)
@@ -220,7 +220,9 @@ def _refuse_the_same_file(files: Sequence[Path]) -> None:
             raise ValueError(f"{file}: given twice; a recording that is fitted cannot validate, too")
 
 
-def _all_in_one_unit(files: Sequence[Path], axes: Axes, options: Options) -> list[tuple[Recording, list[Finding]]]:
+def _all_in_one_unit(
+    files: Sequence[Path], axes: Axes, options: ReadingOptions
+) -> list[tuple[Recording, list[Finding]]]:
     """Every file's recording; a unit that is worked out is the same for all of them."""
     read = [_one(read_log(file, options.topic), axes, options) for file in files]
     scales = [scale for _, _, scale in read]
@@ -241,7 +243,7 @@ def _all_in_one_unit(files: Sequence[Path], axes: Axes, options: Options) -> lis
     return [(recording, found) for recording, found, _ in read]
 
 
-def _check_options(options: Options, axes: Axes) -> None:
+def _check_options(options: ReadingOptions, axes: Axes) -> None:
     used: dict[str, str] = {}
     for signal, names in options.columns.items():
         for name in names:
@@ -267,7 +269,7 @@ def _check_options(options: Options, axes: Axes) -> None:
 # ---- one file -------------------------------------------------------------------------------------------------
 
 
-def _one(log: Log, axes: Axes, options: Options) -> tuple[Recording, list[Finding], float]:
+def _one(log: Log, axes: Axes, options: ReadingOptions) -> tuple[Recording, list[Finding], float]:
     """The recording, what was worked out, and what angles were multiplied with."""
     found = [Finding(note, "sure") for note in log.notes]
     time, time_name = _time(log, options, found)
@@ -300,7 +302,7 @@ def _words(name: str) -> list[str]:
     return re.findall(r"[a-z]+|\d+", spaced.lower())
 
 
-def _time(log: Log, options: Options, found: list[Finding]) -> tuple[Array, str | None]:
+def _time(log: Log, options: ReadingOptions, found: list[Finding]) -> tuple[Array, str | None]:
     if log.time is not None:
         return log.time, None
     candidates = [name for name in log.names if _is_time(name)]
@@ -332,7 +334,7 @@ def _is_time(name: str) -> bool:
     return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in _TIME_UNITS for w in words)
 
 
-def _places(log: Log, axes: Axes, options: Options, time_name: str | None) -> dict[str, list[_Column]]:
+def _places(log: Log, axes: Axes, options: ReadingOptions, time_name: str | None) -> dict[str, list[_Column]]:
     """Signal -> columns that can hold it."""
     taken = {name for names in options.columns.values() for name in names}
     for name in taken:
@@ -365,7 +367,7 @@ def _stated_column(log: Log, name: str, axes: Axes) -> _Column | None:
     return _Column(name, signal, joint, "sure", 1.0, 0) if joint in axes.joints else None
 
 
-def _column(name: str, axes: Axes, options: Options, from_zero: bool) -> _Column | None:
+def _column(name: str, axes: Axes, options: ReadingOptions, from_zero: bool) -> _Column | None:
     words = _words(name)
     joint, rest, sure = None, words, "sure"
     for candidate in sorted(axes.joints, key=len, reverse=True):  # shoulder_pan before shoulder
@@ -440,7 +442,7 @@ def _unit(signal: str, words: Sequence[str]) -> float | None:
 
 
 def _complete(
-    log: Log, axes: Axes, options: Options, places: Mapping[str, list[_Column]], found: list[Finding]
+    log: Log, axes: Axes, options: ReadingOptions, places: Mapping[str, list[_Column]], found: list[Finding]
 ) -> tuple[tuple[str, ...], dict[str, list[_Column]]]:
     """The joints that have position and torque, and the signals that all of these have."""
     by_joint: dict[str, dict[str, _Column]] = {}
@@ -501,7 +503,7 @@ def _shown(places: Mapping[str, list[_Column]]) -> str:
 def _to_si(
     log: Log,
     axes: Axes,
-    options: Options,
+    options: ReadingOptions,
     joints: tuple[str, ...],
     signals: Mapping[str, list[_Column]],
     values: dict[str, Array],
@@ -564,7 +566,9 @@ def _looks_like_degrees(
     )
 
 
-def _to_joint_side(options: Options, joints: tuple[str, ...], values: dict[str, Array], found: list[Finding]) -> None:
+def _to_joint_side(
+    options: ReadingOptions, joints: tuple[str, ...], values: dict[str, Array], found: list[Finding]
+) -> None:
     """Bring motor-side values to the joint side, in place, as a campaign's [motor] table does."""
     count, rows = len(joints), options.gear
     if [len(row) for row in rows] not in ([count], [count] * count):
@@ -685,7 +689,7 @@ def _round_rate(rate: float, slack: float = 0.0) -> float:
 # ---- all files together ---------------------------------------------------------------------------------------
 
 
-def _alike(parts: list[Recording], options: Options) -> tuple[list[Recording], list[Finding]]:
+def _alike(parts: list[Recording], options: ReadingOptions) -> tuple[list[Recording], list[Finding]]:
     """The same rate, joints and signals in every recording."""
     found: list[Finding] = []
     rate = options.rate_hz or parts[0].sample_rate_hz

@@ -387,7 +387,7 @@ def write_campaign(
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
+class _CampaignLayout:
     """The campaign file apart from its recordings."""
 
     robot: str
@@ -418,7 +418,7 @@ class _Entry:
     date: str | None
 
 
-def _read_layout(root: CampaignSection) -> _Layout:
+def _read_layout(root: CampaignSection) -> _CampaignLayout:
     root.allow(
         "robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "torque", "accelerometer", "recording"
     )  # fmt: skip
@@ -474,7 +474,7 @@ def _read_layout(root: CampaignSection) -> _Layout:
     for name in acceleration:
         if name in used:
             raise root.problem("accelerometer", f"column {name!r} is already used by {used[name]}")
-    return _Layout(
+    return _CampaignLayout(
         root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants, side, sensors, acceleration
     )  # fmt: skip
 
@@ -501,7 +501,7 @@ def _read_motor(
     return gear_matrix, offset, constants if from_current else None
 
 
-def _read_entry(section: CampaignSection, campaign: Path, layout: _Layout) -> _Entry:
+def _read_entry(section: CampaignSection, campaign: Path, layout: _CampaignLayout) -> _Entry:
     section.allow("file", "role", "start_s", "end_s", "period_s", "payload", "date")
     file = campaign.parent / section.text("file")
     try:
@@ -546,7 +546,7 @@ def _refuse_repeats(section: CampaignSection, key: str, names: Sequence[str]) ->
 # --- one recording ---------------------------------------------------------------------------------------------------
 
 
-def _cut(table: tables.Table, entry: _Entry, layout: _Layout) -> Recording:
+def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recording:
     """The part of a table that one [[recording]] asks for, checked and brought to the joint side."""
     rate = layout.sample_rate_hz
     rows = len(table.values)
@@ -618,7 +618,7 @@ def _day_of(clock: float) -> str | None:
     return datetime.datetime.fromtimestamp(clock, datetime.UTC).date().isoformat()
 
 
-def _to_joint_side(measured: Array, item: _Signal, layout: _Layout) -> Array:
+def _to_joint_side(measured: Array, item: _Signal, layout: _CampaignLayout) -> Array:
     gear = layout.gear_matrix
     if gear is None or item.always_joint_side or (item.key == "torque" and layout.torque_side in JOINT_SIDES):
         return measured
@@ -644,7 +644,7 @@ def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -
     )
 
 
-def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal, layout: _Layout) -> None:
+def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal, layout: _CampaignLayout) -> None:
     largest = np.max(np.abs(angles), axis=0)
     joint = int(np.argmax(largest))
     if largest[joint] > _LARGEST_ANGLE:
@@ -665,7 +665,7 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
         )
 
 
-def _check_sizes(file: Path, names: Sequence[str], values: Array, item: _Signal, layout: _Layout) -> None:
+def _check_sizes(file: Path, names: Sequence[str], values: Array, item: _Signal, layout: _CampaignLayout) -> None:
     largest = np.max(np.abs(values), axis=0)
     joint = int(np.argmax(largest))
     if largest[joint] > tables.LARGEST:

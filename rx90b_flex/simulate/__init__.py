@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rx90b_flex.excitation import multisine
-    from rx90b_flex.simulate.campaign import CampaignResult, Plan, run_campaign, section_662
+    from rx90b_flex.simulate.campaign import CampaignPlan, CampaignResult, run_campaign, section_662
     from rx90b_flex.simulate.closed_loop import Noise, RawLog, Simulation, simulate, simulate_lanes, static_start
     from rx90b_flex.simulate.cs8 import (
         CS8,
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CS8",
+    "CampaignPlan",
     "CampaignResult",
     "JointController",
     "Noise",
-    "Plan",
     "RawLog",
     "Simulation",
     "Trajectory",
@@ -64,7 +64,7 @@ _HOME = {
     "CampaignResult": "rx90b_flex.simulate.campaign",
     "JointController": "rx90b_flex.simulate.cs8",
     "Noise": "rx90b_flex.simulate.closed_loop",
-    "Plan": "rx90b_flex.simulate.campaign",
+    "CampaignPlan": "rx90b_flex.simulate.campaign",
     "RawLog": "rx90b_flex.simulate.closed_loop",
     "Simulation": "rx90b_flex.simulate.closed_loop",
     "Trajectory": "rx90b_flex.simulate.trajectories",

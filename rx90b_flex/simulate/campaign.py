@@ -71,7 +71,7 @@ class RunKey:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class CampaignPlan:
     """Experiments on one robot about one motion (section 6.6.2).
 
     The torque fed forward in realisation m, experiment k, sign s is ``s * input_matrix[j, k] * multisine_m(t)`` on moving joint j.
@@ -191,7 +191,7 @@ class Plan:
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence(self.seed, spawn_key=(1, place))))
 
 
-def section_662(robot: Robot, controller: CS8, **changes: object) -> Plan:
+def section_662(robot: Robot, controller: CS8, **changes: object) -> CampaignPlan:
     """The 96 runs of section 6.6.2: three joints, orthogonal inputs (6.50), both signs, 16 realisations, 9 periods.
 
     Parameters
@@ -201,7 +201,7 @@ def section_662(robot: Robot, controller: CS8, **changes: object) -> Plan:
     moving = robot.joints[:3]
     pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]  # stretched out horizontally
     matrix = tuple(tuple(float(x) for x in row) for row in minus_below_first(len(moving)))
-    plan = Plan(robot, controller, square_wave(robot, pose, moving=moving), moving, matrix)
+    plan = CampaignPlan(robot, controller, square_wave(robot, pose, moving=moving), moving, matrix)
     return dataclasses.replace(plan, **changes)  # type: ignore[arg-type]
 
 
@@ -253,7 +253,7 @@ class CampaignResult:
 
 
 def run_campaign(
-    plan: Plan,
+    plan: CampaignPlan,
     folder: str | os.PathLike[str],
     *,
     jobs: int = 1,
@@ -309,7 +309,7 @@ def run_campaign(
     return CampaignResult(file, names, tuple(k.name for k in resumed), tuple(failed))
 
 
-def batch_bytes(plan: Plan, runs: int) -> float:
+def batch_bytes(plan: CampaignPlan, runs: int) -> float:
     """Bound of the memory of a batch's arrays, bytes.
 
     A run has, at the log's rate, 2 n states, their work and dissipation, three signals a joint and the time; at the references'
@@ -325,13 +325,13 @@ def batch_bytes(plan: Plan, runs: int) -> float:
     return 8.0 * runs * (states + references + chunk) + shared
 
 
-def _runs_in(plan: Plan, limit: float) -> int:
+def _runs_in(plan: CampaignPlan, limit: float) -> int:
     """How many runs a batch may have to stay below a memory, bytes."""
     shared = batch_bytes(plan, 0)
     return int(max(limit - shared, 0.0) // (batch_bytes(plan, 1) - shared))
 
 
-def simulate_batch(plan: Plan, keys: Sequence[RunKey], folder: Path) -> list[tuple[RunKey, str | None]]:
+def simulate_batch(plan: CampaignPlan, keys: Sequence[RunKey], folder: Path) -> list[tuple[RunKey, str | None]]:
     """Simulate some runs together and save each; what a worker does. Returns each run with None or why it failed."""
     try:
         runs = _simulate(plan, keys)
@@ -352,7 +352,7 @@ def simulate_batch(plan: Plan, keys: Sequence[RunKey], folder: Path) -> list[tup
     return out
 
 
-def _simulate(plan: Plan, keys: Sequence[RunKey]) -> list[Simulation]:
+def _simulate(plan: CampaignPlan, keys: Sequence[RunKey]) -> list[Simulation]:
     trajectories = [_with_tail(plan.trajectory(key)) for key in keys]
     noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
     noise = plan.noise if noisy else None
@@ -380,7 +380,7 @@ def _with_tail(trajectory: Trajectory) -> Trajectory:
     )
 
 
-def _without_tail(plan: Plan, recording: Recording) -> Recording:
+def _without_tail(plan: CampaignPlan, recording: Recording) -> Recording:
     if plan.reference.period_s is None:
         return recording
     count = round(plan.periods * plan.reference.period_s * recording.sample_rate_hz)
@@ -428,7 +428,7 @@ def _saved(folder: Path, key: RunKey) -> bool:
     return _file(folder, key).is_file()
 
 
-def _claim(plan: Plan, folder: Path) -> None:
+def _claim(plan: CampaignPlan, folder: Path) -> None:
     """Make the folder this plan's, or refuse it."""
     found = claimed(folder, PLAN_FILE, RUNS)
     if found is not None:
@@ -452,7 +452,7 @@ def _claim(plan: Plan, folder: Path) -> None:
     claim(folder, PLAN_FILE, plan.digest, summary)
 
 
-def _write_campaign_file(plan: Plan, keys: Sequence[RunKey], folder: Path) -> Path:
+def _write_campaign_file(plan: CampaignPlan, keys: Sequence[RunKey], folder: Path) -> Path:
     """`campaign.toml` for the runs on disk; of each the first period, in which the transient dies, is left out."""
     runs = [RunFile(f"{RUNS}/{key.name}.parquet", plan.role(key)) for key in keys]
     file = folder / "campaign.toml"
@@ -470,7 +470,7 @@ class RunFile:
     role: Role
 
 
-def campaign_text(plan: Plan, runs: Sequence[RunFile], signals: Sequence[str] = tuple(SIGNALS)) -> str:
+def campaign_text(plan: CampaignPlan, runs: Sequence[RunFile], signals: Sequence[str] = tuple(SIGNALS)) -> str:
     """Text of a campaign file of a plan's recordings; the first period of each, in which the transient dies, is left out.
 
     Parameters

@@ -35,7 +35,7 @@ BUILT_IN = ("line", "excitation", "square-wave", "harmonics")
 
 
 @dataclass(frozen=True)
-class Request:
+class RunRequest:
     """What the user asks for.
 
     Attributes
@@ -68,13 +68,13 @@ class Request:
 class Prepared:
     """A request that was checked: everything that a run needs."""
 
-    request: Request
+    request: RunRequest
     robot: Robot
     controller: CS8
     trajectory: Trajectory
 
 
-def prepare(request: Request, robot: Robot | None = None, trajectory: Trajectory | None = None) -> Prepared:
+def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Trajectory | None = None) -> Prepared:
     """Read and check everything that a request names; robot and trajectory only where they are not given.
 
     Raises
@@ -118,7 +118,7 @@ def _of_robot(controller: CS8, robot: Robot, where: str) -> CS8:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _trajectory(robot: Robot, controller: CS8, request: Request) -> Trajectory:
+def _trajectory(robot: Robot, controller: CS8, request: RunRequest) -> Trajectory:
     rate = controller.reference_rate_hz
     rng = np.random.default_rng(np.random.SeedSequence(request.seed, spawn_key=(0,)))
     if request.motion == "line":
@@ -265,7 +265,7 @@ def summary(result: Simulation) -> list[str]:
 
 
 def simulate_into(
-    request: Request, folder: Path, tell: Callable[[str, float], None], overwrite: bool = False
+    request: RunRequest, folder: Path, tell: Callable[[str, float], None], overwrite: bool = False
 ) -> Simulation:
     """Check a request, run it and write its files; nothing is written unless all of it is."""
     from rx90b_flex.signals.folders import RUN, check_folder, fill_folder

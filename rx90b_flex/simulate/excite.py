@@ -28,7 +28,7 @@ from rx90b_flex.excitation import (
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.simulate.campaign import PLAN_FILE, Plan, RunFile, campaign_text, run_campaign
+from rx90b_flex.simulate.campaign import PLAN_FILE, CampaignPlan, RunFile, campaign_text, run_campaign
 from rx90b_flex.simulate.closed_loop import Noise
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, save_cs8
 from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
@@ -49,7 +49,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Request:
+class ExciteRequest:
     """What the user asks for.
 
     Attributes
@@ -98,7 +98,7 @@ class Request:
     seed: int = 0
 
 
-def excitation_plans(request: Request, robot: Robot | None = None) -> tuple[Plan, ...]:
+def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tuple[CampaignPlan, ...]:
     """A plan for each pose; of the robot that the request names, where none is given.
 
     Raises
@@ -128,7 +128,7 @@ def excitation_plans(request: Request, robot: Robot | None = None) -> tuple[Plan
     plans = []
     for place, pose in enumerate(request.poses or (horizontal,)):
         reference = _reference(robot, controller, joints, pose, request, f"pose {place + 1}")
-        plan = Plan(
+        plan = CampaignPlan(
             robot,
             controller,
             reference,
@@ -146,7 +146,7 @@ def excitation_plans(request: Request, robot: Robot | None = None) -> tuple[Plan
     return tuple(plans)
 
 
-def _check_numbers(request: Request) -> None:
+def _check_numbers(request: ExciteRequest) -> None:
     """Refuse numbers that cannot be meant, before arrays of their size are made."""
     for joint in request.joints:
         if request.joints.count(joint) > 1:
@@ -168,7 +168,7 @@ def _check_numbers(request: Request) -> None:
             raise ValueError(f"{name} has a number that is not finite; expected finite ones")
 
 
-def white_amplitudes(plan: Plan) -> tuple[tuple[float, ...], ...]:
+def white_amplitudes(plan: CampaignPlan) -> tuple[tuple[float, ...], ...]:
     """Spectra of the multisines, one a moving joint, that reach the drives flat through the plan's loop (section 7.2)."""
     robot, reference = plan.robot, plan.reference
     speed = np.abs(reference.velocity).max(axis=0)
@@ -211,7 +211,7 @@ def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
 
 
 def _reference(
-    robot: Robot, controller: CS8, joints: Sequence[str], pose: Sequence[float], request: Request, name: str
+    robot: Robot, controller: CS8, joints: Sequence[str], pose: Sequence[float], request: ExciteRequest, name: str
 ) -> Trajectory:
     if len(pose) != len(robot.joints):
         raise ValueError(f"{name} has {len(pose)} angles; expected {len(robot.joints)}: {', '.join(robot.joints)}")
@@ -243,7 +243,12 @@ def _reference(
 
 
 def excite_into(
-    request: Request, folder: Path, simulated: bool, tell: Progress, overwrite: bool = False, robot: Robot | None = None
+    request: ExciteRequest,
+    folder: Path,
+    simulated: bool,
+    tell: Progress,
+    overwrite: bool = False,
+    robot: Robot | None = None,
 ) -> list[str]:
     """Write references, robot and campaign file; nothing unless all of it. Returns what is worth knowing, one line each.
 
@@ -319,7 +324,7 @@ def write_reference(trajectory: Trajectory, path: Path) -> None:
     path.write_text("\n".join([",".join(names), *rows]) + "\n", encoding="utf-8")
 
 
-def _campaign(plans: Sequence[Plan], files: Sequence[RunFile], simulated: bool) -> str:
+def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated: bool) -> str:
     first = plans[0]
     if simulated:
         return campaign_text(first, [RunFile(_log_of(f.file), f.role) for f in files])
@@ -342,7 +347,7 @@ def _log_of(file: str) -> str:
     return f"{folder}/runs/{name.removesuffix('.csv')}.parquet"
 
 
-def _words(plans: Sequence[Plan], files: Sequence[RunFile], crest: float) -> list[str]:
+def _words(plans: Sequence[CampaignPlan], files: Sequence[RunFile], crest: float) -> list[str]:
     first = plans[0]
     period = first.reference.period_s or PERIOD_S
     minutes = len(files) * first.periods * period / 60.0

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rx90b_flex.bodies import moments_about_centre
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.physical import moments_about_centre
 from rx90b_flex.simulators.held import Lost
 
 SMALLEST_MASS = 1e-12  # kg, and kg m^2: of a body without any, for simulators divide by it

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from rx90b_flex.bodies import inconsistencies
 from rx90b_flex.export import with_link_parameters
 from rx90b_flex.flexify import read_xml, to_xml
-from rx90b_flex.identify.physical import inconsistencies
 from rx90b_flex.simulators.held import Format, Held, Lost
 
 URDF = Format(

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.identify.camera_command import KINDS, CameraResult
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
-from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
 
@@ -45,8 +45,8 @@ def write_camera_report(result: CameraResult, path: Path) -> None:
         for i, axis in enumerate(axes)
     )
     tables = (
-        Table(("hinge", "stiffness, N m/rad"), rows),
-        Table(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
+        PageTable(("hinge", "stiffness, N m/rad"), rows),
+        PageTable(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
     )
     text = (
         "The joint's frame is fitted with the stiffnesses: an error of it leaks the joint's large angle into the bendings. Moments "

@@ -10,7 +10,7 @@ from pathlib import Path
 import markupsafe
 
 from rx90b_flex.diagnose.check import Checked, check_json
-from rx90b_flex.view.page import Image, Section, Table, template, write_page, write_text
+from rx90b_flex.view.page import Image, PageTable, Section, template, write_page, write_text
 
 STATUSES = ("identifiable", "weak", "not", "known")
 
@@ -120,7 +120,7 @@ def _faults(checked: Checked) -> Section:
         "Each line is a hypothesis about the data that predicts rows it was not fitted to better than no fault does, or "
         "something that shows in the log itself. A factor is what is stated over what is true (seconds for a shift, rad for a zero)."
     )
-    tables = (Table(head, rows, "What was found", numbers=(3, 4)),) if rows else ()
+    tables = (PageTable(head, rows, "What was found", numbers=(3, 4)),) if rows else ()
     return Section("Faults", (text,) if rows else ("None was found.",), tables)
 
 
@@ -133,7 +133,7 @@ def _recordings(checked: Checked) -> Section:
         for r in checked.recordings
     )  # fmt: skip
     head = ("file", "role", "duration, s", "rate, Hz", "at rest, %", "position step, rad", "period, s")
-    return Section("Recordings", facts_words(checked), (Table(head, rows, numbers=(2, 3, 4, 5, 6)),))
+    return Section("Recordings", facts_words(checked), (PageTable(head, rows, numbers=(2, 3, 4, 5, 6)),))
 
 
 def _joints(checked: Checked) -> Section:
@@ -142,7 +142,7 @@ def _joints(checked: Checked) -> Section:
         "Error of the rigid model with basic friction on rows that it was not fitted to, over the torque's standard deviation; "
         "100 % is what a constant leaves."
     )
-    return Section("Joints", (text,), (Table(("joint", "error, %"), rows),) if rows else ())
+    return Section("Joints", (text,), (PageTable(("joint", "error, %"), rows),) if rows else ())
 
 
 def _parameters(checked: Checked) -> Section:
@@ -152,5 +152,5 @@ def _parameters(checked: Checked) -> Section:
         "weak: the standard deviation is a third of the parameter's size or more; not: told only together with others."
     )
     return Section(
-        "What the motion can tell", tuple(text), (Table(("parameter", "status"), rows, numbers=()),) if rows else ()
+        "What the motion can tell", tuple(text), (PageTable(("parameter", "status"), rows, numbers=()),) if rows else ()
     )

@@ -11,7 +11,7 @@ from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.make import MakeParameter, RobotValue
 from rx90b_flex.fleet.robots import REFUSED
 from rx90b_flex.fleet.statistics import CHANGED, FEWEST_OTHERS, STANDS_OUT
-from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 SHOWN_OUT = 3  # parameters of a robot that a sentence names
 NO_BREAK = "\N{NO-BREAK SPACE}"
@@ -79,7 +79,7 @@ def _standing_out(fleet: Fleet) -> Section:
         for o in fleet.robots for p, v in fleet.standing_out(o.name)
     ]  # fmt: skip
     head = ("robot", "parameter", "value", "the others", "p-value", "when", "value before")
-    tables = (Table(head, tuple(rows), numbers=(2, 3, 4, 5, 6)),) if rows else ()
+    tables = (PageTable(head, tuple(rows), numbers=(2, 3, 4, 5, 6)),) if rows else ()
     figure = fleet_figure(fleet)
     images = () if figure is None else (image(figure, "Values of every robot beside the make's mean", CAPTION),)
     text = (
@@ -111,7 +111,9 @@ def _make(fleet: Fleet) -> Section:
         "with what its data hold of it, which is zero within a standard deviation. What a loop found on some robot and the second "
         "fit shows on none is left out here; fleet.csv has it."
     )
-    return Section("What the make has in common", (text,), (Table(head, rows, numbers=(1, 2, 3, 4)),) if rows else ())
+    return Section(
+        "What the make has in common", (text,), (PageTable(head, rows, numbers=(1, 2, 3, 4)),) if rows else ()
+    )
 
 
 def _robots(fleet: Fleet) -> Section:
@@ -126,7 +128,7 @@ def _robots(fleet: Fleet) -> Section:
             (o.name, o.verdict.replace("_", " "), *errors, found, " to ".join(_ends(o.dates)), o.reason or report)
         )
     head = ("robot", "verdict", "error before, %", "after, %", "found", "recorded", "report, or why there is none")
-    return Section("Every robot", (), (Table(head, tuple(rows), numbers=(2, 3)),))
+    return Section("Every robot", (), (PageTable(head, tuple(rows), numbers=(2, 3)),))
 
 
 def _ends(dates: tuple[str, ...]) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.close_flexible import (
     in_order_rms,
 )
 from rx90b_flex.view import frf_plots, modal_plots
-from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.report import number, p_value, percent, unit_text
 
 VERDICTS = {
@@ -74,7 +74,7 @@ def _found(loop: FlexibleLoop) -> Section:
                 number(float(value)), number(float(std)), unit_text(unit) if c.adds else "", f"{f.gain:.1f}", p_value(f.p_value),
             ))  # fmt: skip
     head = ("change", "where", "parameter", "value", "std", "unit", "gain", "chance")
-    tables = (Table(head, tuple(rows), "What the data support", (3, 4, 6, 7)),) if rows else ()
+    tables = (PageTable(head, tuple(rows), "What the data support", (3, 4, 6, 7)),) if rows else ()
     text = (
         "Gain: how much smaller -2 log likelihood is with it, everything else fitted again. Chance: that it explains nothing, "
         f"corrected for {loop.result.tried} changes that might have been tried."
@@ -128,7 +128,7 @@ def _modes(loop: ModalLoop) -> Section:
         "Modes, before and after",
         (text,),
         (
-            Table(
+            PageTable(
                 head,
                 tuple(rows),
                 caption,
@@ -159,7 +159,9 @@ def _responses(loop: ResponseLoop) -> Section:
             for b, a in zip(before, after, strict=True)
         ]
     head = ("lines", "error before", "after", "over stated errors, before", "after")
-    return Section("Frequency responses, before and after", (), (Table(head, tuple(rows), "Errors"),), tuple(figures))
+    return Section(
+        "Frequency responses, before and after", (), (PageTable(head, tuple(rows), "Errors"),), tuple(figures)
+    )
 
 
 def _alternatives(loop: FlexibleLoop) -> Section | None:
@@ -173,7 +175,7 @@ def _alternatives(loop: FlexibleLoop) -> Section | None:
     if not rows:
         return None
     text = "The data cannot tell these from what was found: odds better than 1 to 20. Worse by: of the information criterion."
-    table = Table(("found", "instead", "worse by", "what would tell them apart"), tuple(rows), "", (2,))
+    table = PageTable(("found", "instead", "worse by", "what would tell them apart"), tuple(rows), "", (2,))
     return Section("Alternatives", (text,), (table,))
 
 
@@ -181,7 +183,9 @@ def _refused(loop: FlexibleLoop) -> Section | None:
     rows = tuple((t.change.words, f"{t.gain:.1f}", p_value(t.p_value)) for t in loop.result.refused[:SHOWN])
     if not rows:
         return None
-    return Section("What was refused", ("The best of the last round.",), (Table(("change", "gain", "chance"), rows),))
+    return Section(
+        "What was refused", ("The best of the last round.",), (PageTable(("change", "gain", "chance"), rows),)
+    )
 
 
 def _how(loop: FlexibleLoop) -> Section:

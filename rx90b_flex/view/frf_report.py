@@ -12,7 +12,7 @@ from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
 from rx90b_flex.identify.grey_box import SLOPE, GreyBox
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
-from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.report import unit_text
 
 SHOWN_STARTS = 6
@@ -110,13 +110,13 @@ def _by_replay(result: MotorIdentification) -> Section | None:
              unit_text(e.unit), note)
         )  # fmt: skip
     head = ("parameter", "as measured", "95 % interval", "by replay", "95 % interval", "declared", "unit", "")
-    tables = [Table(head, tuple(rows), "", (1, 2, 3, 4, 5))]
+    tables = [PageTable(head, tuple(rows), "", (1, 2, 3, 4, 5))]
     if replayed.frictions:
         frictions = tuple(
             (_words(f.name), *amounts(f.value, f.std, f.declared), unit_text(f.unit)) for f in replayed.frictions
         )
         caption = "Friction, from how the response changes with the excitation; its standard deviations hold if the form is right"
-        tables.append(Table(("parameter", "value", "std", "declared", "unit"), frictions, caption, (1, 2, 3)))
+        tables.append(PageTable(("parameter", "value", "std", "declared", "unit"), frictions, caption, (1, 2, 3)))
     text = (
         "Friction that reverses distorts the response. The experiments were simulated on the robot as fitted, and what they showed "
         "there beyond a robot with viscous friction was taken off the measured response; then the grey box was fitted again.",
@@ -145,7 +145,7 @@ def _physical(result: MotorIdentification) -> Section | None:
         value, std, low, high, start = amounts(e.value, e.std, e.low, e.high, e.start)
         rows.append((_words(e.name), value, std, f"{low} – {high}", start, unit_text(e.unit), note))
     tables = [
-        Table(
+        PageTable(
             ("parameter", "value", "std", "95 % interval", "declared", "unit", ""),
             tuple(rows),
             "Grey box: fitted to all poses together",
@@ -157,7 +157,7 @@ def _physical(result: MotorIdentification) -> Section | None:
             (d.words.rsplit(":", 1)[0], f"{100 * d.relative_std:.0f} %") for d in grey.directions[:SHOWN_DIRECTIONS]
         )
         caption = "What the data say least: parameters that change together almost unseen, and how far (one standard deviation)"
-        tables.append(Table(("combination", "std"), vague, caption))
+        tables.append(PageTable(("combination", "std"), vague, caption))
     compared = [row for p in result.poses for row in _drive_rows(result, p, grey)]
     if compared:
         head = ("drive", "poles and zeros", "std", "grey box", "std", "unit")
@@ -165,7 +165,7 @@ def _physical(result: MotorIdentification) -> Section | None:
             "Beside it the source's route, from poles and zeros: it counts the modes in the band alone. What lies above the band is "
             "missing in its stiffness, and its standard deviation does not know of that."
         )
-        tables.append(Table(head, tuple(compared), caption, (1, 2, 3, 4)))
+        tables.append(PageTable(head, tuple(compared), caption, (1, 2, 3, 4)))
     text = [
         "Fitted straight to the frequency responses; links and springs are as declared. All values are on the joint side.",
         "Drive stiffness and damping: torsion between motor and link. Joint stiffness and damping 1 and 2: bending about the two "
@@ -254,7 +254,7 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
         return None
     both = zip(fit.resonances_hz, fit.resonances_std_hz(), fit.model.damping_ratio, strict=True)
     head = ("mode", "resonance, Hz", "std, Hz", "damping ratio, -")
-    resonances = Table(
+    resonances = PageTable(
         head,
         tuple((str(k), f"{f:.2f}", f"{s:.2f}", f"{z:.3f}") for k, (f, s, z) in enumerate(both, 1)),
         "Resonances, undamped",
@@ -263,11 +263,11 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
     for j, joint in enumerate(fit.response.joints):
         hz, std = fit.antiresonances(j)
         zeros += [(joint.replace("_", " "), f"{f:.2f}", f"{s:.2f}") for f, s in zip(hz, std, strict=True)]
-    antiresonances = Table(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped")
+    antiresonances = PageTable(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped")
     tables = [resonances, antiresonances]
     if tests is not None:
         rows = tuple((c.name, "pass" if c.passed else "fail", c.found, c.implies) for c in tests.checks)
-        tables.append(Table(("test", "", "found", "what it implies"), rows, "Validation", ()))
+        tables.append(PageTable(("test", "", "found", "what it implies"), rows, "Validation", ()))
     correlation = image(
         transfer_plots.residual_correlation(fit),
         "Correlation of residuals",
@@ -286,7 +286,7 @@ def _residuals(result: MotorIdentification) -> Section | None:
     alike, followed = grey.ended_alike
     best = min(s.cost for s in grey.starts if s.cost is not None)
     costs = [(s.name, f"{s.cost - best:.2f}") for s in grey.starts if s.cost is not None]
-    table = Table(
+    table = PageTable(
         ("start", "cost at its end, above the lowest"),
         tuple(costs[:SHOWN_STARTS]),
         f"{alike} of {followed} starts that were followed to the end agree",
@@ -317,4 +317,4 @@ def _residuals(result: MotorIdentification) -> Section | None:
 def _how(result: MotorIdentification) -> Section:
     rows: Sequence[tuple[str, ...]] = [(stage, f"{s:.1f}") for stage, s in result.seconds.items()]
     text = [*result.remarks, *(f"{x.stage}: left out: {x.why}." for x in result.left_out)]
-    return Section("How it was done", tuple(text), (Table(("stage", "time, s"), tuple(rows)),))
+    return Section("How it was done", tuple(text), (PageTable(("stage", "time, s"), tuple(rows)),))

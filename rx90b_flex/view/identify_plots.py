@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.all_coordinates import Fit
+from rx90b_flex.identify.all_coordinates import CoordinatesFit
 from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED
 
 WIDTH = 6.4  # inches
 
 
-def residual_by_dimension(fit: Fit, true: Array | None = None) -> Figure:
+def residual_by_dimension(fit: CoordinatesFit, true: Array | None = None) -> Figure:
     """Norm of the residual over the number of singular values kept: figure 4.4 of the source.
 
     Parameters
@@ -34,7 +34,7 @@ def residual_by_dimension(fit: Fit, true: Array | None = None) -> Figure:
     return figure
 
 
-def error_by_dimension(fit: Fit, true: Array) -> Figure:
+def error_by_dimension(fit: CoordinatesFit, true: Array) -> Figure:
     """Largest error of a parameter in the essential space over the number of singular values kept: figure 4.5.
 
     Each over its first guess, so that units do not matter.
@@ -45,7 +45,7 @@ def error_by_dimension(fit: Fit, true: Array) -> Figure:
     return figure
 
 
-def _by_dimension(fit: Fit, what: str) -> tuple[Figure, Axes]:
+def _by_dimension(fit: CoordinatesFit, what: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
     ax = figure.subplots()
     ax.axvline(fit.dimension, color=BEFORE, linewidth=0.8, linestyle=":")

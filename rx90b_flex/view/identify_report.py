@@ -9,7 +9,7 @@ import numpy as np
 from rx90b_flex.identify.command import Identified, RoleError
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.view.identify_plots import relative_stds, torque_fit
-from rx90b_flex.view.page import Image, Section, Table, image, write_page
+from rx90b_flex.view.page import Image, PageTable, Section, image, write_page
 from rx90b_flex.view.report import number, unit_text
 
 LARGEST_BARS = 40  # parameters in the figure of standard deviations; the table holds all
@@ -72,7 +72,7 @@ def _errors(result: Identified) -> Section:
         roles.append(("validation", result.validation))
     joints = result.campaign.joints
     rows = tuple((role, f"{100 * e.relative_error:.4g}", *(f"{x:.4g}" for x in e.torque_rms)) for role, e in roles)
-    table = Table(
+    table = PageTable(
         ("recordings", "relative error, %", *(f"{j}, N m" for j in joints)), rows, "Error, and its root mean square a joint"
     )  # fmt: skip
     first = result.predictions[0]
@@ -94,7 +94,7 @@ def _parameters(result: Identified) -> Section:
     free = {f.name: f.value for f in result.fitted}
     rows = tuple((e.name, number(e.value), number(e.std), unit_text(e.unit), _moved(e, free[e.name])) for e in told)
     head = ("parameter", "value", "std", "unit", "fitted without bounds")
-    table = Table(head, rows, "Parameters by themselves", numbers=(1, 2, 4))
+    table = PageTable(head, rows, "Parameters by themselves", numbers=(1, 2, 4))
     images: tuple[Image, ...] = ()
     sized = [(e.name, abs(e.std / e.value)) for e in result.parameters if e.value and e.std]
     if sized:
@@ -123,7 +123,7 @@ def _moved(estimate: Estimate, fitted: float | None) -> str:
 
 def _base(result: Identified) -> Section:
     rows = tuple((b.text, number(b.value), number(b.std), unit_text(b.unit)) for b in result.base)
-    table = Table(("combination", "value", "std", "unit"), rows, "Base parameters", numbers=(1, 2))
+    table = PageTable(("combination", "value", "std", "unit"), rows, "Base parameters", numbers=(1, 2))
     text = "The smallest set of combinations that the torques depend on; each is led by a parameter that stands in no other."
     return Section("Base parameters", (text,), (table,))
 
@@ -139,7 +139,9 @@ def _consistency(result: Identified) -> Section:
     text += bound_words(result)
     rows = tuple((f.link, f"{f.eigenvalue:.4g}", f.message) for f in consistency.found)
     tables = (
-        (Table(("link", "smallest eigenvalue", "reason"), rows, "Links as estimated", numbers=(1,)),) if rows else ()
+        (PageTable(("link", "smallest eigenvalue", "reason"), rows, "Links as estimated", numbers=(1,)),)
+        if rows
+        else ()
     )
     return Section("Physical consistency", tuple(text), tables)
 
@@ -147,7 +149,7 @@ def _consistency(result: Identified) -> Section:
 def _facts(result: Identified) -> Section:
     campaign = result.campaign
     rows = tuple((r.name, r.role, f"{r.duration_s:.4g}", str(r.samples)) for r in campaign.recordings)
-    table = Table(("recording", "role", "duration, s", "samples"), rows, numbers=(2, 3))
+    table = PageTable(("recording", "role", "duration, s", "samples"), rows, numbers=(2, 3))
     cutoff = "no low-pass" if campaign.cutoff_hz is None else f"low-pass at {campaign.cutoff_hz:g} Hz"
     flexible = sorted({e.type_name() for e in result.source.effects if e.virtual})
     text = [f"{campaign.sample_rate_hz:g} Hz, {cutoff}. Weighted least squares, one weight a joint."]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from rx90b_flex.path.measured import MeasuredTip
-from rx90b_flex.view.page import Section, Table, image
+from rx90b_flex.view.page import PageTable, Section, image
 from rx90b_flex.view.plots import AFTER, BEFORE, MEASURED, _figure, _legend
 
 
@@ -33,7 +33,7 @@ def measured_section(of: MeasuredTip) -> Section:
         share = "Without the prediction the measured deviation would be smaller: the model does not explain it."
     text = (f"{how} {share}",)
     figure = image(measured_along_path(of), "Measured and predicted deviation over the length of the path", zoom=True)
-    return Section("Measured against predicted", text, (Table(head, tuple(rows)),), (figure,))
+    return Section("Measured against predicted", text, (PageTable(head, tuple(rows)),), (figure,))
 
 
 def measured_along_path(of: MeasuredTip) -> Figure:

@@ -159,7 +159,7 @@ class View:
 
     title: str
     notes: tuple[str, ...]
-    commands: tuple[_Command, ...]
+    commands: tuple[_ViewerCommand, ...]
     legend: bytes | None = None
 
     def html(self) -> str:
@@ -342,7 +342,7 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
 
 
 @dataclass(frozen=True)
-class _Command:
+class _ViewerCommand:
     """A command as meshcat's server and page take it; `live_only` where the saved page has another place for what it shows."""
 
     kind: str
@@ -355,13 +355,13 @@ class _Recorder:
     """Stands where meshcat's visualizer has its window, and keeps the commands."""
 
     def __init__(self) -> None:
-        self.commands: list[_Command] = []
+        self.commands: list[_ViewerCommand] = []
         self.live_only = False
 
     def send(self, command: Any) -> None:
         lowered = command.lower()
         packed = umsgpack.packb(lowered)
-        self.commands.append(_Command(lowered["type"], lowered["path"], packed, self.live_only))
+        self.commands.append(_ViewerCommand(lowered["type"], lowered["path"], packed, self.live_only))
 
 
 class _Builder:

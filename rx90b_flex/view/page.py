@@ -32,7 +32,7 @@ class Image:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """Rows under a head; columns of numbers stand to the right.
 
     Attributes
@@ -59,7 +59,7 @@ class Section:
 
     title: str
     text: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
+    tables: tuple[PageTable, ...] = ()
     images: tuple[Image, ...] = ()
 
 

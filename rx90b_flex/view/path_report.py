@@ -10,7 +10,7 @@ from rx90b_flex.path.check import MODEL_ERROR, Deviation, PathCheck
 from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.view import path_plots
 from rx90b_flex.view.measured_section import measured_section
-from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 SHOWN_STRETCHES = 12
 
@@ -40,7 +40,7 @@ def _lead(result: PathCheck) -> list[str]:
 def _deviation(result: PathCheck) -> Section:
     cases = [("as planned", result.before), *([("corrected", result.after)] if result.after is not None else [])]
     head = ("path", "across, largest, mm", "RMS, mm", "at, mm", "along, largest, mm", "millimetres that pass")
-    tables = [Table(head, tuple(_row(name, of, result.options.tolerance_mm) for name, of in cases))]
+    tables = [PageTable(head, tuple(_row(name, of, result.options.tolerance_mm) for name, of in cases))]
     tables += [_stretches(f"{name}: stretches that fail", of, result.options.tolerance_mm) for name, of in cases]
     figures = (
         image(
@@ -61,12 +61,12 @@ def _row(name: str, of: Deviation, tolerance_mm: float) -> tuple[str, ...]:
     return name, *texts, f"{int(within.sum())} of {len(within)}"
 
 
-def _stretches(caption: str, of: Deviation, tolerance_mm: float) -> Table:
+def _stretches(caption: str, of: Deviation, tolerance_mm: float) -> PageTable:
     failing = of.failing(tolerance_mm)
     worst = sorted(sorted(failing, key=lambda x: -x[2])[:SHOWN_STRETCHES])
     rows = tuple((f"{a}", f"{b}", f"{c:.3f}" if np.isfinite(c) else "not reached") for a, b, c in worst)
     more = f" (the worst {SHOWN_STRETCHES} of {len(failing)})" if len(failing) > SHOWN_STRETCHES else ""
-    return Table(("from, mm", "to, mm", "largest, mm"), rows, caption + more, (0, 1, 2))
+    return PageTable(("from, mm", "to, mm", "largest, mm"), rows, caption + more, (0, 1, 2))
 
 
 def _why(result: PathCheck) -> Section | None:
@@ -78,10 +78,10 @@ def _why(result: PathCheck) -> Section | None:
         for c in done
     )
     head = ("effect", "across, RMS, mm", "across, largest, mm", "along, largest, mm", "RMS across left without it, mm")
-    tables = [Table(head, rows)]
+    tables = [PageTable(head, rows)]
     left = tuple((c.name, c.why_not or "") for c in result.contributions if c.why_not is not None)
     if left:
-        tables.append(Table(("not switched off", "why"), left, numbers=()))
+        tables.append(PageTable(("not switched off", "why"), left, numbers=()))
     text = (
         f"Each effect is switched off in turn; its contribution is what that changes. Its own size may exceed the whole: effects "
         f"cancel each other. Links and controller is what is left with all of them off. {result.left_over:.3g} mm RMS of the "
@@ -100,7 +100,7 @@ def _corrected(result: PathCheck) -> Section | None:
         for name, of in result.wrong_model
     )
     head = ("robot", "across, largest, mm", "RMS, mm", "at, mm", "along, largest, mm", "millimetres that pass")
-    tables = (Table(head, rows, "The corrected path on a robot that differs from the model"),) if rows else ()
+    tables = (PageTable(head, rows, "The corrected path on a robot that differs from the model"),) if rows else ()
     text = (
         "The reference is displaced against the deviation that the model predicts, and this is repeated on the simulation. "
         "corrected_path.csv has the corrected reference in space and in joint angles, corrected_joints.csv the angles alone "
@@ -118,4 +118,4 @@ def _how(result: PathCheck) -> Section:
         "Planned for the rigid robot; simulated with all declared effects under the joint controllers, without noise. The robot "
         "rests before and after the path."
     )
-    return Section("How it was done", (text,), (Table(("stage", "time, s"), rows),))
+    return Section("How it was done", (text,), (PageTable(("stage", "time, s"), rows),))

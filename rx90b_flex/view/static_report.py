@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex.identify.static_command import StaticResult
-from rx90b_flex.view.page import Section, Table, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.static_plots import static_test_figure
 
 ALIKE = 0.01  # p-value below which loading and unloading are said to differ
@@ -56,5 +56,5 @@ def write_static_report(result: StaticResult, path: Path) -> None:
         path,
         f"Dead-weight tests of {result.source.path.name}",
         headline(result),
-        [Section("Tests", (text,), (Table(head, tuple(rows)),), (figure,))],
+        [Section("Tests", (text,), (PageTable(head, tuple(rows)),), (figure,))],
     )

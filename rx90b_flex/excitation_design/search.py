@@ -9,11 +9,11 @@ line's amplitude and phase are chosen so that the regressor of equations 3.85-3.
 the parameters that can be told at all) has the smallest condition number, or the largest determinant, while angles,
 speeds, torques and distances keep to their limits.
 
-During the search the flexible motion is predicted, not simulated (`rx90b_flex.excitation.prediction`). The motion that
+During the search the flexible motion is predicted, not simulated (`rx90b_flex.excitation_design.prediction`). The motion that
 results is then simulated in full, and judged by that.
 
     import rx90b_flex as rf
-    from rx90b_flex.excitation.design import design_excitation
+    from rx90b_flex.excitation_design.search import design_excitation
     from rx90b_flex.simulate import load_cs8
 
     design = design_excitation(rf.load_robot("rx90b_4dof"), seed=0, controller=load_cs8())
@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.excitation.limits import Limits, Margins
-from rx90b_flex.excitation.prediction import Candidate, Frame, Prediction
-from rx90b_flex.excitation.regressor_slope import regressor_slope
+from rx90b_flex.excitation_design.limits import Limits, Margins
+from rx90b_flex.excitation_design.prediction import CandidateMotion, Frame, PrecisionPrediction
+from rx90b_flex.excitation_design.regressor_slope import regressor_slope
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.closed_loop import Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, drive_places
@@ -155,7 +155,7 @@ def steady_states(run: Simulation) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _DesignProblem:
     """What is designed, and how a vector of unknowns, each of order one, becomes a candidate.
 
     Attributes
@@ -179,16 +179,16 @@ class _Problem:
         torque = np.tile(limits.feedforward / np.sqrt(max(len(frame.hz), 1)), (len(frame.hz), 1))
         return np.vstack([np.ones_like(limits.velocity), speed]), torque
 
-    def candidate(self, x: Array) -> Candidate:
+    def candidate(self, x: Array) -> CandidateMotion:
         """Unknowns in SI units."""
         of_motion = np.zeros(self._units[0].shape)
         of_torque = np.zeros(self._units[1].shape, dtype=complex)
         joints = int(self.moving.sum())
         motion, real, imaginary = np.split(x.reshape(-1, joints), np.cumsum([len(of_motion), len(of_torque)]))
         of_motion[:, self.moving], of_torque[:, self.moving] = motion, real + 1j * imaginary
-        return Candidate(of_motion * self._units[0], np.asarray(of_torque * self._units[1]))
+        return CandidateMotion(of_motion * self._units[0], np.asarray(of_torque * self._units[1]))
 
-    def unknowns(self, c: Candidate) -> Array:
+    def unknowns(self, c: CandidateMotion) -> Array:
         """Of a candidate in SI units."""
         return self._in_order(c.motion / self._units[0], np.asarray(c.torque / self._units[1]))
 
@@ -219,15 +219,15 @@ class _Problem:
         distance = self.frame.limits.distances(self.frame.rigid.tree, pose)
         return bool((self.frame.limits.excess(pose, still, torque, distance) <= 0.0).all())
 
-    def at(self, times: Array) -> _Problem:
+    def at(self, times: Array) -> _DesignProblem:
         """The same at other instants."""
         return dataclasses.replace(self, frame=dataclasses.replace(self.frame, times=times))
 
-    def corrected(self, design: Design, c: Candidate) -> _Problem:
+    def corrected(self, design: Design, c: CandidateMotion) -> _DesignProblem:
         """The same with what the simulation of a candidate's design has and its prediction does not."""
         frame = dataclasses.replace(self.frame, times=self.frame.every_instant, missed=None)
         simulated = (signal.resample(x, len(frame.times), axis=0) for x in steady_states(design.simulation))
-        q, v, a = (one - other for one, other in zip(simulated, Prediction(frame, c).motion, strict=True))
+        q, v, a = (one - other for one, other in zip(simulated, PrecisionPrediction(frame, c).motion, strict=True))
         return dataclasses.replace(self, frame=dataclasses.replace(frame, missed=(q, v, a)))
 
     def value(self, told: Assessment) -> float:
@@ -236,14 +236,14 @@ class _Problem:
             np.log(told.condition) if self.objective == "condition" else -told.information / len(told.singular_values)
         )
 
-    def assess(self, c: Candidate) -> Assessment:
+    def assess(self, c: CandidateMotion) -> Assessment:
         """By the predicted motion."""
-        motion = Prediction(self.frame, c).motion
+        motion = PrecisionPrediction(self.frame, c).motion
         return assess(self.frame.robot.regressor(*motion), self.scale, self.essential)
 
-    def excess(self, c: Candidate) -> float:
+    def excess(self, c: CandidateMotion) -> float:
         """Largest excess of any limit; see `Limits.excess`."""
-        return float(Prediction(self.frame, c).excess.max())
+        return float(PrecisionPrediction(self.frame, c).excess.max())
 
     def look(self, x: Array, sharpness: float) -> tuple[float, Array, float]:
         """Smooth objective with a penalty for passing limits, its gradient, and the plain objective with that penalty.
@@ -256,7 +256,7 @@ class _Problem:
         of the condition number. The penalty is k times the sum of squared excesses of all limits and instants.
         """
         frame = self.frame
-        predicted = Prediction(frame, self.candidate(x))
+        predicted = PrecisionPrediction(frame, self.candidate(x))
         regressor = frame.robot.regressor(*predicted.motion)
         columns = (regressor * self.scale).reshape(-1, len(self.scale)) @ self.essential
         values, directions = np.linalg.eigh(columns.T @ columns / len(frame.times))
@@ -281,12 +281,12 @@ class _Problem:
 
     def cost(self, x: Array, sharpness: float) -> float:
         """The plain objective with its penalty, by which random excitations are ranked."""
-        predicted = Prediction(self.frame, self.candidate(x))
+        predicted = PrecisionPrediction(self.frame, self.candidate(x))
         told = assess(self.frame.robot.regressor(*predicted.motion), self.scale, self.essential)
         return float(self.value(told) + sharpness * np.sum(np.maximum(predicted.excess, 0.0) ** 2))
 
 
-def essential_space(problem: _Problem, rng: np.random.Generator, draws: int = 4) -> Array:
+def essential_space(problem: _DesignProblem, rng: np.random.Generator, draws: int = 4) -> Array:
     """Orthonormal directions, in scaled parameters, that some motion of this kind tells; shape (p, r).
 
     Every direction that a few random excitations together leave below `RANK_TOLERANCE` is taken as not there: what no
@@ -294,7 +294,7 @@ def essential_space(problem: _Problem, rng: np.random.Generator, draws: int = 4)
     """
     parts = []
     for _ in range(draws):
-        motion = Prediction(problem.frame, problem.candidate(problem.draw(rng))).motion
+        motion = PrecisionPrediction(problem.frame, problem.candidate(problem.draw(rng))).motion
         parts.append((problem.frame.robot.regressor(*motion) * problem.scale).reshape(-1, len(problem.scale)))
     _, values, directions = np.linalg.svd(np.concatenate(parts), full_matrices=False)
     return directions[values > RANK_TOLERANCE * values[0]].T
@@ -440,7 +440,7 @@ def design_excitation(
         x = problem.draw(rng)
         drawn.append((problem.cost(x, STAGES[0].sharpness), k, x))
     placed = len(problem.frame.hz) > 0 and (spectrum is None or isinstance(spectrum, str))
-    search = _Search(evaluations, samples, rng, tell)
+    search = _DesignSearch(evaluations, samples, rng, tell)
     found = []
     for start, (_, _, x) in enumerate(sorted(drawn)[:starts]):
         own, x = _on_own_modes(problem, x, rng) if placed else (problem, x)
@@ -462,7 +462,7 @@ def _jittered(samples: int, period_s: float, rng: np.random.Generator) -> Array:
     return (np.arange(samples) + rng.uniform(0.0, 1.0, samples)) / samples * period_s
 
 
-def _on_own_modes(problem: _Problem, x: Array, rng: np.random.Generator) -> tuple[_Problem, Array]:
+def _on_own_modes(problem: _DesignProblem, x: Array, rng: np.random.Generator) -> tuple[_DesignProblem, Array]:
     """The problem with its lines on the modes at the centre of a motion, and the unknowns of that motion with them."""
     frame, centre = problem.frame, problem.candidate(x).centre
     hz, _ = _spectrum(frame.robot, frame.controller, centre, "on_modes", frame.period_s, frame.harmonics)
@@ -471,7 +471,7 @@ def _on_own_modes(problem: _Problem, x: Array, rng: np.random.Generator) -> tupl
     return moved, np.concatenate([x[:motion], moved.draw(rng)[motion:]])
 
 
-class _Search:
+class _DesignSearch:
     """Searches that share a number of evaluations."""
 
     def __init__(self, evaluations: int, samples: int, rng: np.random.Generator, tell: Progress) -> None:
@@ -483,7 +483,9 @@ class _Search:
         """That is done of the design."""
         return 0.05 + 0.95 * min(1.0, len(self.history) / self.evaluations)
 
-    def improve(self, problem: _Problem, start: int, x: Array, stage: Stage, part: float = 1.0) -> tuple[float, Array]:
+    def improve(
+        self, problem: _DesignProblem, start: int, x: Array, stage: Stage, part: float = 1.0
+    ) -> tuple[float, Array]:
         """Best value and unknowns of a part of a stage, from x."""
         period_s = problem.frame.period_s
         count = max(1, round(stage.samples * self.samples))
@@ -506,7 +508,7 @@ class _Search:
         return best
 
 
-def _shown(problem: _Problem, cost: float) -> str:
+def _shown(problem: _DesignProblem, cost: float) -> str:
     if problem.objective == "information":
         return f"log determinant {-2.0 * cost * problem.essential.shape[1]:.1f}"
     return f"condition number about {np.exp(min(cost, 50.0)):.0f}"
@@ -524,7 +526,7 @@ def _problem(
     samples: int,
     points: int,
     rng: np.random.Generator,
-) -> _Problem:
+) -> _DesignProblem:
     if objective not in ("condition", "information"):
         raise ValueError(f"objective is {objective!r}; expected 'condition' or 'information'")
     for name in moving or ():
@@ -538,7 +540,7 @@ def _problem(
     times = _jittered(max(1, round(STAGES[0].samples * samples)), period_s, rng)
     frame = Frame(robot, controller, limits, period_s, harmonics, hz, times, points)
     scale = column_scale(robot)
-    problem = _Problem(frame, moves, scale, objective, np.eye(len(scale)))
+    problem = _DesignProblem(frame, moves, scale, objective, np.eye(len(scale)))
     return dataclasses.replace(problem, essential=essential_space(problem, rng))
 
 
@@ -575,7 +577,7 @@ def _spectrum(
     return lines / period_s, harmonics
 
 
-def _within(problem: _Problem, c: Candidate) -> Candidate:
+def _within(problem: _DesignProblem, c: CandidateMotion) -> CandidateMotion:
     """The largest of the same shape that keeps to the limits, as predicted."""
 
     def outside(share: float) -> bool:
@@ -590,7 +592,9 @@ def _within(problem: _Problem, c: Candidate) -> Candidate:
     return c.scaled(low, low)
 
 
-def _simulated_within(problem: _Problem, c: Candidate, search: _Search, tell: Progress) -> tuple[Design, Candidate]:
+def _simulated_within(
+    problem: _DesignProblem, c: CandidateMotion, search: _DesignSearch, tell: Progress
+) -> tuple[Design, CandidateMotion]:
     """Simulate; as long as the robot passes a limit, make the multisine smaller, then the motion too."""
     problem = problem.at(problem.frame.every_instant)
     name, flexible = problem.frame.robot.name, len(problem.frame.hz) > 0
@@ -605,7 +609,7 @@ def _simulated_within(problem: _Problem, c: Candidate, search: _Search, tell: Pr
     raise ValueError(f"{name}: the simulated robot passes a limit on every try; {design.margins()}")
 
 
-def _design(problem: _Problem, c: Candidate, history: Array) -> Design:
+def _design(problem: _DesignProblem, c: CandidateMotion, history: Array) -> Design:
     frame = problem.frame
     time = frame.every_instant
     position, velocity, _ = c.references(time, frame.period_s)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.excitation.limits import Limits
+from rx90b_flex.excitation_design.limits import Limits
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.trajectories import RATE_HZ
@@ -32,7 +32,7 @@ CHECKS = 128  # instants of a period at which torques without vibration, and dis
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CandidateMotion:
     """An excitation as numbers.
 
     Attributes
@@ -51,9 +51,9 @@ class Candidate:
         """Mean of the references, shape (joints,), rad."""
         return self.motion[0]
 
-    def scaled(self, motion: float, torque: float) -> Candidate:
+    def scaled(self, motion: float, torque: float) -> CandidateMotion:
         """Smaller or larger motion about the same centre, smaller or larger multisine."""
-        return Candidate(np.concatenate([self.motion[:1], motion * self.motion[1:]]), torque * self.torque)
+        return CandidateMotion(np.concatenate([self.motion[:1], motion * self.motion[1:]]), torque * self.torque)
 
     def references(self, time: Array, period_s: float) -> Motion:
         """Position, velocity and acceleration of the references, each (N, joints)."""
@@ -211,11 +211,11 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PrecisionPrediction:
     """What one candidate will do."""
 
     frame: Frame
-    candidate: Candidate
+    candidate: CandidateMotion
 
     # ---- motion -----------------------------------------------------------------------------------------
 
@@ -291,7 +291,7 @@ class Prediction:
 
     # ---- gradient ---------------------------------------------------------------------------------------
 
-    def slope(self, by_motion: Motion, by_excess: Array) -> Candidate:
+    def slope(self, by_motion: Motion, by_excess: Array) -> CandidateMotion:
         """Change of a number by the candidate's, from its change by `motion`, each (N, n), and by `excess`.
 
         Real and imaginary parts of a line are its ``torque.real`` and ``torque.imag``.
@@ -326,7 +326,7 @@ class Prediction:
         if len(frame.hz):
             more_motion, more_torque = self._through_response(by_vibration)
             of_motion, of_torque = of_motion + more_motion, of_torque + more_torque
-        return Candidate(of_motion, np.asarray(np.conj(of_torque)))
+        return CandidateMotion(of_motion, np.asarray(np.conj(of_torque)))
 
     def _through(self, function: Callable[..., Array], time: Array, weight: Array, orders: int = 3) -> Array:
         """Change of ``sum(weight * function(references at time))`` by the references' harmonics, (1 + 2 H, joints)."""

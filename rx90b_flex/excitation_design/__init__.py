@@ -1,0 +1,1 @@
+"""Motions that a robot is identified from best: what they tell, what a robot can do, and the search among them."""

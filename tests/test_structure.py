@@ -1,0 +1,52 @@
+"""Claims about the package's own structure: which folder imports which, and what a name stands for."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import rx90b_flex
+
+ROOT = Path(rx90b_flex.__file__).parent
+SOURCES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(ROOT.rglob("*.py"))}
+FRONT = ("__init__", "__main__", "verbs", "cli")  # public names and commands, made of everything else
+
+
+def part(path: Path) -> str:
+    """Folder of the package, or file of its top level."""
+    inside = path.relative_to(ROOT)
+    return inside.parts[0] if len(inside.parts) > 1 else inside.stem
+
+
+def imports(tree: ast.Module) -> Iterator[str]:
+    """Modules of the package that a file imports as it is loaded."""
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("rx90b_flex."):
+            yield str(node.module)
+
+
+def test_no_folder_imports_one_that_imports_it() -> None:
+    graph: dict[str, set[str]] = {}
+    for path, tree in SOURCES.items():
+        if part(path) not in FRONT:
+            others = {module.split(".")[1] for module in imports(tree)} - {part(path)}
+            graph.setdefault(part(path), set()).update(others)
+    try:
+        list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise AssertionError(f"a circle: {' -> '.join(error.args[1])}") from None
+
+
+def test_effects_and_files_know_nothing_of_robots() -> None:
+    for path, tree in SOURCES.items():
+        if part(path) in ("effects", "files"):
+            wrong = [m for m in imports(tree) if m.split(".")[1] not in ("effects", "files", "compiled")]
+            assert not wrong, f"{path}: {wrong}"
+
+
+def test_a_class_name_stands_for_one_thing() -> None:
+    names = Counter(n.name for tree in SOURCES.values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
+    assert [name for name, count in names.items() if count > 1] == []
