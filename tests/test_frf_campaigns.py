@@ -124,7 +124,7 @@ def test_a_campaign_with_many_faults_is_used_where_it_is_sound_and_each_fault_is
     second = recordings_at(ROBOT, BENT[1], rng, noise=0.01, name="two")
     file = write(tmp_path / "c", ROBOT, [*first, *changed(second, lambda name: "_3_" not in name)])
     # one number of modes, one start and no figures: none of them are what this is about, all take long
-    monkeypatch.setattr(frf_command, "Options", functools.partial(FrfOptions, starts=0, modes=(5,)))
+    monkeypatch.setattr(frf_command, "FrfOptions", functools.partial(FrfOptions, starts=0, modes=(5,)))
     monkeypatch.setattr("rx90b_flex.view.frf_report.write_frf_report", lambda result, path: path.write_text("report"))
     assert run(file, tmp_path / "out", monkeypatch, "--high-hz", "300") == 0
     said = capsys.readouterr().out

@@ -170,7 +170,7 @@ def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_remov
     options = functools.partial(
         FrfOptions, starts=0, modes=(5,)
     )  # neither many starts nor orders are what this is about
-    monkeypatch.setattr(frf_command, "Options", options)
+    monkeypatch.setattr(frf_command, "FrfOptions", options)
     no_picture = Image("", "", 1, 1, "")
     monkeypatch.setattr("rx90b_flex.view.frf_report.image", lambda figure, alt, caption="", zoom=False: no_picture)
     arguments = ["frf", str(with_dry_friction), "--out", str(out), "--jobs", "1", "--high-hz", "45"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rx90b_flex.bodies import inconsistencies, pseudo_inertia
+from rx90b_flex.bodies import inconsistencies, moments_about_centre, pseudo_inertia
 from rx90b_flex.identify import physical
 from rx90b_flex.identify.least_squares import solve_weighted
 from rx90b_flex.identify.physical import consistent_parameters
@@ -25,7 +25,7 @@ def cloud(rng: np.random.Generator, points: int = 12) -> np.ndarray:
 
 def moved_to_centre(body: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre of mass, and principal moments and axes about it."""
-    centre, moments = physical.moments_about_centre(body)
+    centre, moments = moments_about_centre(body)
     values, axes = np.linalg.eigh(moments)
     return centre, values, axes
 
