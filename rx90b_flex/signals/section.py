@@ -62,12 +62,13 @@ class CampaignSection:
             raise self.problem(key, f"found {shown(value)}, a list of texts is expected")
         return tuple(value)
 
-    def numbers(self, key: str, count: int) -> Array:
+    def numbers(self, key: str, count: int, meant: str = "joints lists") -> Array:
+        """So many finite numbers; `meant` is what asks for as many."""
         value = self._get(key)
         if not isinstance(value, list):
             raise self.problem(key, f"found {shown(value)}, a list of {count} numbers is expected")
         if len(value) != count:
-            raise self.problem(key, f"lists {len(value)} values, joints lists {count}")
+            raise self.problem(key, f"lists {len(value)} values, {meant} {count}")
         return np.array([self.finite(key, item) for item in value])
 
     def square(self, key: str, count: int) -> Array:

@@ -49,7 +49,7 @@ def read_accelerometers(root: CampaignSection) -> tuple[tuple[Accelerometer, ...
         for name in names:
             if [*columns, *names].count(name) > 1:
                 raise section.problem("columns", f"column {name!r} is listed twice")
-        x, y, z = section.numbers("position", 3).tolist()
+        x, y, z = section.numbers("position", 3, "a place has").tolist()
         sensors.append(Accelerometer(section.text("link"), (x, y, z)))
         columns += names
     return tuple(sensors), tuple(columns)
