@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -50,3 +51,11 @@ def test_effects_and_files_know_nothing_of_robots() -> None:
 def test_a_class_name_stands_for_one_thing() -> None:
     names = Counter(n.name for tree in SOURCES.values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
     assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_the_files_that_the_architecture_page_names_are_there() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w/]+(?:\.py|/))`", text)
+    assert len(named) > 50
+    missing = [name for name in named if not ((ROOT.parent if name.startswith("tests") else ROOT) / name).exists()]
+    assert missing == []

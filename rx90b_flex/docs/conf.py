@@ -38,7 +38,7 @@ napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_custom_sections = [("Attributes", "params_style"), "Signature", "Neighbours", "Source"]
 
-exclude_patterns = ["study_table.md", "study_frequency_table.md"]  # parts of study.md
+exclude_patterns = ["study_forms_table.md", "study_table.md", "study_frequency_table.md"]  # parts of study.md
 html_theme = "furo"
 html_title = "rx90b_flex"
 html_show_sourcelink = False
