@@ -277,7 +277,7 @@ def frf(
     ] = 0.1,
     references: Annotated[
         Path | None,
-        typer.Option(help="Folder references/ of `rx90b-flex excite`, where the logs lack the feed-forward torque."),
+        typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
     mains_hz: Annotated[

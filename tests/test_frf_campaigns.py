@@ -228,6 +228,40 @@ def test_logs_without_feedforward_take_it_from_the_references_that_were_sent(
     assert f"no {SMALL[4].name}.csv" in capsys.readouterr().err
 
 
+def test_references_beside_a_campaign_are_taken_without_being_asked_for(tmp_path: Path) -> None:
+    """`excite` writes them there; where torques fed forward were logged, these say when in its period a log began."""
+    file = write(tmp_path / "c", ROBOT, SMALL)
+    logs = load_campaign(file).identification
+    assert all(r.feedforward_torque is not None and r.reference_position is None for r in logs)
+    remarks: list[str] = []
+    campaign = load_campaign(file)
+    assert frf_command.with_references(campaign, None, remarks) == campaign.identification and remarks == []
+    sent = file.parent / "references"
+    sent.mkdir()
+    for r in SMALL:
+        period = Trajectory(r.name, r.joints, r.sample_rate_hz, r.position, r.torque, r.feedforward_torque).part(
+            0, SAMPLES / RATE
+        )
+        write_reference(period, sent / f"{r.name}.csv")
+    for log, r in zip(frf_command.with_references(campaign, None, remarks), SMALL, strict=True):
+        assert log.reference_position is not None
+        np.testing.assert_allclose(log.reference_position[:SAMPLES], r.position[:SAMPLES], atol=1e-8)
+    assert remarks == []
+    late = begun_later(logs[0], 100)
+    assert logs[0].feedforward_torque is not None
+    late = dataclasses.replace(late, feedforward_torque=np.roll(logs[0].feedforward_torque, -100, axis=0))
+    found = frf_command.with_reference(late, sent)
+    assert found.reference_position is not None
+    whole = np.roll(np.tile(SMALL[0].position[:SAMPLES], (2, 1)), -100, axis=0)[:SAMPLES]
+    np.testing.assert_allclose(found.reference_position[:SAMPLES], whole, atol=1e-8)
+    other = dataclasses.replace(late, feedforward_torque=3.0 * np.asarray(late.feedforward_torque))
+    with pytest.raises(ValueError, match="its torques are not those"):
+        frf_command.with_reference(other, sent)
+    (sent / f"{SMALL[0].name}.csv").unlink()
+    assert frf_command.with_references(campaign, None, remarks) == campaign.identification
+    assert len(remarks) == 1 and f"no {SMALL[0].name}.csv" in remarks[0]
+
+
 def begun_later(r: Recording, samples: int) -> Recording:
     """The same log, begun so much later in the period."""
     return dataclasses.replace(

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-CONTROLLER = "controller.toml"  # beside the campaign file
+CONTROLLER, REFERENCES = "controller.toml", "references"  # beside the campaign file
+OTHER_TORQUES = 0.1  # relative, by which torques that were logged are not those of a reference
 LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this far from the declared one is no start
 
 
@@ -219,12 +220,9 @@ def identify_from_motors(
             raise ValueError(f"{campaign.path}: accelerometer on {sensor.link!r}; {close_match(sensor.link, links)}")
     controller = _controller(campaign.path, options.controller)
     stages = _Stages(tell)
-    recordings = campaign.identification
-    if options.references is not None:
-        recordings = tuple(with_reference(r, options.references) for r in recordings)
-    groups = group_poses(recordings)
-    poses: list[AtPose] = []
     remarks: list[str] = []
+    groups = group_poses(with_references(campaign, options.references, remarks))
+    poses: list[AtPose] = []
     for place, group in enumerate(groups):
         found = _at_pose(
             f"pose {place + 1}", group, robot, campaign.accelerometers, options, stages, (place / len(groups), len(groups))
@@ -253,18 +251,35 @@ def identify_from_motors(
     )  # fmt: skip
 
 
+def with_references(campaign: Campaign, folder: Path | None, remarks: list[str]) -> tuple[Recording, ...]:
+    """The recordings to identify on, with what was sent: from a folder that is given, or from that beside the campaign."""
+    recordings = campaign.identification
+    if folder is not None:
+        return tuple(with_reference(r, folder) for r in recordings)
+    beside = campaign.path.parent / REFERENCES
+    if not beside.is_dir():
+        return recordings
+    try:
+        return tuple(with_reference(r, beside) for r in recordings)
+    except ValueError as error:
+        remarks.append(f"{beside} is left aside: {error}")
+        return recordings
+
+
 def with_reference(recording: Recording, folder: Path) -> Recording:
     """A log with what the file holds that was sent: of its name, in the folder or in one of its own folder's name.
 
-    When the log began within the period does not matter, as long as all logs began alike. References that were logged are
-    replaced, too, so that they begin with the torques fed forward.
+    Where the torques fed forward were logged, they say when in the period the log began. Where not, that does not matter, as long as
+    all logs began alike; references that were logged are then replaced, too, so that they begin with the torques fed forward.
 
     Raises
     ------
     ValueError
-        No such file, or one of another period.
+        No such file, one of another period, or with other torques than were fed forward.
     """
-    if recording.feedforward_torque is not None or recording.period_samples is None or recording.source is None:
+    fed = recording.feedforward_torque
+    known = fed is not None and recording.reference_position is not None and recording.reference_velocity is not None
+    if known or recording.period_samples is None or recording.source is None:
         return recording
     file = f"{recording.source.name.split('.')[0]}.csv"
     places = [folder / recording.source.parent.name / file, folder / file]
@@ -282,10 +297,24 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
         )
     size = recording.period_samples
     wave = values[:, 1:] if len(values) == size else resample(values[:, 1:], size, axis=0)
+    if fed is not None:
+        wave, off = _begun_with(fed[:size], wave, 2 * len(recording.joints))
+        if off > OTHER_TORQUES:
+            raise ValueError(f"{found}: its torques are not those that {recording.name} was fed ({off:.0%} off)")
     position, velocity, torque = (np.resize(part, recording.torque.shape) for part in np.split(wave, 3, axis=1))
     return dataclasses.replace(
-        recording, reference_position=position, reference_velocity=velocity, feedforward_torque=torque
+        recording,
+        reference_position=position,
+        reference_velocity=velocity,
+        feedforward_torque=torque if fed is None else fed,
     )
+
+
+def _begun_with(fed: Array, wave: Array, first: int) -> tuple[Array, float]:
+    """A period (N, k) begun where its columns from `first` on are the torques (N, n); and how much these then differ."""
+    product = (np.fft.rfft(fed, axis=0) * np.fft.rfft(wave[:, first:], axis=0).conj()).sum(axis=1)
+    rolled = np.roll(wave, int(np.argmax(np.fft.irfft(product, len(fed)))), axis=0)
+    return rolled, float(np.linalg.norm(rolled[:, first:] - fed) / max(float(np.linalg.norm(fed)), 1e-300))
 
 
 def _of(pose: str, text: str, poses: int) -> str:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import joblib
 import numpy as np
+from scipy.signal import resample
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.friction import ViscousFriction, friction_side
@@ -89,7 +90,8 @@ class Replay:
             raise ValueError(
                 f"recordings {kept[0].name!r} and {apart[0]!r} differ in their references; replay one motion at a time"
             )
-        return cls(tuple(map(_two_periods, kept)), tuple(_period(r, r, 0) for r in kept), measured, controller)
+        sent = tuple(_two_periods(r, controller.reference_rate_hz) for r in kept)
+        return cls(sent, tuple(_period(r, r, 0) for r in kept), measured, controller)
 
     def responses(self, robot: Robot) -> ComplexArray:
         """Response of each realisation on that robot, shape (R, F, n, n)."""
@@ -108,24 +110,36 @@ class Replay:
         return own.realisations
 
 
-def _two_periods(recording: Recording) -> Trajectory:
-    one = from_recording(recording)
-    samples = recording.period_samples or 0
-    first = one.part(0.0, samples / one.rate_hz)
-    period = recording.period_s or 0.0
-    return first.repeated(3).part(0.0, 2.0 * period + TAIL_S)
+def _two_periods(recording: Recording, rate_hz: float) -> Trajectory:
+    """Two periods and a tail of what was sent, at the rate at which a controller takes references."""
+    period, samples = recording.period_s or 0.0, recording.period_samples or 0
+    count = round(period * rate_hz)
+    if abs(period * rate_hz - count) > 1e-6 * max(count, 1):
+        raise ValueError(
+            f"recording {recording.name!r}: a period of {period:g} s holds no whole number of references at {rate_hz:g} Hz"
+        )
+    logged = from_recording(recording)
+    parts = (logged.position, logged.velocity, logged.torque)
+    one = [None if x is None else _resampled(x[:samples], count) for x in parts]
+    once = Trajectory(recording.name, recording.joints, rate_hz, one[0], one[1], one[2], period)
+    return once.repeated(3).part(0.0, 2.0 * period + TAIL_S)
+
+
+def _resampled(period: Array, count: int) -> Array:
+    """One period (N, n) with so many samples, by its Fourier series."""
+    return period if len(period) == count else np.asarray(resample(period, count, axis=0))
 
 
 def _period(measured: Recording, of: Recording, number: int) -> Recording:
-    """One period of angles and torques, as if the measured recording were no longer."""
-    samples = measured.period_samples or 0
-    rows = slice(number * samples, (number + 1) * samples)
+    """One period of angles and torques, as if the measured recording were no longer; at its rate."""
+    samples, own = measured.period_samples or 0, round((measured.period_s or 0.0) * of.sample_rate_hz)
+    rows = slice(number * own, (number + 1) * own)
     torque = measured.feedforward_torque
     return dataclasses.replace(
         measured,
         time=measured.time[:samples],
-        position=of.position[rows],
-        torque=of.torque[rows],
+        position=_resampled(of.position[rows], samples),
+        torque=_resampled(of.torque[rows], samples),
         velocity=None,
         link_position=None,
         reference_position=None,

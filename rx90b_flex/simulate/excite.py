@@ -336,7 +336,8 @@ def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated
         "Log at even steps into the file of the same name under logs/, with the columns",
         f"{columns[0]} (motor angles, rad, joint side), {columns[1]} (motor torques, N m, joint side) and",
         f"{columns[2]} (feed-forward torques as sent, N m). Other names, sides of the gear or rates: change them here.",
-        "A log without feed-forward torques will do, too: leave them out below, and tell frf --references references.",
+        "A log without feed-forward torques will do, too: leave them out below; frf takes them from references/, as it takes",
+        "what motion was asked for.",
         "Filter against aliasing before the log's rate. Then: rx90b-flex frf campaign.toml --out results",
     ]
     return "\n".join(f"# {line}" for line in how) + "\n" + campaign_text(first, files, LOGGED)
