@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.effects import Effect, Motion, close_match
 from rx90b_flex.effects.motion import Array, Coordinates
+from rx90b_flex.showing import Showing
 
 if TYPE_CHECKING:
     import control
@@ -39,8 +40,8 @@ class Terms:
         return Terms(self.M + other.M, self.D + other.D, self.K + other.K)
 
 
-@dataclass(frozen=True, eq=False)
-class Modes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Showing):
     """Damped modes of a linearisation: eigenvalues of the state matrix, one of each complex pair, slowest first.
 
     Attributes

@@ -30,6 +30,11 @@ class Showing:
 
         return figure_of(self).axes[0]
 
+    def __repr__(self) -> str:
+        from rx90b_flex.view.shown import words_of
+
+        return f"<{type(self).__name__}: {words_of(self)}>"
+
     def _repr_html_(self) -> str:
         """The verdict, the table and the figure, for a notebook."""
         from rx90b_flex.view.shown import cell_of

@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from test_cli import write_campaign
+from test_measured_stiffness import write_test
 
 import rx90b_flex as rf
+from rx90b_flex.identify.static_command import fit_tests, read_static_tests
 from rx90b_flex.path import compare_measured
 from rx90b_flex.showing import Showing
 
@@ -36,10 +38,24 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Showing]:
         "check_path": path,
         "measured": compare_measured(path, folder / "tip.csv"),
         "simulate": run,
+        "modes": modes_of("rx90b_3dof"),
+        "static": static_result(folder),
     }
 
 
-NAMES = ("check", "identify", "close_loop", "refused", "check_path", "measured", "simulate")
+def modes_of(name: str) -> Showing:
+    robot = rf.load_robot(name)
+    return robot.linearize(robot.input_matrix @ np.array([0.0, 0.5, 0.3])).modes()
+
+
+def static_result(folder: Path) -> Showing:
+    table = write_test(folder, "joint_2", 2.0e5, 1.0, np.random.default_rng(0))
+    file = folder / "tests.toml"
+    file.write_text(f'[[test]]\ncoordinate = "joint_2"\nfile = "{table}"\nlever_arm_m = 1.0\n')
+    return fit_tests(read_static_tests(file))
+
+
+NAMES = ("check", "identify", "close_loop", "refused", "check_path", "measured", "simulate", "modes", "static")
 
 
 class Tags(HTMLParser):
@@ -69,6 +85,12 @@ def test_a_cell_shows_words_and_the_figure_and_is_whole(name: str, results: dict
     assert not tags.open
     assert tags.image.startswith(b"<?xml") and b"<svg" in tags.image
     assert len(html) < 2_000_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_result_is_one_line_where_it_is_printed(name: str, results: dict[str, Showing]) -> None:
+    line = repr(results[name])
+    assert line.startswith(f"<{type(results[name]).__name__}: ") and "\n" not in line and len(line) < 300
 
 
 @pytest.mark.parametrize("name", ("identify", "check_path", "measured", "simulate"))

@@ -64,7 +64,7 @@ class RecordingFacts:
     period_s: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Checked(Showing):
     """What a look at the data says; the content of ``check.json`` as attributes.
 

@@ -147,7 +147,7 @@ class Prediction:
     velocity: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoop(Showing):
     """Result of closing the loop; the content of ``closed_loop.json`` as attributes.
 

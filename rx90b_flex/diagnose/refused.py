@@ -17,7 +17,7 @@ from rx90b_flex.signals import Campaign
 DATA_FAULT = "data_fault"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RefusedLoop(Showing):
     """Result of a loop that was not begun; the content of its ``closed_loop.json`` as attributes.
 

@@ -27,7 +27,7 @@ ANSWERS_S = 20.0  # within which a scheduler answers
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fleet(Showing):
     """Robots of one make; the content of ``fleet.json`` as attributes, and a sequence of its `robots`.
 

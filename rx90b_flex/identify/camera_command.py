@@ -45,6 +45,7 @@ from rx90b_flex.identify.camera import (
 )
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals.filters import differentiate
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.camera import link_poses
@@ -87,8 +88,8 @@ class MarkerRecording:
     frame_std: float
 
 
-@dataclass(frozen=True, eq=False)
-class CameraResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraResult(Showing):
     """Stiffnesses of a joint from markers.
 
     Attributes

@@ -114,7 +114,7 @@ class IdentifiedPrediction:
     predicted: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identified(Showing):
     """A robot identified on a campaign.
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrequencyResponse(Showing):
     """P(j w), drive acceleration over drive torque (chapter 5), at some lines and one pose.
 

@@ -123,7 +123,7 @@ class AtPose:
     accelerations: AccelerationResponse | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MotorIdentification(Showing):
     """All that a campaign of motor signals says.
 

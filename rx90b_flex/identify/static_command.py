@@ -37,6 +37,7 @@ from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals.static_test import StaticTest, read_static_table
 
 KEYS = ("robot", "skip", "confidence", "test")
@@ -66,8 +67,8 @@ class StaticTests:
     confidence: float
 
 
-@dataclass(frozen=True, eq=False)
-class StaticResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class StaticResult(Showing):
     """Stiffnesses from dead-weight tests.
 
     Attributes

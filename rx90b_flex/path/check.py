@@ -183,7 +183,7 @@ class Iteration(NamedTuple):
     rms_across: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PathCheck(Showing):
     """The result.
 

@@ -43,7 +43,7 @@ SEEN = 0.95  # of the path: a measurement of less is said to be one of a part
 Aligned = Literal["time", "path"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MeasuredTip(Showing):
     """A measured tip, the predicted one, and the difference, at the same samples.
 

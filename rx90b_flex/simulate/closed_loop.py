@@ -104,7 +104,7 @@ class RawLog:
         return np.asarray(2.0 * power[above].sum(axis=0) / (len(x) * (window @ window)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Showing):
     """One run.
 

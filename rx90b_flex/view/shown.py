@@ -17,21 +17,28 @@ from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.refused import RefusedLoop
 from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.output import fleet_table
+from rx90b_flex.identify.camera_command import CameraResult
 from rx90b_flex.identify.command import Identified
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.identify.measured_stiffness import HingeStiffness
+from rx90b_flex.identify.static_command import StaticResult
+from rx90b_flex.linearize import Modes
 from rx90b_flex.path.check import PathCheck
 from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.view import frf_plots, path_plots, plots
+from rx90b_flex.view.camera_report import deformation_figure
 from rx90b_flex.view.fleet_report import fleet_figure, headline
 from rx90b_flex.view.identify_plots import torque_fit
 from rx90b_flex.view.measured_section import measured_along_path
 from rx90b_flex.view.page import image, template
+from rx90b_flex.view.static_plots import static_test_figure
 from rx90b_flex.view.zoom import script, zoom_style
 
 SHOWN_ROWS = 30  # of a table in a cell
+STILL_HZ = 0.01  # below it a mode is one of the rigid body, at rest
 ESTIMATE = ("parameter", "value", "std", "unit")
 
 
@@ -247,6 +254,75 @@ def _(result: FrequencyResponse) -> Figure:
 def _(result: FrequencyResponse) -> str:
     lines = f"{len(result.hz)} lines from {result.hz[0]:.3g} to {result.hz[-1]:.3g} Hz"
     return f"Frequency response of {', '.join(result.joints)}, {lines}"
+
+
+# ---- stiffnesses and modes --------------------------------------------------------------------------------------
+
+
+def _hinges(hinges: Sequence[HingeStiffness]) -> pd.DataFrame:
+    rows = [(h.coordinate, h.value, h.std, "N m/rad", h.determined) for h in hinges]
+    return pd.DataFrame(rows, columns=["hinge", *ESTIMATE[1:], "determined"])
+
+
+def _told(hinges: Sequence[HingeStiffness]) -> str:
+    return f"{sum(h.determined for h in hinges)} of {len(hinges)} hinges told"
+
+
+@table_of.register
+def _(result: StaticResult) -> pd.DataFrame:
+    """A row a hinge."""
+    return _hinges(result.hinges)
+
+
+@figure_of.register
+def _(result: StaticResult) -> Figure:
+    return static_test_figure(result.source.tests, result.found)
+
+
+@words_of.register
+def _(result: StaticResult) -> str:
+    return f"Stiffnesses from {len(result.found)} dead-weight tests: {_told(result.hinges)}"
+
+
+@table_of.register
+def _(result: CameraResult) -> pd.DataFrame:
+    """A row a hinge."""
+    return _hinges(result.hinges)
+
+
+@figure_of.register
+def _(result: CameraResult) -> Figure:
+    return deformation_figure(result)
+
+
+@words_of.register
+def _(result: CameraResult) -> str:
+    return f"Stiffnesses of {result.source.joint} from markers: {_told(result.hinges)}"
+
+
+@table_of.register
+def _(result: Modes) -> pd.DataFrame:
+    """A row a mode."""
+    return pd.DataFrame({"frequency_hz": result.frequencies_hz, "damping_ratio": result.damping_ratios})
+
+
+@figure_of.register
+def _(result: Modes) -> Figure:
+    """Damping ratio over frequency, a point a mode; those that stand still are left out."""
+    kept = result.frequencies_hz > STILL_HZ
+    figure = Figure(figsize=(plots.WIDTH_IN, 2.6), layout="constrained")
+    ax = figure.subplots()
+    ax.semilogx(result.frequencies_hz[kept], 100 * result.damping_ratios[kept], "o", color=plots.AFTER, markersize=4)
+    ax.set_xlabel("frequency, Hz", fontsize=9)
+    ax.set_ylabel("damping ratio, %", fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+@words_of.register
+def _(result: Modes) -> str:
+    hz = result.frequencies_hz
+    return f"{len(hz)} modes from {hz.min():.3g} to {hz.max():.3g} Hz" if len(hz) else "no modes"
 
 
 # ---- paths and runs ---------------------------------------------------------------------------------------------
