@@ -389,8 +389,14 @@ def test_a_text_reads_like_a_file():
 
 
 def test_writing_where_it_cannot_be_written_names_the_file(tmp_path):
-    with pytest.raises(ValueError, match=r"missing/x\.urdf: cannot be written"):
-        fx.write_urdf(example_robot("ur10"), tmp_path / "missing" / "x.urdf")
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match=r"file/x\.urdf: cannot be written"):
+        fx.write_urdf(example_robot("ur10"), tmp_path / "file" / "x.urdf")
+
+
+def test_folders_on_the_way_to_a_file_are_made(tmp_path):
+    fx.write_urdf(example_robot("ur10"), tmp_path / "new" / "folder" / "x.urdf")
+    assert (tmp_path / "new" / "folder" / "x.urdf").exists()
 
 
 def test_a_flexible_robot_shows_in_meshcat(read):

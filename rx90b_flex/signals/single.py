@@ -43,7 +43,7 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write text as UTF-8; the file appears whole or not at all.
+    """Write text as UTF-8; the file appears whole or not at all, in a folder that is made where it is missing.
 
     Raises
     ------
@@ -52,6 +52,7 @@ def write_file(path: Path, text: str) -> None:
     """
     try:
         check_file(path)
+        path.absolute().parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise ValueError(f"{path}: cannot be written: {why(error)}") from None
