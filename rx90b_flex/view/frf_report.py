@@ -41,7 +41,7 @@ def _lead(result: MotorIdentification) -> list[str]:
         known = [e for e in grey.estimates if "stiffness" in e.name]
         good = [e for e in known if e.std < 0.1 * e.value]
         out.append(f"{len(good)} of {len(known)} stiffnesses are known to 10 % (one standard deviation) or better.")
-        out.append(_bias_words(grey) if result.replayed is None else _share_words(result.replayed))
+        out.append(bias_words(grey) if result.replayed is None else _share_words(result.replayed))
     for p in result.poses:
         measured = p.measured
         out.append(
@@ -75,7 +75,8 @@ def amounts(*values: float) -> tuple[str, ...]:
     return tuple(f"{v:,.{min(decimals, 6)}f}".replace(",", "\u2009") for v in values)
 
 
-def _bias_words(grey: GreyBox) -> str:
+def bias_words(grey: GreyBox) -> str:
+    """Whether the model is enough for the data, and what that means for its intervals, in a sentence."""
     share = grey.cost / grey.expected_cost
     if grey.bias_detected:
         return (
@@ -311,7 +312,7 @@ def _residuals(result: MotorIdentification) -> Section | None:
         for i, (k, _) in zip(result.fitted, enumerate(beside), strict=False)
     ]
     text = f"Cost {grey.cost:.0f}; {grey.expected_cost:.0f} expected, 95 % of right models below {grey.cost_limit:.0f}."
-    return Section("Residuals of the grey box", (text, _bias_words(grey)), (table,), tuple(figures))
+    return Section("Residuals of the grey box", (text, bias_words(grey)), (table,), tuple(figures))
 
 
 def _how(result: MotorIdentification) -> Section:
