@@ -160,25 +160,21 @@ class DriveFlexibility(_FlexibilityOfJoint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _DriveDeflection(Effect):
-    """A flexible drive on a rigid tree: what motors feel of its torsion, which follows from the model's own torque.
-
-    The coefficient is the compliance, ``1 / stiffness``; its column is the torque (see `deflection`) over it. A search leaves the
-    compliance free of the stiffness that the column is worked out for, which comes to the same where the drive is stiff.
-    """
+class _OnRigidTree(Effect):
+    """What motors feel of a drive on a rigid tree: one coefficient, which follows from the shape in a fit."""
 
     needs_load: ClassVar[bool] = True
     needs_model: ClassVar[bool] = True
     coefficients_follow: ClassVar[bool] = True
     part: ClassVar[str] = "flexibility"
+    in_files: ClassVar[type[Effect]]  # what it stands for
+    coefficient: ClassVar[tuple[str, str]]  # name and unit
 
     joint: str
-    stiffness: float | None = derived("N m/rad", lower=0.0)
-    damping: float | None = derived("N m s/rad", lower=0.0)
 
     @classmethod
     def type_name(cls) -> str:
-        return DriveFlexibility.type_name()
+        return cls.in_files.type_name()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -186,11 +182,11 @@ class _DriveDeflection(Effect):
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:
-        return ("compliance",)
+        return self.coefficient[:1]
 
     @property
     def coefficient_units(self) -> tuple[str, ...]:
-        return ("rad/(N m)",)
+        return self.coefficient[1:]
 
     @property
     def coefficient_ranks(self) -> tuple[int, ...]:
@@ -199,6 +195,44 @@ class _DriveDeflection(Effect):
     @property
     def coefficient_bounds(self) -> Array:
         return np.zeros(1)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return []
+
+
+class _Stated(Effect):
+    """One whose value is stated: it is taken as it is."""
+
+    @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return ()
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.zeros((2, 0))
+
+    @property
+    def shape(self) -> Array:
+        return np.zeros(0)
+
+    def with_shape(self, values: Sequence[float] | Array) -> Self:
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class _DriveDeflection(_OnRigidTree):
+    """A flexible drive on a rigid tree: what motors feel of its torsion, which follows from the model's own torque.
+
+    The coefficient is the compliance, ``1 / stiffness``; its column is the torque (see `deflection`) over it. A search leaves the
+    compliance free of the stiffness that the column is worked out for, which comes to the same where the drive is stiff.
+    """
+
+    in_files: ClassVar[type[Effect]] = DriveFlexibility
+    coefficient: ClassVar[tuple[str, str]] = ("compliance", "rad/(N m)")
+
+    stiffness: float | None = derived("N m/rad", lower=0.0)
+    damping: float | None = derived("N m s/rad", lower=0.0)
 
     @property
     def coefficients(self) -> Array:
@@ -290,29 +324,10 @@ class _DriveDeflection(Effect):
     def in_tree(self, motion: Motion) -> Effect:
         return DriveFlexibility(joint=self.joint, stiffness=self.stiffness, damping=self.damping)
 
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return []
-
 
 @dataclass(frozen=True, kw_only=True)
-class _StatedDeflection(_DriveDeflection):
-    """A flexible drive whose stiffness is stated: it is taken as it is."""
-
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return ()
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.zeros((2, 0))
-
-    @property
-    def shape(self) -> Array:
-        return np.zeros(0)
-
-    def with_shape(self, values: Sequence[float] | Array) -> Self:
-        return self
+class _StatedDeflection(_Stated, _DriveDeflection):
+    """A flexible drive whose stiffness is stated."""
 
 
 def _springs_of_model(motion: Motion) -> list[Spring]:
@@ -454,44 +469,17 @@ class StiffnessHardening(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _HardeningDeflection(Effect):
+class _HardeningDeflection(_OnRigidTree):
     """What motors feel of a drive that gets stiffer as it twists, beyond the same drive without; on a rigid tree.
 
     The coefficient is the cubic stiffness; its column is that difference over it.
     """
 
     needs: ClassVar[tuple[str, ...]] = StiffnessHardening.needs
-    needs_load: ClassVar[bool] = True
-    needs_model: ClassVar[bool] = True
-    coefficients_follow: ClassVar[bool] = True
-    part: ClassVar[str] = StiffnessHardening.part
+    in_files: ClassVar[type[Effect]] = StiffnessHardening
+    coefficient: ClassVar[tuple[str, str]] = ("cubic", "N m/rad^3")
 
-    joint: str
     cubic: float | None = derived("N m/rad^3", lower=0.0)
-
-    @classmethod
-    def type_name(cls) -> str:
-        return StiffnessHardening.type_name()
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        return (self.joint,)
-
-    @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return ("cubic",)
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return ("N m/rad^3",)
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (STIFFNESS,)
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.zeros(1)
 
     @property
     def coefficients(self) -> Array:
@@ -551,26 +539,7 @@ class _HardeningDeflection(Effect):
     def in_tree(self, motion: Motion) -> Effect:
         return StiffnessHardening(joint=self.joint, cubic=self.cubic)
 
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return []
-
 
 @dataclass(frozen=True, kw_only=True)
-class _StatedHardening(_HardeningDeflection):
-    """A hardening whose cubic stiffness is stated: it is taken as it is."""
-
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return ()
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.zeros((2, 0))
-
-    @property
-    def shape(self) -> Array:
-        return np.zeros(0)
-
-    def with_shape(self, values: Sequence[float] | Array) -> Self:
-        return self
+class _StatedHardening(_Stated, _HardeningDeflection):
+    """A hardening whose cubic stiffness is stated."""
