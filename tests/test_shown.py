@@ -117,6 +117,20 @@ def test_the_table_of_a_closed_loop_is_its_effects(results: dict[str, Showing]) 
     assert table["value"][0] == found.parameters[0].value and table["error_after"][0] == found.after.relative_error
 
 
+@pytest.mark.parametrize("over", ["velocity", "position", "time", "frequency"])
+def test_a_joint_s_residual_is_drawn_over_what_is_asked_for(over: str, results: dict[str, Showing]) -> None:
+    axes = results["close_loop"].plot_residual("elbow", over)  # type: ignore[attr-defined]
+    drawn = axes.figure.axes
+    assert any(a.get_xlabel() for a in drawn) and any(a.get_ylabel() for a in drawn)
+    assert sum(len(a.lines) for a in drawn) >= 2
+
+
+def test_a_residual_of_what_is_not_there_is_refused(results: dict[str, Showing]) -> None:
+    for arguments, words in ((("elbo",), "'elbow'"), (("elbow", "speed"), "over is 'speed'")):
+        with pytest.raises(ValueError, match=words):
+            results["close_loop"].plot_residual(*arguments)  # type: ignore[attr-defined]
+
+
 def test_the_table_of_an_identification_is_its_parameters(results: dict[str, Showing]) -> None:
     table = results["identify"].to_pandas()
     estimates = results["identify"].parameters  # type: ignore[attr-defined]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -35,6 +36,9 @@ from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA = 1
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
@@ -219,6 +223,24 @@ class ClosedLoop(Showing):
     data_faults: tuple[DataFault, ...] = ()
     undeclared_basics: tuple[str, ...] = ()
     checked: Checked | None = None
+
+    def plot_residual(self, joint: str, over: str = "velocity") -> Axes:
+        """A joint's torque error on the validation recordings before and after.
+
+        Parameters
+        ----------
+        joint : str
+        over : str
+            ``velocity``, ``position``, ``time`` or ``frequency``.
+
+        Raises
+        ------
+        ValueError
+            A joint or an axis that is not known.
+        """
+        from rx90b_flex.view.shown import residual_figure
+
+        return residual_figure(self, joint, over).axes[0]
 
 
 @dataclass(frozen=True, eq=False)

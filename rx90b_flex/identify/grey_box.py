@@ -23,6 +23,7 @@ from rx90b_flex.export import with_link_parameters
 from rx90b_flex.identify.accelerometers import AccelerationResponse, sensor_rows
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.robot import Robot
+from rx90b_flex.showing import Showing
 from rx90b_flex.signals.stated import Accelerometer
 
 WEAK = 2.0  # standard deviation of a logarithm: a factor of 7 either way, which only matters where the data say nothing
@@ -659,8 +660,8 @@ class Start:
     cost: float | None  # None: not among the best, not followed to its end
 
 
-@dataclass(frozen=True, eq=False)
-class GreyBox:
+@dataclass(frozen=True, eq=False, repr=False)
+class GreyBox(Showing):
     """A robot's physical parameters from its frequency responses.
 
     Attributes

@@ -15,12 +15,14 @@ from matplotlib.figure import Figure
 from rx90b_flex.diagnose.check import Checked
 from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.refused import RefusedLoop
+from rx90b_flex.effects import close_match
 from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.output import fleet_table
 from rx90b_flex.identify.camera_command import CameraResult
 from rx90b_flex.identify.command import Identified
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf_command import MotorIdentification
+from rx90b_flex.identify.grey_box import GreyBox
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
 from rx90b_flex.identify.static_command import StaticResult
@@ -28,7 +30,7 @@ from rx90b_flex.linearize import Modes
 from rx90b_flex.path.check import PathCheck
 from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.simulate.closed_loop import Simulation
-from rx90b_flex.view import frf_plots, path_plots, plots
+from rx90b_flex.view import frf_plots, grey_plots, path_plots, plots
 from rx90b_flex.view.camera_report import deformation_figure
 from rx90b_flex.view.fleet_report import fleet_figure, headline
 from rx90b_flex.view.identify_plots import torque_fit
@@ -38,6 +40,7 @@ from rx90b_flex.view.static_plots import static_test_figure
 from rx90b_flex.view.zoom import script, zoom_style
 
 SHOWN_ROWS = 30  # of a table in a cell
+INTERVAL = ("parameter", "value", "low", "high", "unit", "determined")
 STILL_HZ = 0.01  # below it a mode is one of the rigid body, at rest
 ESTIMATE = ("parameter", "value", "std", "unit")
 
@@ -123,6 +126,29 @@ def _(result: ClosedLoop) -> Figure:
     return plots.errors_by_joint(result)
 
 
+RESIDUALS = {
+    "velocity": plots.residual_against_velocity,
+    "position": plots.residual_against_position,
+    "time": plots.residual_in_time,
+    "frequency": plots.residual_in_frequency,
+}
+
+
+def residual_figure(result: ClosedLoop, joint: str, over: str) -> Figure:
+    """A joint's residual on the validation recordings before and after, over one of `RESIDUALS`.
+
+    Raises
+    ------
+    ValueError
+        A joint or an axis that is not known.
+    """
+    if joint not in result.joints:
+        raise ValueError(f"joint is {joint!r}; {close_match(joint, list(result.joints))}")
+    if over not in RESIDUALS:
+        raise ValueError(f"over is {over!r}; {close_match(over, list(RESIDUALS))}")
+    return RESIDUALS[over](result, joint)
+
+
 @words_of.register
 def _(result: ClosedLoop) -> str:
     before, after = (f"{100 * x.validation.relative_error:.3g} %" for x in (result.before, result.after))
@@ -206,8 +232,7 @@ def _(result: Identified) -> str:
 def _(result: MotorIdentification) -> pd.DataFrame:
     """A row a physical parameter with its 95 % interval; empty without a grey box."""
     best = result.grey if result.replayed is None else result.replayed.grey
-    rows = [] if best is None else [(e.name, e.value, e.low, e.high, e.unit, e.determined) for e in best.estimates]
-    return pd.DataFrame(rows, columns=["parameter", "value", "low", "high", "unit", "determined"])
+    return pd.DataFrame(columns=list(INTERVAL)) if best is None else table_of(best)
 
 
 @figure_of.register
@@ -227,6 +252,26 @@ def _(result: MotorIdentification) -> Figure:
 def _(result: MotorIdentification) -> str:
     lost = f"; left out: {', '.join(x.stage for x in result.left_out)}" if result.left_out else ""
     return f"{result.robot.name} from motor signals, {len(result.poses)} pose(s){lost}"
+
+
+@table_of.register
+def _(result: GreyBox) -> pd.DataFrame:
+    """A row a physical parameter with its 95 % interval."""
+    rows = [(e.name, e.value, e.low, e.high, e.unit, e.determined) for e in result.estimates]
+    return pd.DataFrame(rows, columns=list(INTERVAL))
+
+
+@figure_of.register
+def _(result: GreyBox) -> Figure:
+    return grey_plots.intervals(result)
+
+
+@words_of.register
+def _(result: GreyBox) -> str:
+    told = sum(e.determined for e in result.estimates)
+    return (
+        f"{told} of {len(result.estimates)} physical parameters told by {len(result.responses)} frequency response(s)"
+    )
 
 
 @table_of.register
