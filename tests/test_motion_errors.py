@@ -18,10 +18,11 @@ from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.torque_signal import TorqueDelay
 from rx90b_flex.export import save_robot
 from rx90b_flex.signals import write_campaign
-from rx90b_flex.simulate import Noise, load_cs8, simulate, sine_excitation
+from rx90b_flex.simulate import Noise, harmonics, load_cs8, simulate
 from rx90b_flex.view.report import report_html
 
-SPRING = {"type": "joint_spring", "joint": "joint_3", "stiffness": 60.0, "rest_angle": 0.0}
+# small beside the drive: a rigid fit without it takes k / w^2 off the drive's inertia
+SPRING = {"type": "joint_spring", "joint": "joint_3", "stiffness": 15.0, "rest_angle": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +33,14 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> rf.ClosedLoop:
     rng = np.random.default_rng(0)
     recordings = []
     for number, role in enumerate(("identification", "identification", "validation")):
-        excited = sine_excitation(declared, rng)
+        excited = harmonics(declared, rng, period_s=4.096)
         run = simulate(true, load_cs8(), excited, noise=Noise(torque=0.5, position=1e-6), rng=rng, role=role)  # type: ignore[arg-type]
         recordings.append(dataclasses.replace(run.recording, name=f"run_{number}"))
     save_robot(declared, folder, "declared.toml", allow_inconsistent=True)
-    # the motion is the same in every recording, which the look at the data refuses: what is asked here is about motion
-    return rf.close_loop(write_campaign(folder, "declared.toml", recordings, cutoff_hz=20.0), despite_faults=True)
+    # rigid rows hardly tell a rotor from the link behind it, and with half a rotor no flexible robot can be controlled
+    file = folder / "declared.toml"
+    file.write_text(file.read_text().replace('inertial_parameters = "fitted"', 'inertial_parameters = "known"'))
+    return rf.close_loop(write_campaign(folder, "declared.toml", recordings, cutoff_hz=20.0))
 
 
 @pytest.mark.slow
@@ -56,7 +59,7 @@ def test_the_simulated_motion_comes_nearer_to_the_log_when_the_spring_is_added(r
 
 @pytest.mark.slow
 def test_hinges_that_the_band_reaches_are_said_to_be_left_out(result):
-    # its drives twist at a few Hz and the campaign keeps 20
+    # its joints bend at a few Hz and the campaign keeps 20; drives that twist are taken into account
     (caution,) = result.cautions
     assert "left out" in caution and result.verdict == "partly_explained"
     low = dataclasses.replace(result.campaign, cutoff_hz=0.5)
@@ -71,7 +74,7 @@ def test_hinges_that_the_band_reaches_are_said_to_be_left_out(result):
         return _cautions(result.source.with_effects(effects), result.campaign)
 
     assert cautions_without_value("joint_1.drive_inertia") == (caution,)  # does not move with the drives held
-    (other,) = cautions_without_value("joint_1.drive_flexibility")
+    (other,) = cautions_without_value("joint_1.joint_flexibility")
     assert "not known from which frequency" in other
 
 

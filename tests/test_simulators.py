@@ -462,7 +462,7 @@ def test_the_command_writes_the_file_and_says_what_it_cannot_hold(name: str, tmp
     [
         (["rx90b", "--format", "mjc", "--out", "a.xml"], "'mjcf'"),
         (["rx90c", "--format", "mjcf", "--out", "a.xml"], "'rx90b'"),
-        (["rx90b", "--format", "mjcf", "--out", "no/a.xml"], "no/a.xml"),
+        (["rx90b", "--format", "mjcf", "--out", "own.urdf/a.xml"], "own.urdf"),
         (["rx90b", "--format", "mjcf", "--out", "."], "is a folder"),
         (["unknown.toml", "--format", "sdf", "--out", "a.sdf"], "joint_1.viscous_friction: coefficient has no value"),
         (["unknown.toml", "--format", "sdf", "--out", "unknown.toml"], "is what this run reads"),
