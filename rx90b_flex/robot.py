@@ -452,6 +452,7 @@ class _RobotTreeMotion:
     link_parameters: Array | None = None
     regressor: Array | None = None
     bodies: dict[str, Array] = field(default_factory=dict, repr=False)
+    hinged: dict[tuple[Effect, ...], Motion] = field(default_factory=dict, repr=False)
 
     def link_regressor(self) -> Array:
         return self._regressor
@@ -539,6 +540,21 @@ class _RobotTreeMotion:
     def _derivatives(self) -> tuple[Array, Array, Array]:
         model = self._own_links()
         return _tree_derivatives(model, model.createData(), self.motion)
+
+    def with_hinges(self, hinges: tuple[Any, ...]) -> Motion:
+        if hinges not in self.hinged:
+            robot, motion = self.robot.with_effects(hinges), self.motion
+            q, v, a = (np.zeros((len(motion), robot.model.nv)) for _ in range(3))
+            drives = [robot.layout.names.index(f"{j}:drive") for j in self.robot.joints]
+            for x, own in ((q, motion.q), (v, motion.v), (a, motion.a)):
+                x[:, drives] = own
+            links = robot.link_parameters.reshape(-1, 10).copy()
+            if self.link_parameters is not None:  # a base that tilts is a body more
+                names = [name for name, _ in robot.bodies]
+                links[[names.index(name) for name, _ in self.robot.bodies]] = self.link_parameters.reshape(-1, 10)
+            moved = dataclasses.replace(robot.motion(q, v, a, motion.time), effects=motion.effects)
+            self.hinged[hinges] = dataclasses.replace(moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel()))
+        return self.hinged[hinges]
 
     def _own_links(self) -> pin.Model:
         """The tree with these link parameters."""

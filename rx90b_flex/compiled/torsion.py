@@ -162,3 +162,29 @@ def torsion_alone(
         asked = load + cubic * torsion**3 + at_angle * torsion + at_rate * v + by_a * a
         torsion = torsion + stepped(now, last, before, weight, swings, np.zeros(2), -asked)
     return torsion
+
+
+@compiled
+def hinges_together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: float, parts: int) -> Array:
+    """Deflections (N, m) of ``by_a x'' + at_rate x' + at_angle x = -load`` by the trapezoidal rule (Newmark's, beta = 1/4).
+
+    Matrices are (N, m, m) at every `parts`-th step, the load (parts (N - 1) + 1, m). It begins at rest.
+    """
+    samples, m, _ = at_angle.shape
+    out = np.empty((samples, m))
+    x, v, a = np.linalg.solve(at_angle[0].copy(), -load[0]), np.zeros(m), np.zeros(m)
+    out[0] = x
+    for n in range(samples - 1):
+        for k in range(1, parts + 1):
+            part = k / parts
+            mass, rate, stiffness = (
+                (1.0 - part) * by_a[n] + part * by_a[n + 1],
+                (1.0 - part) * at_rate[n] + part * at_rate[n + 1],
+                (1.0 - part) * at_angle[n] + part * at_angle[n + 1],
+            )
+            coming_x, coming_v = x + step * v + 0.25 * step**2 * a, v + 0.5 * step * a
+            asked = -load[n * parts + k] - rate @ coming_v - stiffness @ coming_x
+            a = np.linalg.solve(mass + 0.5 * step * rate + 0.25 * step**2 * stiffness, asked)
+            x, v = coming_x + 0.25 * step**2 * a, coming_v + 0.5 * step * a
+        out[n + 1] = x
+    return out

@@ -484,28 +484,29 @@ def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
     """Where the rigid band that torques over time are held against ends below what the campaign keeps."""
-    hinges = [e for e in robot.effects if e.virtual and e.on_rigid_tree() is None]
+    hinges = [e for e in robot.effects if "bend_1" in e.virtual]
     if not hinges:
         return ()
-    left_out = (
-        f"The {len(hinges)} hinges that {robot.name} declares are left out: torques over time are held against its rigid "
-        "tree. "
-    )
-    loads = [e for e in robot.effects if e.part == "links" and e.known]
     if not all(e.known for e in hinges):
-        return (f"{left_out}Not all of them have a value, so it is not known from which frequency on they bend.",)
+        return (
+            f"Not all of the {len(hinges)} hinges that {robot.name} declares have a value: those without are left out, for torques "
+            "over time are held against a rigid tree, and it is not known from which frequency on they bend.",
+        )
+    flexible = [e for e in robot.effects if e.virtual and e.known]
+    loads = [e for e in robot.effects if e.part == "links" and e.known]
     column = {joint: i for i, joint in enumerate(campaign.joints)}
     angles = np.concatenate([r.position for r in campaign.identification]).mean(axis=0)
     pose = np.array([angles[column[j]] if j in column else 0.0 for j in robot.joints])
-    small = robot.with_effects([*hinges, *loads])  # what sits on the drives does not move with them locked
+    small = robot.with_effects([*flexible, *loads])  # what sits on the drives does not move with them locked
     first = float(small.linearize(small.input_matrix @ pose).with_drives_locked_hz()[0])
     top = campaign.cutoff_hz or campaign.sample_rate_hz / 2
     if top <= RIGID_BAND * first:
         return ()
     return (
-        f"{left_out}They bend from about a third of {first:.2g} Hz, where its links first swing with all drives held, and "
-        f"this campaign keeps what is below {top:.3g} Hz. What they do in between may be given another name, such as a delay; "
-        f"a low-pass at {RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
+        f"The {len(hinges)} hinges that {robot.name} declares are taken as declared. Its links first swing at {first:.2g} Hz with "
+        f"all drives held, and this campaign keeps what is below {top:.3g} Hz. From a third of it on what is left depends on the "
+        "declared damping and on how the log began, and may be given another name, such as a delay; a low-pass at "
+        f"{RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
     )
 
 

@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 from scipy import linalg
+from scipy.interpolate import CubicSpline
 
-from rx90b_flex.compiled.torsion import begun_slowly, samples_of_a_swing, torsion_alone
+from rx90b_flex.compiled.torsion import CUBIC, begun_slowly, hinges_together, samples_of_a_swing, torsion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
@@ -36,22 +37,28 @@ SAME = 1e-6  # of the torque: a sweep that changes less is the last
 LEAST_INERTIA = 0.1  # of its median along a motion, that a link is stepped on with
 LARGEST = 1.0  # rad, that a drive twists
 FASTEST = 2.5  # rad a sample: a link that swings faster on its drive follows the torque at once
+SWINGS_BEFORE, DAMPED_SWINGS, DAMPED_BEFORE = 4.0, 2.0, 0.5  # before a log and into it; damping ratio
+STEP_OF_A_SWING = 0.1  # rad, of the slowest swing of several hinges: 0.1 % of its period by the trapezoidal rule
 SOFTEST = 3.0  # times the stiffness of gravity and of the motion itself, that a drive has at the least
 
 
 @dataclass(frozen=True)
 class Spring:
-    """A twisting drive: its joint, stiffness (N m/rad), damping over stiffness (s) and cubic part (N m/rad^3)."""
+    """A twisting drive: its joint, stiffness (N m/rad), damping over stiffness (s) and cubic part (N m/rad^3).
+
+    On a tree that has hinges as coordinates `kind` names one of them; on the rigid one it is the drive.
+    """
 
     joint: str
     stiffness: float
     lag: float
     cubic: float = 0.0
+    kind: str = "drive"
 
     @property
     def key(self) -> str:
         """Its values as a name."""
-        return repr((self.joint, self.stiffness, self.lag, self.cubic))
+        return repr((self.joint, self.stiffness, self.lag, self.cubic, self.kind))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +78,10 @@ class Deflection:
     torsion: Array
     torque: Array
     beyond: Array
+
+    def on(self, motion: Motion, springs: Sequence[Spring]) -> Motion:
+        """The links' motion behind the springs that gave way."""
+        return _moved(motion, _places(motion, springs), self.torsion)
 
 
 def deflected(motion: Motion, springs: Sequence[Spring], springs_of_model: Sequence[Spring], load: Array) -> Deflection:
@@ -154,7 +165,7 @@ def _first_order(motion: Motion, springs: Sequence[Spring], load: Array) -> tupl
 
 
 def _places(motion: Motion, springs: Sequence[Spring]) -> Indices:
-    return np.array([motion.coordinates.index(s.joint) for s in springs], dtype=np.intp)
+    return np.array([motion.coordinates.index(s.joint, s.kind) for s in springs], dtype=np.intp)
 
 
 def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, by_a: Array, time: Array) -> Array:
@@ -168,6 +179,8 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
         return np.asarray(alone(*along, spring, _step(time), *limits))[:, None]
     cubic = np.array([s.cubic for s in springs])
     at_angle, at_rate = _with_springs(springs, by_q, by_v)
+    if any(s.kind != "drive" for s in springs):
+        return _together(load, at_angle, at_rate, by_a, _step(time))
     steps = _steps(springs, by_q, by_v, by_a, time)
     torsion = steps.solve(-load)
     begun = steps.begun(-load, cubic) - steps.begun(-load, 0.0 * cubic)
@@ -184,6 +197,31 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
         torsion = torsion + steps.solve(-asked, begun)
         begun = np.zeros_like(begun)
     return torsion
+
+
+def _together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: float) -> Array:
+    """Deflections (N, m) of hinges that swing together, their fastest modes far above what the log samples.
+
+    Steps as short as the slowest of them asks for. How they swing as a log begins is not known: its first swings turned round are
+    put before it, and hinges are damped well until two swings into it.
+    """
+    stiffness, mass = (0.5 * (x + x.T) for x in (at_angle.mean(axis=0), by_a.mean(axis=0)))
+    possible = all(np.linalg.eigvalsh(x)[0] > 0 for x in (stiffness, mass))  # fitted links need not be
+    if step == 0.0 or len(load) < 2 * CUBIC or not possible:
+        return np.asarray(np.linalg.solve(at_angle, -load[:, :, None])[:, :, 0])
+    slowest = np.sqrt(linalg.eigvalsh(stiffness, mass)[0])
+    swing = 2 * np.pi / (slowest * step)  # samples
+    before = min(len(load) - 1, int(SWINGS_BEFORE * swing))
+    first = np.arange(min(len(load), max(2 * CUBIC, round(swing))))
+    start = np.polynomial.polynomial.polyfit(first, load[first], CUBIC - 1)[0]
+    load = np.concatenate([2.0 * start - load[before:0:-1], load])
+    at_angle, at_rate, by_a = (np.concatenate([x[before:0:-1], x]) for x in (at_angle, at_rate, by_a))
+    damped = before + int(DAMPED_SWINGS * swing)
+    at_rate[:damped] += 2.0 * DAMPED_BEFORE / slowest * at_angle[:damped]
+    parts = max(1, int(np.ceil(step * slowest / STEP_OF_A_SWING)))
+    fine = CubicSpline(np.arange(len(load)), load)(np.arange(parts * (len(load) - 1) + 1) / parts)
+    swinging: Any = hinges_together  # typed by numba, not by mypy
+    return np.asarray(swinging(fine, at_angle, at_rate, by_a, step / parts, parts))[before:]
 
 
 def _with_springs(springs: Sequence[Spring], by_q: Array, by_v: Array) -> tuple[Array, Array]:

@@ -375,6 +375,10 @@ class JointFlexibility(_FlexibilityOfJoint):
     def at_rest(cls, sites: RestSites) -> list[Self]:
         return [cls(joint=j, stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2) for j in sites.joints]
 
+    def on_rigid_tree(self) -> Effect | None:
+        """What motors feel of its bending, where it has a stiffness; torques over time do not tell one."""
+        return None if self.stiffness is None else _StatedBending(joint=self.joint, hinges=self)
+
 
 @dataclass(frozen=True, kw_only=True)
 class BaseFlexibility(_Flexibility):
@@ -413,6 +417,81 @@ class BaseFlexibility(_Flexibility):
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:
         return [cls(stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2)]
+
+    def on_rigid_tree(self) -> Effect | None:
+        """What motors feel of its tilting, where it has a stiffness; torques over time do not tell one."""
+        return None if self.stiffness is None else _StatedTilt(joint=self._site, hinges=self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StatedBending(_Stated, _OnRigidTree):
+    """What motors feel on a rigid tree of hinges across the axes, beyond what its twisting drives do.
+
+    The motors' motion is put on the tree with all hinges of the model, which give way to it (see `deflection`). The first of
+    them answers for all.
+    """
+
+    in_files: ClassVar[type[Effect]] = JointFlexibility
+    coefficient: ClassVar[tuple[str, str]] = ("bending", "1")
+
+    hinges: Any  # the effect that it stands for
+
+    @property
+    def coefficients(self) -> Array:
+        return np.ones(1)
+
+    def with_coefficients(self, values: Sequence[float] | Array) -> Self:
+        return self
+
+    @property
+    def springs(self) -> list[Spring]:
+        """As the solver knows them, on the tree with hinges."""
+        stiffness = np.array(self.hinges.stiffness)
+        damping = DAMPING_TIME * stiffness if self.hinges.damping is None else np.array(self.hinges.damping)
+        kinds = zip(stiffness, damping, type(self.hinges).virtual, strict=True)
+        return [Spring(self.joint, float(k), float(d / k), kind=kind) for k, d, kind in kinds]
+
+    def columns(self, motion: Motion) -> Array:
+        found = self._found(motion)
+        if found is None:
+            return np.zeros((*motion.q.shape, 1))
+        bent, springs = found
+        load, drives = _through_drives(bent), [bent.coordinates.index(j) for j in motion.coordinates.joints]
+        all_of_them = deflected(bent, springs, springs, load)
+        there = all_of_them.on(bent, springs)
+        held_by = (e for e in motion.effects if isinstance(e, Effect) and e.part == "spring")
+        more = sum((e.force(there) - e.force(bent) for e in held_by), all_of_them.beyond)
+        out = (all_of_them.torque.sum(axis=0) + more)[:, drives]
+        twisting = _springs_of_model(motion)
+        if twisting:
+            alone = deflected(motion, twisting, twisting, _through_drives(motion))
+            out = out - alone.torque.sum(axis=0) - alone.beyond
+        return np.asarray(out)[:, :, None]
+
+    def _found(self, motion: Motion) -> tuple[Motion, list[Spring]] | None:
+        """The motion on the tree with the model's hinges, and those; None where another one answers."""
+        present = [e for e in motion.effects if isinstance(e, _StatedBending)] or [self]
+        if present[0].label != self.label:
+            return None
+        twisting = _springs_of_model(motion)
+        drives = tuple(DriveFlexibility(joint=s.joint) for s in twisting)
+        bent = motion.on_tree.with_hinges((*drives, *(e.hinges for e in present)))
+        turned = [dataclasses.replace(s, kind="torsion") for s in twisting]
+        return bent, [*turned, *(s for e in present for s in e.springs)]
+
+    def in_tree(self, motion: Motion) -> Effect:
+        return self.hinges
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StatedTilt(_StatedBending):
+    """The base's."""
+
+    in_files: ClassVar[type[Effect]] = BaseFlexibility
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +102,10 @@ class TreeMotion(Protocol):
 
     def derivatives(self) -> tuple[Array, Array, Array]:
         """Derivatives of the links' generalised force by q, v and a; each (N, n, n)."""
+        ...
+
+    def with_hinges(self, hinges: tuple[Any, ...]) -> Motion:
+        """The same motion on the tree with the coordinates of these effects, which stay at zero."""
         ...
 
 
