@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from functools import cache
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,10 +15,13 @@ from scipy import signal, special
 from scipy.integrate import solve_ivp
 
 import rx90b_flex as rf
-from rx90b_flex import kernels
+from rx90b_flex.compiled.laws import Laws, law_forces
+from rx90b_flex.compiled.scratch import scratch_in, scratch_size
+from rx90b_flex.compiled.tree import Tree, inverse_dynamics, mass_matrix
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.effects.reversal import SHARP
+from rx90b_flex.plant import laws_of, tree_of
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import (
     CS8,
@@ -65,17 +69,28 @@ def largest(x: Array) -> float:
 # ---- compiled dynamics ----------------------------------------------------------------------------------------
 
 
+@numba.njit
+def compiled_dynamics(tree: Tree, memory: Array, q: Array, v: Array, a: Array, force: Array, mass: Array) -> None:
+    scratch = scratch_in(memory, len(q), 0)
+    inverse_dynamics(tree, scratch, q, v, a, force)
+    mass_matrix(tree, scratch, mass)
+
+
+@numba.njit
+def compiled_laws(laws: Laws, memory: Array, q: Array, v: Array, a: Array, force: Array, own: Array) -> None:
+    scratch = scratch_in(memory, len(q), own.shape[1])
+    law_forces(laws, scratch, q, v, a, own[0], own[1], own[2], force)
+
+
 @pytest.mark.parametrize("name", ["rx90b", "rx90b_3dof", "example-robot-data:ur10", "example-robot-data:panda"])
 def test_compiled_dynamics_are_pinocchios(name: str) -> None:
     model = rf.load_robot(name).model
     n, data = model.nv, model.createData()
-    tree, rng = kernels.tree_of(model), np.random.default_rng(1)
-    scratch = kernels.scratch_in(np.zeros(kernels.scratch_size(n, 0)), n, 0)
-    force, mass = np.zeros(n), np.zeros((n, n))
+    tree, rng = tree_of(model), np.random.default_rng(1)
+    memory, force, mass = np.zeros(scratch_size(n, 0)), np.zeros(n), np.zeros((n, n))
     for _ in range(20):
         q, v, a = rng.normal(size=(3, n))
-        kernels.inverse_dynamics(tree, scratch, q, v, a, force)
-        kernels.mass_matrix(tree, scratch, mass)
+        compiled_dynamics(tree, memory, q, v, a, force, mass)
         expected = pin.rnea(model, data, q, v, a)
         assert largest(force - expected) < 1e-12 * largest(expected)
         expected = np.triu(pin.crba(model, data, q))
@@ -114,10 +129,10 @@ def test_compiled_law_is_the_effects_force(effect: Effect, speed: float) -> None
     motion = robot().motion(q, v, a)
     own = effect.laws(motion)
     assert own is not None
-    laws = kernels.laws_of(own, n)
-    force, torques, by_x, by_rate = np.zeros(n), *np.zeros((3, len(own)))
-    memory = kernels.scratch_in(np.zeros(kernels.scratch_size(n, len(own))), n, len(own))
-    kernels.law_forces(laws, memory, q, v, a, torques, by_x, by_rate, force)
+    laws = laws_of(own, n)
+    force, found = np.zeros(n), np.zeros((3, len(own)))
+    compiled_laws(laws, np.zeros(scratch_size(n, len(own))), q, v, a, force, found)
+    _, by_x, by_rate = found
     assert force == pytest.approx(effect.force(motion)[0], rel=1e-12, abs=1e-9)
     ports = np.array([law.port for law in own])
     by_q, by_v, by_a = effect.derivatives(motion)

@@ -2,7 +2,7 @@
 
 Between two samples of the controller the drive torques are constant, and the robot moves by a linearly implicit
 (Rosenbrock-W) method of second order, L-stable, with the analytic Jacobian of all that is stiff: see
-`rx90b_flex.kernels`. Steps end at the controller's samples, so that no step crosses a jump of the torque.
+`rx90b_flex.compiled.step`. Steps end at the controller's samples, so that no step crosses a jump of the torque.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import signal
 
-from rx90b_flex import kernels
+from rx90b_flex.compiled.controller import DIVERGED, JUMP, OVERLOAD, OVERSPEED, RUNNING, Inputs, Lanes, Logs, Loop
+from rx90b_flex.compiled.loop import DIVISION, run
+from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
+from rx90b_flex.compiled.signals import decimate
+from rx90b_flex.compiled.step import Extra
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.kernels import Extra, Inputs, Lanes, Logs, Loop, Plant, no_extra
+from rx90b_flex.plant import Plant
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
@@ -457,7 +461,7 @@ class _Stage:
             self.filled = self.half
         self.filled += samples
         ready = max(0, (self.filled - len(self.weights)) // self.factor + 1)
-        kernels.decimate(self.buffer, self.weights, self.factor, out[:ready])
+        decimate(self.buffer, self.weights, self.factor, out[:ready])
         used = ready * self.factor
         self.buffer[: self.filled - used] = self.buffer[used : self.filled].copy()
         self.filled -= used
@@ -708,18 +712,17 @@ class _Runner:
         if self.plant.others or self.job.between:
             self._advance_by_parts(inputs, logs, samples)
         else:
-            tree, laws = self.plant.tree, self.plant.laws
-            kernels.run(tree, laws, self.memory, self.loop, no_extra(), self.lanes, inputs, logs, samples)
+            run(self.plant.packed, self.loop, self.lanes, inputs, logs, samples)
 
     def _advance_by_parts(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        """The loop of `kernels.run`, with the effects that have no compiled law asked for their forces in between."""
+        """The loop of `run`, with the effects that have no compiled law asked for their forces in between."""
         lanes, loop = self.lanes, self.loop
         torque = np.zeros_like(lanes.q)
         h = loop.period / loop.substeps
         for k in range(samples):
             if self.shows:
                 inputs.noise[k] += np.stack([x.T for x in self._shown(lanes.q, lanes.v)])
-            kernels.control_all(loop, lanes, inputs, logs, k, torque)
+            control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
             for effect in self.job.between:
@@ -729,24 +732,24 @@ class _Runner:
                 time = (inputs.first + k) * loop.period + part * h
                 bend = self._step(torque, time, h)
                 if part == 0 and k % logs.stride == 0:
-                    running = lanes.status == kernels.RUNNING
+                    running = lanes.status == RUNNING
                     logs.dissipated[running, logs.row + k // logs.stride] = lanes.closed[running]
                 if bend > loop.tolerance:
                     for now, before in zip(lanes, kept, strict=True):
                         now[:] = before
                     self.memories = known
                     lanes.divided[:] += 1
-                    fine = h / kernels.DIVISION
-                    for i in range(kernels.DIVISION):
+                    fine = h / DIVISION
+                    for i in range(DIVISION):
                         self._step(torque, time + i * fine, fine)
 
     def _step(self, torque: Array, time: float, h: float) -> float:
         """One step of all lanes; returns the largest bend of the laws."""
-        tree, laws, lanes, loop, memory = self.plant.tree, self.plant.laws, self.lanes, self.loop, self.memory
+        plant, lanes, loop, memory = self.plant.packed, self.lanes, self.loop, self.memory
         extra = self._extra(time)
-        kernels.begin_all(tree, laws, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
+        begin_all(plant, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
         late = self._force(self.late_q, self.late_v, lanes.a, time + h)
-        return float(kernels.finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h))
+        return float(finish_all(plant, memory, loop, extra, late, lanes, torque, h))
 
     def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
         motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
@@ -785,7 +788,7 @@ class _Runner:
         # the compiled step wants the part that does not depend on the acceleration
         force -= np.einsum("lij,lj->li", slopes[2], lanes.a)
         by_q, by_v, by_a = (np.ascontiguousarray(x) for x in slopes)
-        return Extra(True, lost, force, by_a, by_v, by_q)
+        return Extra(lost, force, by_a, by_v, by_q)
 
     # ---- results ----------------------------------------------------------------------------------------
 
@@ -841,20 +844,20 @@ class _Runner:
 
     def _why(self, lane: int) -> str | None:
         status, joint = int(self.lanes.status[lane]), int(self.lanes.joint[lane])
-        if status == kernels.RUNNING:
+        if status == RUNNING:
             return None
         at = f"at t = {self.lanes.sample[lane] / self.job.controller.controller_rate_hz:.4f} s"
-        if status == kernels.DIVERGED:
+        if status == DIVERGED:
             return f"{at} the motion diverged: coordinates are no longer finite"
         name, place = self.job.robot.joints[joint], int(self.loop.drive[joint])
-        if status == kernels.JUMP:
+        if status == JUMP:
             jump = self.jumps[lane]
             assert jump is not None
             return f"{at} the reference of {name} jumps: {jump.speed:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
-        if status == kernels.OVERLOAD:
+        if status == OVERLOAD:
             held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
             return f"{at} the torque of {name} has been at its limit of {limit:g} N m for {held:g} ms"
-        if status == kernels.OVERSPEED:
+        if status == OVERSPEED:
             speed_now = self.lanes.v[lane, place]
             return f"{at} {name} turns at {speed_now:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
         limits = f"{self.loop.lower[joint]:.4g} to {self.loop.upper[joint]:.4g} rad"

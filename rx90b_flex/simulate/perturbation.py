@@ -26,8 +26,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90b_flex.compiled.about_mean import Along, Ports, Steps, make_steps
+from rx90b_flex.compiled.controller import Inputs, Logs
+from rx90b_flex.compiled.perturbed import Perturbed, advance
+from rx90b_flex.compiled.rate_table import CELLS, fill_tables
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.kernels import CELLS, Along, Inputs, Logs, Perturbed, Ports, Steps, advance, fill_tables, make_steps
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Role
 from rx90b_flex.simulate import closed_loop
