@@ -110,6 +110,9 @@ def with_laws() -> list[Effect]:
         "joint_spring": {"stiffness": 20.0, "rest_angle": 0.2},
         "gear_ripple": {"order": 20.0, "amplitude": 2.0, "phase": 0.3},
         "stiffness_hardening": {"cubic": 1e9},
+        "friction_curve": {"velocities": (-0.4, -0.001, 0.0005, 0.3), "torques": (-9.0, -6.0, 5.0, 8.0)},
+        "angle_curve": {"angles": (-0.5, -0.1, 0.2, 0.4), "torques": (5.0, -3.0, 2.0, 6.0)},
+        "position_friction": {"order": 5.0, "amplitude": 6.0, "phase": 0.3, "turnover": 1e-3},
         "drive_inertia": {"inertia": 1.3},
         "drive_flexibility": {"stiffness": 2e5, "damping": 200.0},
         "joint_flexibility": {"stiffness": (2e5, 3e5), "damping": (200.0, 300.0)},
@@ -595,11 +598,11 @@ def test_recording_takes_the_road_of_measured_data(tmp_path) -> None:  # type: i
 
 
 def test_log_filter_passes_80_hz_and_stops_what_would_alias() -> None:
-    from rx90b_flex.simulate.closed_loop import _Decimator
+    from rx90b_flex.simulate.decimation import Decimator
 
     time = np.arange(8000) / 4000
     for hz, low, high in ((20.0, 0.999, 1.001), (79.0, 0.99, 1.001), (126.0, 0.0, 1e-3), (230.0, 0.0, 1e-3)):
-        filter_ = _Decimator(load_cs8(), 16, 1, 5000)
+        filter_ = Decimator(load_cs8(), 16, 1, 5000)
         out, done = np.full((501, 1), np.nan), 0
         for part in np.split(np.cos(2 * np.pi * hz * time)[:, None], [3000]):
             filter_.inbox(len(part))[:] = part

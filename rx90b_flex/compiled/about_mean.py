@@ -71,6 +71,22 @@ def _add_linear_laws(
 
 
 @inlined
+def _see_ports(ports: Ports, middle: Array, push: Array, port_x: Array, port_rate: Array, gain: Array) -> None:
+    """What the ports of the exact laws see of the nominal motion, and how their torques move each other's rates."""
+    n = middle.shape[1]
+    for p in range(push.shape[1]):
+        port_x[p], port_rate[p] = 0.0, 0.0
+        for i in range(n):
+            port_x[p] += ports.vector[i, p] * middle[0, i]
+            port_rate[p] += ports.vector[i, p] * middle[1, i]
+        for u in range(push.shape[1]):
+            total = 0.0
+            for i in range(n):
+                total += ports.vector[i, u] * push[i, p]
+            gain[u, p] = total
+
+
+@inlined
 def _make_step(
     tree: Tree,
     laws: Laws,
@@ -130,16 +146,7 @@ def _make_step(
             for m in range(n):
                 total += inverse[i, m] * ports.vector[m, p]
             push[i, p] = 0.5 * h * total
-    for p in range(push.shape[1]):
-        port_x[p], port_rate[p] = 0.0, 0.0
-        for i in range(n):
-            port_x[p] += ports.vector[i, p] * middle[0, i]
-            port_rate[p] += ports.vector[i, p] * middle[1, i]
-        for u in range(push.shape[1]):
-            total = 0.0
-            for i in range(n):
-                total += ports.vector[i, u] * push[i, p]
-            gain[u, p] = total
+    _see_ports(ports, middle, push, port_x, port_rate, gain)
 
 
 @entry

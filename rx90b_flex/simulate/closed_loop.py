@@ -8,7 +8,6 @@ Between two samples of the controller the drive torques are constant, and the ro
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,23 +21,23 @@ from scipy import signal
 from rx90b_flex.compiled.controller import DIVERGED, JUMP, OVERLOAD, OVERSPEED, RUNNING, Inputs, Lanes, Logs, Loop
 from rx90b_flex.compiled.loop import DIVISION, run
 from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
-from rx90b_flex.compiled.signals import decimate
 from rx90b_flex.compiled.step import Extra
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.effect import Remembering
+from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.plant import Plant
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.cs8 import CS8, drive_places
+from rx90b_flex.simulate.decimation import Decimator
 from rx90b_flex.simulate.trajectories import Trajectory
 
 Indices = NDArray[np.int64]
 Progress = Callable[[float], None]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
-FILTER_ATTENUATION_DB = 80.0
-FILTER_TRANSITION = 0.22  # of the anti-alias filter, over its cutoff: 80 to 100 Hz about 90
 TOLERANCE = 1e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
 SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controller's supervision stops the robot
 
@@ -304,13 +303,13 @@ def _refuse(
             )
 
 
-def _as_simulated(robot: Robot) -> tuple[Robot, tuple[Effect, ...]]:
+def _as_simulated(robot: Robot) -> tuple[Robot, tuple[LogEffect, ...]]:
     """The robot with its forces as a simulation has them, and the effects that stand between it and the log."""
     try:
         forces = [e.simulated(robot.effects) for e in robot.effects]
     except ValueError as error:
         raise ValueError(f"{robot.name}: {error}") from None
-    between = tuple(e for e in robot.effects if not e.in_dynamics)
+    between = tuple(e for e in robot.effects if isinstance(e, LogEffect))
     return (robot.with_effects([f for f in forces if f is not None]) if between else robot), between
 
 
@@ -407,118 +406,6 @@ def hermite(position: Array, velocity: Array, rows: Indices, part: Array, rate_h
     return x.reshape(shape), rate_hz * v.reshape(shape), rate_hz**2 * a.reshape(shape)
 
 
-class _Band(NamedTuple):
-    """A low-pass that is flat to one frequency and stops from another, before a signal of `rate_hz` is thinned out."""
-
-    rate_hz: float
-    factor: int
-    passes_hz: float
-    stops_hz: float
-
-    def weights(self) -> Array:
-        """Of a linear phase, by Kaiser's window, an odd number."""
-        taps, beta = signal.kaiserord(FILTER_ATTENUATION_DB, (self.stops_hz - self.passes_hz) / (0.5 * self.rate_hz))
-        middle = 0.5 * (self.passes_hz + self.stops_hz)
-        return np.asarray(signal.firwin(2 * (taps // 2) + 1, middle, window=("kaiser", beta), fs=self.rate_hz))
-
-
-def _bands(rate_hz: float, stride: int, cutoff_hz: float) -> list[list[_Band]]:
-    """The ways to thin a signal out in one or two stages.
-
-    The last one has its transition about the cutoff; one before it only keeps away what its own rate folds into that.
-    """
-    low, high = (1.0 - 0.5 * FILTER_TRANSITION) * cutoff_hz, (1.0 + 0.5 * FILTER_TRANSITION) * cutoff_hz
-    ways = [[_Band(rate_hz, stride, low, high)]]
-    for first in range(2, stride + 1):
-        between = rate_hz / first
-        if stride % first == 0 and between > 2.0 * high:
-            ways.append([_Band(rate_hz, first, high, between - high), _Band(between, stride // first, low, high)])
-    return ways
-
-
-class _Stage:
-    """A linear-phase filter whose output is thinned out, its delay taken out, fed chunk by chunk.
-
-    The ends are continued by odd reflection, so that value and slope go on.
-    """
-
-    def __init__(self, weights: Array, factor: int, channels: int, longest: int) -> None:
-        self.weights, self.factor, self.half = weights, factor, len(weights) // 2
-        self.buffer = np.zeros((longest + len(weights) + self.half + factor, channels))
-        self.filled = 0
-
-    def inbox(self, samples: int) -> Array:
-        """Where the next samples belong, (samples, channels): fill it, then `push`."""
-        start = self.filled or self.half
-        return self.buffer[start : start + samples]
-
-    def push(self, samples: int, out: Array) -> int:
-        """Filter what was put into the inbox; what is ready goes to `out` (N, channels). Returns the outputs' number."""
-        if self.filled == 0:
-            inbox = self.inbox(samples)
-            ahead = np.minimum(np.arange(self.half, 0, -1), samples - 1)
-            np.subtract(2.0 * inbox[0], inbox[ahead], out=self.buffer[: self.half])
-            self.filled = self.half
-        self.filled += samples
-        ready = max(0, (self.filled - len(self.weights)) // self.factor + 1)
-        decimate(self.buffer, self.weights, self.factor, out[:ready])
-        used = ready * self.factor
-        self.buffer[: self.filled - used] = self.buffer[used : self.filled].copy()
-        self.filled -= used
-        return ready
-
-    def finish(self, out: Array) -> int:
-        """What the last samples still owe."""
-        behind = np.maximum(self.filled - 2 - np.arange(self.half), 0)
-        np.subtract(2.0 * self.buffer[self.filled - 1], self.buffer[behind], out=self.inbox(self.half))
-        return self.push(self.half, out)
-
-
-class _Decimator:
-    """The anti-alias filter before the log, in the stages that take the fewest multiplications.
-
-    Parameters
-    ----------
-    controller : CS8
-    stride : int
-        Samples an output.
-    channels : int
-    longest : int
-        Most samples that are pushed at once.
-    """
-
-    def __init__(self, controller: CS8, stride: int, channels: int, longest: int) -> None:
-        ways = []
-        for bands in _bands(controller.controller_rate_hz, stride, controller.log_cutoff_hz):
-            weights = [band.weights() for band in bands]
-            rates = [band.rate_hz / band.factor for band in bands]
-            ways.append((sum(len(w) * rate for w, rate in zip(weights, rates, strict=True)), bands, weights))
-        _, bands, weights = min(ways, key=lambda way: way[0])
-        self.stages = []
-        for band, own in zip(bands, weights, strict=True):
-            self.stages.append(_Stage(own, band.factor, channels, longest))
-            longest = len(self.stages[-1].buffer) // band.factor + 1
-
-    def inbox(self, samples: int) -> Array:
-        """Where the next samples belong, (samples, channels): fill it, then `push`."""
-        return self.stages[0].inbox(samples)
-
-    def push(self, samples: int, out: Array) -> int:
-        """Filter what was put into the inbox; what is ready goes to `out` (N, channels). Returns the outputs' number."""
-        for stage, after in itertools.pairwise(self.stages):
-            room = len(stage.buffer) // stage.factor + 1
-            samples = stage.push(samples, after.inbox(room))
-        return self.stages[-1].push(samples, out)
-
-    def finish(self, out: Array) -> int:
-        """What the last samples still owe."""
-        done = 0
-        for stage, after in itertools.pairwise(self.stages):
-            room = len(stage.buffer) // stage.factor + 1
-            done += after.push(stage.finish(after.inbox(room)), out[done:])
-        return done + self.stages[-1].finish(out[done:])
-
-
 def tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
     """Poses of a frame at positions (N, n), shape (N, 4, 4), in the base frame, m."""
     data, tip = model.createData(), model.getFrameId(frame)
@@ -535,7 +422,7 @@ def tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class _Job:
     robot: Robot
-    between: tuple[Effect, ...]  # robot and log
+    between: tuple[LogEffect, ...]  # robot and log
     controller: CS8
     trajectories: tuple[Trajectory, ...]
     noise: Noise
@@ -565,7 +452,7 @@ class _Runner:
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
         self.late_q, self.late_v = np.zeros_like(self.lanes.q), np.zeros_like(self.lanes.q)
         rest = job.robot.motion(self.lanes.q, self.lanes.v, self.lanes.a)
-        self.memories = {e: e.memory(rest) for e in self.plant.others if e.remembers}
+        self.memories = {e: e.memory(rest) for e in self.plant.others if isinstance(e, Remembering)}
         self.shows = any(e.shown(rest) is not None for e in job.between)
         ahead = max((e.history_s for e in job.between), default=0.0)
         rows = int(np.ceil(ahead * controller.controller_rate_hz))
@@ -632,7 +519,7 @@ class _Runner:
         size *= self.up * self.stride
         count, n = self.lanes.q.shape
         joints, states = len(self.loop.drive), -(-self.samples // self.stride)
-        filtered = _Decimator(self.job.controller, self.stride, 3 * joints * count, size)
+        filtered = Decimator(self.job.controller, self.stride, 3 * joints * count, size)
         logged = np.zeros((states, 3, joints, count))
         out = logged.reshape(states, -1)
         whole = [np.zeros((count, states, n)) for _ in range(2)] + [np.zeros((count, states)) for _ in range(2)]
@@ -755,7 +642,7 @@ class _Runner:
         motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
         force = np.zeros_like(q)
         for effect in self.plant.others:
-            if effect.remembers:
+            if isinstance(effect, Remembering):
                 force += effect.remembered(effect.onward(self.memories[effect], motion), motion)[0]
             else:
                 force += effect.force(motion)
@@ -771,7 +658,7 @@ class _Runner:
         force, lost = np.zeros((count, n)), np.zeros(count)
         slopes = [np.zeros((count, n, n)) for _ in range(3)]
         for effect in self.plant.others:
-            if effect.remembers:
+            if isinstance(effect, Remembering):
                 self.memories[effect] = effect.onward(self.memories[effect], motion)
                 own, slope = effect.remembered(self.memories[effect], motion)
                 force += own
