@@ -26,7 +26,7 @@ from joblib import Parallel, delayed
 from lxml import etree
 
 import rx90b_flex as rf
-from rx90b_flex import kernels
+from rx90b_flex.plant import tree_of
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Trajectory, load_cs8, multisine, simulate, simulate_lanes, square_wave, straight_line
 from rx90b_flex.simulate.trajectories import FEEDFORWARD_LINES, FEEDFORWARD_PEAK
@@ -109,7 +109,7 @@ def bare_exudyn(robot: Robot, start: np.ndarray) -> tuple[Any, Any]:
 
     container = exu.SystemContainer()
     system = container.AddSystem()
-    tree, n = kernels.tree_of(robot.model), robot.model.nv
+    tree, n = tree_of(robot.model), robot.model.nv
     centres = tree.moment / np.where(tree.mass > 0.0, tree.mass, 1.0)[:, None]
     crosses = np.array([np.cross(np.eye(3), c) for c in centres])
     about_centres = tree.inertia + tree.mass[:, None, None] * crosses @ crosses

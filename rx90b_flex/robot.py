@@ -21,7 +21,7 @@ from rx90b_flex.files.toml import read_toml
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
-    from rx90b_flex.kernels import Plant
+    from rx90b_flex.plant import Plant
 
 LINK_PARAMETERS = ("mass", "s_x", "s_y", "s_z", "J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")
 LINK_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
@@ -141,7 +141,7 @@ class Robot:
     @cached_property
     def plant(self) -> Plant:
         """Tree and effects as arrays for compiled code, made once."""
-        from rx90b_flex.kernels import plant_of  # here, since loading the compiler takes half a second
+        from rx90b_flex.plant import plant_of  # here, since loading the compiler takes half a second
 
         rest = np.zeros(self.model.nv)
         drives = np.argmax(self.input_matrix, axis=0).astype(np.int64)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 
+import numba
 import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.kernels import _from_table, _port_torque
+from rx90b_flex.compiled.perturbed import port_torque
+from rx90b_flex.compiled.rate_table import from_table
 from rx90b_flex.simulate import (
     Noise,
     Trajectory,
@@ -123,10 +125,12 @@ def test_an_effect_without_a_compiled_law_takes_part() -> None:
 
 def test_the_table_of_the_friction_is_the_friction() -> None:
     ports, laws = _ports(ROBOT, True), ROBOT.plant.laws
+    by_table = numba.njit(lambda table, rate: from_table(table, rate))
+    by_laws = numba.njit(lambda laws, ports, p, rate: port_torque(laws, ports, p, 0.0, rate, 0.0))
     for p in np.flatnonzero(ports.tabulated):
         for rate in (-2.3, -0.11, -1e-3, -2e-4, -1e-7, 3e-7, 1e-4, 0.04, 0.9, 7.0):
-            torque, slope = _from_table(ports.table[p], rate)
-            true, true_slope = _port_torque(laws, ports, p, 0.0, rate, 0.0)
+            torque, slope = by_table(ports.table[p], rate)
+            true, true_slope = by_laws(laws, ports, p, rate)
             assert torque == pytest.approx(true, rel=1e-6)
             assert slope == pytest.approx(true_slope, rel=2e-3, abs=0.01)
 

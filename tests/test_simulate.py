@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from functools import cache
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,10 +15,13 @@ from scipy import signal, special
 from scipy.integrate import solve_ivp
 
 import rx90b_flex as rf
-from rx90b_flex import kernels
+from rx90b_flex.compiled.laws import Laws, law_forces
+from rx90b_flex.compiled.scratch import scratch_in, scratch_size
+from rx90b_flex.compiled.tree import Tree, inverse_dynamics, mass_matrix
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.effects.reversal import SHARP
+from rx90b_flex.plant import laws_of, tree_of
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import (
     CS8,
@@ -65,17 +69,28 @@ def largest(x: Array) -> float:
 # ---- compiled dynamics ----------------------------------------------------------------------------------------
 
 
+@numba.njit
+def compiled_dynamics(tree: Tree, memory: Array, q: Array, v: Array, a: Array, force: Array, mass: Array) -> None:
+    scratch = scratch_in(memory, len(q), 0)
+    inverse_dynamics(tree, scratch, q, v, a, force)
+    mass_matrix(tree, scratch, mass)
+
+
+@numba.njit
+def compiled_laws(laws: Laws, memory: Array, q: Array, v: Array, a: Array, force: Array, own: Array) -> None:
+    scratch = scratch_in(memory, len(q), own.shape[1])
+    law_forces(laws, scratch, q, v, a, own[0], own[1], own[2], force)
+
+
 @pytest.mark.parametrize("name", ["rx90b", "rx90b_3dof", "example-robot-data:ur10", "example-robot-data:panda"])
 def test_compiled_dynamics_are_pinocchios(name: str) -> None:
     model = rf.load_robot(name).model
     n, data = model.nv, model.createData()
-    tree, rng = kernels.tree_of(model), np.random.default_rng(1)
-    scratch = kernels.scratch_in(np.zeros(kernels.scratch_size(n, 0)), n, 0)
-    force, mass = np.zeros(n), np.zeros((n, n))
+    tree, rng = tree_of(model), np.random.default_rng(1)
+    memory, force, mass = np.zeros(scratch_size(n, 0)), np.zeros(n), np.zeros((n, n))
     for _ in range(20):
         q, v, a = rng.normal(size=(3, n))
-        kernels.inverse_dynamics(tree, scratch, q, v, a, force)
-        kernels.mass_matrix(tree, scratch, mass)
+        compiled_dynamics(tree, memory, q, v, a, force, mass)
         expected = pin.rnea(model, data, q, v, a)
         assert largest(force - expected) < 1e-12 * largest(expected)
         expected = np.triu(pin.crba(model, data, q))
@@ -95,6 +110,9 @@ def with_laws() -> list[Effect]:
         "joint_spring": {"stiffness": 20.0, "rest_angle": 0.2},
         "gear_ripple": {"order": 20.0, "amplitude": 2.0, "phase": 0.3},
         "stiffness_hardening": {"cubic": 1e9},
+        "friction_curve": {"velocities": (-0.4, -0.001, 0.0005, 0.3), "torques": (-9.0, -6.0, 5.0, 8.0)},
+        "angle_curve": {"angles": (-0.5, -0.1, 0.2, 0.4), "torques": (5.0, -3.0, 2.0, 6.0)},
+        "position_friction": {"order": 5.0, "amplitude": 6.0, "phase": 0.3, "turnover": 1e-3},
         "drive_inertia": {"inertia": 1.3},
         "drive_flexibility": {"stiffness": 2e5, "damping": 200.0},
         "joint_flexibility": {"stiffness": (2e5, 3e5), "damping": (200.0, 300.0)},
@@ -114,10 +132,10 @@ def test_compiled_law_is_the_effects_force(effect: Effect, speed: float) -> None
     motion = robot().motion(q, v, a)
     own = effect.laws(motion)
     assert own is not None
-    laws = kernels.laws_of(own, n)
-    force, torques, by_x, by_rate = np.zeros(n), *np.zeros((3, len(own)))
-    memory = kernels.scratch_in(np.zeros(kernels.scratch_size(n, len(own))), n, len(own))
-    kernels.law_forces(laws, memory, q, v, a, torques, by_x, by_rate, force)
+    laws = laws_of(own, n)
+    force, found = np.zeros(n), np.zeros((3, len(own)))
+    compiled_laws(laws, np.zeros(scratch_size(n, len(own))), q, v, a, force, found)
+    _, by_x, by_rate = found
     assert force == pytest.approx(effect.force(motion)[0], rel=1e-12, abs=1e-9)
     ports = np.array([law.port for law in own])
     by_q, by_v, by_a = effect.derivatives(motion)
@@ -580,11 +598,11 @@ def test_recording_takes_the_road_of_measured_data(tmp_path) -> None:  # type: i
 
 
 def test_log_filter_passes_80_hz_and_stops_what_would_alias() -> None:
-    from rx90b_flex.simulate.closed_loop import _Decimator
+    from rx90b_flex.simulate.decimation import Decimator
 
     time = np.arange(8000) / 4000
     for hz, low, high in ((20.0, 0.999, 1.001), (79.0, 0.99, 1.001), (126.0, 0.0, 1e-3), (230.0, 0.0, 1e-3)):
-        filter_ = _Decimator(load_cs8(), 16, 1, 5000)
+        filter_ = Decimator(load_cs8(), 16, 1, 5000)
         out, done = np.full((501, 1), np.nan), 0
         for part in np.split(np.cos(2 * np.pi * hz * time)[:, None], [3000]):
             filter_.inbox(len(part))[:] = part

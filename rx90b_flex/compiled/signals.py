@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rx90b_flex.compiled.compile import Array, entry
+
 TOGETHER = 8  # columns: as many as lie together in the processor's cache
 
-compiled = numba.njit(cache=True, error_model="numpy")
 
-
-@compiled
+@entry
 def forward_and_backward(x: Array, sections: Array, steady: Array, pad: int) -> Array:
     """Second-order sections run forward and backward along x (N, k), ends continued by odd reflection over `pad` samples.
 
@@ -40,7 +37,7 @@ def forward_and_backward(x: Array, sections: Array, steady: Array, pad: int) -> 
     return out
 
 
-@compiled
+@entry
 def _run(work: Array, sections: Array, steady: Array) -> None:
     """Sections along a signal, in its place: two in one pass, for each waits for its own last result."""
     start = work[0]
@@ -74,7 +71,7 @@ def _run(work: Array, sections: Array, steady: Array) -> None:
             work[i] = v
 
 
-@compiled
+@entry
 def _along(q: Array, deflection: float, slips: bool) -> Array:
     """Hysteresis over its torque along angles q (N,), rad: from each turn towards 1 or -1, at once at its end if it slips, ever
     more slowly if not.
@@ -102,13 +99,42 @@ def _along(q: Array, deflection: float, slips: bool) -> Array:
     return out
 
 
-@compiled
+@entry
 def dahl(q: Array, deflection: float) -> Array:
     """Dahl's friction over its torque along angles q (N,), rad, exact between samples of monotone motion; shape (N,)."""
     return _along(q, deflection, False)
 
 
-@compiled
+@entry
 def maxwell(q: Array, deflection: float) -> Array:
     """Torque over its limit of a spring in series with dry friction, along angles q (N,), rad; shape (N,)."""
     return _along(q, deflection, True)
+
+
+@entry
+def decimate(buffer: Array, weights: Array, stride: int, out: Array) -> None:
+    """Every `stride`-th sample of a filtered signal.
+
+    Parameters
+    ----------
+    buffer : (samples, channels)
+    weights : (2 half + 1,), symmetric
+    out : (outputs, channels)
+    """
+    half, channels = len(weights) // 2, buffer.shape[1]
+    for k in range(out.shape[0]):
+        low, high = k * stride, k * stride + 2 * half
+        middle = weights[half]
+        for c in range(channels):
+            out[k, c] = middle * buffer[low + half, c]
+        t = 0
+        while t + 2 <= half:  # two pairs at a time, which halves the looks at `out`
+            w0, w1 = weights[t], weights[t + 1]
+            for c in range(channels):
+                outer = w0 * (buffer[low + t, c] + buffer[high - t, c])
+                out[k, c] += outer + w1 * (buffer[low + t + 1, c] + buffer[high - t - 1, c])
+            t += 2
+        if t < half:
+            w0 = weights[t]
+            for c in range(channels):
+                out[k, c] += w0 * (buffer[low + t, c] + buffer[high - t, c])

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rx90b_flex.compiled.compile import Array, entry
 
 CUBIC = 4  # coefficients
 
-compiled = numba.njit(cache=True, error_model="numpy")
 
-
-@compiled
+@entry
 def samples_of_a_swing(fast: Array) -> int:
     """From its squared frequency, (rad a sample)^2, along a motion (N,)."""
     return int(2.0 * np.pi / np.sqrt(max(np.median(fast), 1e-6)))
 
 
-@compiled
+@entry
 def steps_alone(
     at_angle: Array, at_rate: Array, by_a: Array, step: float, least: float, fastest: float
 ) -> tuple[Array, Array, Array, Array, bool, int]:
@@ -62,7 +58,7 @@ def steps_alone(
     return now, last, before, weight, swings, swing
 
 
-@compiled
+@entry
 def begun_slowly(
     force: Array, samples: int, step: float, stiffness: float, cubic: float, damping: float, inertia: float
 ) -> Array:
@@ -89,7 +85,7 @@ def begun_slowly(
     return np.array([x0, x0 + step * (x1 + step * (x2 + step * x3))])
 
 
-@compiled
+@entry
 def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool, begun: Array, force: Array) -> Array:
     """Torsions (N,) under forces (N,), by the equations of `steps_alone`; where a joint swings, from the first two (2,) on."""
     out = np.empty(len(force))
@@ -105,7 +101,7 @@ def stepped(now: Array, last: Array, before: Array, weight: Array, swings: bool,
     return out
 
 
-@compiled
+@entry
 def rates(x: Array, step: float, first: Array, second: Array) -> tuple[Array, Array]:
     """First and second derivatives by time of uniform samples (N,), central with the given weights, ends continued oddly."""
     samples, beside = len(x), len(first) // 2
@@ -128,7 +124,7 @@ def rates(x: Array, step: float, first: Array, second: Array) -> tuple[Array, Ar
     return v, a
 
 
-@compiled
+@entry
 def torsion_alone(
     load: Array,
     by_q: Array,

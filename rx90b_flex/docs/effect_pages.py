@@ -99,7 +99,7 @@ def index() -> str:
     for place, words in PLACES.items():
         lines += [f"## {words[0].upper()}{words[1:]}", "", "| type | on | what it is |", "|---|---|---|"]
         for name, cls in catalogue().items():
-            if cls.acts_on == place:
+            if _acts_on(cls) == place:
                 first = " ".join(text_of(cls).what.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
                 lines.append(f"| [`{name}`]({name}.md) | {cls.on} | {first} |")
         lines.append("")
@@ -110,7 +110,7 @@ def gallery(drawn: Sequence[str]) -> str:
     """All pictures on one page, Markdown."""
     lines = ["# What each effect looks like in a residual", "", SHOWN, ""]
     for place, words in PLACES.items():
-        names = [name for name in drawn if catalogue()[name].acts_on == place]
+        names = [name for name in drawn if _acts_on(catalogue()[name]) == place]
         lines += [f"## {words[0].upper()}{words[1:]}", ""]
         for name in names:
             lines += [f"### [`{name}`]({name}.md)", "", f"![Residual with {name}]({name}.png)", ""]
@@ -132,11 +132,18 @@ def write_pages(folder: Path) -> None:
             path.unlink()
 
 
+def _acts_on(cls: type[Effect]) -> str:
+    """Key of `PLACES`."""
+    if cls.virtual:
+        return "coordinates"
+    return "forces" if cls.in_dynamics else "signals"
+
+
 def _place(cls: type[Effect]) -> str:
     on = {"joint": "a joint", "joints": "two joints", "frame": "a frame", "robot": "the robot"}.get(
         cls.on, f"the {cls.on}"
     )
-    said = [f"On {on}; {PLACES[cls.acts_on]}"]
+    said = [f"On {on}; {PLACES[_acts_on(cls)]}"]
     if cls.replaces:
         said.append("stands in for " + " and ".join(f"`{name}`" for name in cls.replaces) + " there")
     if cls.needs:

@@ -16,8 +16,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rx90b_flex.effects.effect import Effect, JointEffect, Sites, derived, linear
+from rx90b_flex.effects.effect import Effect, JointEffect, JointForce, Sites, derived, linear
 from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.ripple import PeriodicEffect
 
@@ -29,10 +30,7 @@ KICK_S = 0.05  # over which a load is smoothed: as the motor crosses the gap its
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AngleError(PeriodicEffect):
-    acts_on: ClassVar[str] = "signals"
-    in_dynamics: ClassVar[bool] = False
-
+class _AngleError(LogEffect, PeriodicEffect):
     amplitude: float | None = derived("rad", lower=0.0)
 
     def possible(self) -> bool:
@@ -98,9 +96,6 @@ class _AngleError(PeriodicEffect):
 
     def basis(self, at: JointMotion) -> Array:
         return self.leading(at.motion)[1]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        raise TypeError(f"{self.type_name()} is no force of the robot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,7 +211,7 @@ class _VaryingRatio(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(JointEffect):
+class Backlash(LogEffect, JointEffect):
     """Lost motion: as the load changes sign the link goes from one end of the gap to the other.
 
     The link's angle is the motor's less ``gap / 2 * tanh(load / scale)``; the load is the torque that the links ask for, the scale
@@ -236,8 +231,6 @@ class Backlash(JointEffect):
     Not in Hardeman 2008; lost motion between the flanks of teeth, smoothed over a small load.
     """
 
-    acts_on: ClassVar[str] = "signals"
-    in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
 
     gap: float | None = linear("rad", lower=0.0)
@@ -265,9 +258,6 @@ class Backlash(JointEffect):
     def basis(self, at: JointMotion) -> Array:
         return self.columns(at.motion)[:, int(np.flatnonzero(at.port)[0])]
 
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        raise TypeError(f"{self.type_name()} is no force of the robot")
-
     def simulated(self, beside: Sequence[Effect]) -> Effect:
         springs = [e for e in beside if "torsion" in e.virtual and e.joints == self.joints]
         if not springs:
@@ -279,7 +269,7 @@ class Backlash(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _LostMotion(JointEffect):
+class _LostMotion(JointForce):
     """Backlash in series with a drive's torsion spring: what it takes from the spring's torque.
 
     The torque F through both follows ``torsion = F / stiffness + gap / 2 * tanh(F / LOAD_SCALE)``, with F against the load.
@@ -287,7 +277,6 @@ class _LostMotion(JointEffect):
 
     acts_at: ClassVar[str] = "torsion"
     part: ClassVar[str] = "flexibility"
-    law_stores: ClassVar[bool] = True
 
     gap: float
     stiffness: float

@@ -11,14 +11,15 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rx90b_flex.effects.effect import FRICTION, SPRING, JointEffect, given, linear
+from rx90b_flex.effects.effect import FRICTION, SPRING, JointForce, given, linear
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 KNOTS = 9  # of a curve that a search places: two for each of its bends
 OUTERMOST = 0.02  # part of the samples beyond the last knot on either side, where the curve goes on level
 
 
-class ManyCoefficients(JointEffect):
+class ManyCoefficients(JointForce):
     """An effect on a joint with as many coefficients of one kind, its `torques`, as are stated or as it has knots or elements."""
 
     torques: tuple[float, ...] | None
@@ -52,6 +53,26 @@ class ManyCoefficients(JointEffect):
         known = not np.isnan(values).any()
         change: dict[str, Any] = {"torques": tuple(float(x) for x in values) if known else None}
         return dataclasses.replace(self, **change)
+
+
+def along_curve(x: float, rate: float, parameters: Any, out: Any) -> None:
+    """The law of a cubic spline over angle or rate, level beyond its ends.
+
+    Parameters: 1 where it is over the rate, the number of knots, the knots, four coefficients a piece, highest power first.
+    """
+    over_rate, count = parameters[0], int(parameters[1])
+    at = rate if over_rate > 0.0 else x
+    first, last = parameters[2], parameters[1 + count]
+    inside = min(max(at, first), last)
+    piece = 0
+    while piece < count - 2 and inside >= parameters[3 + piece]:
+        piece += 1
+    s, k = inside - parameters[2 + piece], 2 + count + 4 * piece
+    c3, c2, c1, c0 = parameters[k], parameters[k + 1], parameters[k + 2], parameters[k + 3]
+    slope = c1 + s * (2.0 * c2 + s * 3.0 * c3) if first <= at <= last else 0.0
+    out[0] = c0 + s * (c1 + s * (c2 + s * c3))
+    out[1] = 0.0 if over_rate > 0.0 else slope
+    out[2] = slope if over_rate > 0.0 else 0.0
 
 
 class _Curve(ManyCoefficients):
@@ -88,6 +109,13 @@ class _Curve(ManyCoefficients):
     @abstractmethod
     def abscissa(self, at: JointMotion) -> Array:
         """What the torque is a curve of, shape (N,)."""
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        pieces = CubicSpline(self.knots, self.known_coefficients(), bc_type="natural").c.T.ravel()
+        over_rate = self.knots_name == "velocities"
+        values = np.concatenate([[float(over_rate), float(self.count)], self.knots, pieces])
+        port = motion.coordinates.port(self.joint, self.port_kind)
+        return (Law(port, function=along_curve, parameters=values, stores=not over_rate),)
 
     def _spline(self, x: Array, order: int) -> Array:
         """Torque, or its derivative, per unit of each knot's; shape (N, k)."""

@@ -7,13 +7,13 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, RestSites, RestSizes, linear
+from rx90b_flex.effects.effect import FRICTION, INERTIA, JointForce, LawEffect, RestSites, RestSizes, linear
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveInertia(JointEffect):
+class DriveInertia(JointForce):
     """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.2, after Spong).
 
     Signature
@@ -61,7 +61,7 @@ class DriveInertia(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueOffset(JointEffect):
+class TorqueOffset(LawEffect):
     """A constant torque: an offset of the current sensor, or friction that never changes sign.
 
     Signature
@@ -85,13 +85,6 @@ class TorqueOffset(JointEffect):
     law_stores: ClassVar[bool] = True
 
     torque: float | None = linear("N m", rank=FRICTION)
-
-    def basis(self, at: JointMotion) -> Array:
-        return np.ones((len(at.q), 1))
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        zero = np.zeros((len(at.q), 1))
-        return zero, zero, zero
 
     def potential(self, motion: Motion) -> Array:
         return self.known_coefficients()[0] * motion.joint(self.joint, self.port_kind).q

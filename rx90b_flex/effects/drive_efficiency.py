@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, JointEffect, linear
+from rx90b_flex.effects.effect import FRICTION, JointEffect, JointForce, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
 
@@ -72,7 +72,7 @@ class DriveEfficiency(DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadViscousFriction(JointEffect):
+class LoadViscousFriction(JointForce):
     """Gear losses that grow with load and speed, ``coefficient * |load| * v``.
 
     Signature

@@ -150,7 +150,6 @@ class Effect(ABC):
     """
 
     on: ClassVar[str] = "joint"  # "joint", "joints", "robot", "frame", "robot or joint"
-    acts_on: ClassVar[str] = "forces"  # "forces", "coordinates", "signals"
     repeats: ClassVar[bool] = False  # may stand twice in the same place
     replaces: ClassVar[tuple[str, ...]] = ()  # effect types that it stands in for at the same place
     refines: ClassVar[tuple[str, ...]] = ()  # those that it is tried in place of; declared, both may stand side by side
@@ -399,48 +398,15 @@ class Effect(ABC):
         """Derivatives of the force by q, v and a; each (N, n, n)."""
         raise TypeError(f"{self.type_name()} has no derivatives")
 
-    # ---- simulation: what an effect between robot and log does there, and one that remembers --------------
+    # ---- simulation --------------------------------------------------------------------------------------
 
     def simulated(self, beside: Sequence[Effect]) -> Effect | None:
         """The force that it is in a simulation, beside the robot's other effects; None where it is none."""
         return self if self.in_dynamics else None
 
-    def shown(self, motion: Motion) -> tuple[Array, Array] | None:
-        """What controller and log are shown beyond the angles and their rates, each (N, n); None: nothing."""
-        return None
-
-    def delivered(self, joints: Sequence[str], torque: Array) -> Array:
-        """Torques that the motors give where the controller and the log say `torque` (N, joints)."""
-        return torque
-
-    def ordered(self, joints: Sequence[str], torque: Array) -> Array:
-        """The inverse of `delivered`."""
-        return torque
-
-    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
-        """Log of the torque (N, joints, lanes) at uniform times (N,); the first `history_s` of it is there to look back on."""
-        return torque
-
-    @property
-    def history_s(self) -> float:
-        """How far `noted` looks back, s."""
-        return 0.0
-
     def links_at(self, motion: Motion) -> Array:
         """Coordinates (N, n) that put the links where they are, where the robot's own do not."""
         return motion.q
-
-    def memory(self, motion: Motion) -> Array:
-        """What an effect that remembers knows at rest before a motion, shape (N, m)."""
-        raise TypeError(f"{self.type_name()} remembers nothing")
-
-    def onward(self, memory: Array, motion: Motion) -> Array:
-        """What it knows a step later, at the samples of a motion, shape (N, m)."""
-        raise TypeError(f"{self.type_name()} remembers nothing")
-
-    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
-        """Force (N, n) of an effect that remembers, and its derivative by q (N, n, n)."""
-        raise TypeError(f"{self.type_name()} remembers nothing")
 
     def potential(self, motion: Motion) -> Array:
         """Potential energy whose gradient is the force at rest, shape (N,), J; zero for what only dissipates."""
@@ -554,8 +520,6 @@ class JointEffect(Effect):
 
     joint: str
     acts_at: ClassVar[str] = "joint"  # the joint angle theta, or the "drive" angle alone
-    law: ClassVar[Any] = None  # optional `LawFunction`, a staticmethod; parameters: coefficients, shape
-    law_stores: ClassVar[bool] = False  # whether that law is the gradient of `potential`
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -570,18 +534,6 @@ class JointEffect(Effect):
     def basis(self, at: JointMotion) -> Array:
         """Torque per unit of each coefficient, shape (N, k)."""
 
-    @abstractmethod
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        """Derivatives of the basis by position, velocity and acceleration; each (N, k)."""
-
-    def laws(self, motion: Motion) -> tuple[Law, ...] | None:
-        function = type(self).law
-        if function is None:
-            return None
-        port = motion.coordinates.port(self.joint, self.port_kind)
-        values = np.concatenate([self.known_coefficients(), self.known_shape()])
-        return (Law(port, function=function, parameters=values, stores=self.law_stores),)
-
     def factors(self, motion: Motion) -> tuple[Array, Array] | None:
         at = motion.joint(self.joint, self.port_kind)
         return at.port, self.basis(at)
@@ -590,6 +542,18 @@ class JointEffect(Effect):
         at = motion.joint(self.joint, self.port_kind)
         return at.port[None, :, None] * self.basis(at)[:, None, :]
 
+    @classmethod
+    def everywhere(cls, sites: Sites) -> list[Self]:
+        return [cls(joint=j) for j in sites.joints]
+
+
+class JointForce(JointEffect):
+    """An effect on one joint that is a force of the robot."""
+
+    @abstractmethod
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        """Derivatives of the basis by position, velocity and acceleration; each (N, k)."""
+
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         at = motion.joint(self.joint, self.port_kind)
         outer = np.outer(at.port, at.port)[None]
@@ -597,9 +561,56 @@ class JointEffect(Effect):
         by_q, by_v, by_a = (outer * (slope @ c)[:, None, None] for slope in self.slopes(at))
         return by_q, by_v, by_a
 
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return [cls(joint=j) for j in sites.joints]
+
+class LawEffect(JointForce):
+    """An effect on one joint whose physics is stated once, as a law: its columns, their slopes and its compiled form."""
+
+    law_stores: ClassVar[bool] = False  # whether the law is the gradient of `potential`
+
+    @staticmethod
+    @abstractmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """Torque at angle x and rate, and its slopes by them, to ``out[0]``, ``out[1]``, ``out[2]``; a `LawFunction`.
+
+        Parameters: the coefficients, which the torque is linear in, then the shape.
+        """
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, self.port_kind)
+        values = np.concatenate([self.known_coefficients(), self.known_shape()])
+        return (Law(port, function=self.law, parameters=values, stores=self.law_stores),)
+
+    def basis(self, at: JointMotion) -> Array:
+        return self._by_law(at)[0]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        _, by_q, by_v = self._by_law(at)
+        return by_q, by_v, np.zeros_like(by_q)
+
+    def _by_law(self, at: JointMotion) -> Array:
+        """Torque and its slopes by angle and rate, per unit of each coefficient, (3, N, k): the law of all units at once."""
+        units = np.eye(len(self.coefficient_names))
+        out = np.zeros((3, len(units), len(at.q)))
+        self.law(at.q, at.v, [*units[:, :, None], *self.known_shape()], out)
+        return np.ascontiguousarray(out.transpose(0, 2, 1))
+
+
+class Remembering(JointForce):
+    """A force of one joint that depends on the motion before, which a simulation keeps in a memory."""
+
+    remembers: ClassVar[bool] = True
+
+    @abstractmethod
+    def memory(self, motion: Motion) -> Array:
+        """What an effect that remembers knows at rest before a motion, shape (N, m)."""
+
+    @abstractmethod
+    def onward(self, memory: Array, motion: Motion) -> Array:
+        """What it knows a step later, at the samples of a motion, shape (N, m)."""
+
+    @abstractmethod
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+        """Force (N, n) of an effect that remembers, and its derivative by q (N, n, n)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from rx90b_flex.effects.effect import (
     DAMPING,
     STIFFNESS,
     Effect,
-    JointEffect,
+    LawEffect,
     RestSites,
     RestSizes,
     Sites,
@@ -23,7 +23,7 @@ from rx90b_flex.effects.effect import (
     linear,
 )
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
+from rx90b_flex.effects.motion import Array, Coordinates, Motion
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
@@ -50,7 +50,6 @@ class _Flexibility(Effect):
     A subclass states the hinges in `virtual` and declares stiffnesses, then dampings, one of each a hinge.
     """
 
-    acts_on: ClassVar[str] = "coordinates"
     part: ClassVar[str] = "flexibility"
 
     @property
@@ -495,7 +494,7 @@ class _StatedTilt(_StatedBending):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StiffnessHardening(JointEffect):
+class StiffnessHardening(LawEffect):
     """A drive that gets stiffer as it twists, ``cubic * eps1^3``; beside the `drive_flexibility` of the same joint.
 
     Signature
@@ -529,16 +528,8 @@ class StiffnessHardening(JointEffect):
         kind = _HardeningDeflection if self.cubic is None else _StatedHardening
         return kind(joint=self.joint, cubic=self.cubic)
 
-    def basis(self, at: JointMotion) -> Array:
-        return (at.q**3)[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        slope = 3.0 * (at.q**2)[:, None]
-        zero = np.zeros_like(slope)
-        return slope, zero, zero
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         out[0] = parameters[0] * x * x * x
         out[1] = 3.0 * parameters[0] * x * x
         out[2] = 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,18 +9,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, Effect, JointEffect, choice, linear, shape
+from rx90b_flex.effects.effect import FRICTION, Effect, JointForce, LawEffect, choice, linear, shape
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
+TINY = 1e-300  # rad/s, in place of standstill, where sign over speed counts for nothing
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
 @dataclass(frozen=True, kw_only=True)
-class SidedFriction(JointEffect):
+class SidedFriction(JointForce):
     """Friction of one joint on either side of its drive's flexibility.
 
     Attributes
@@ -60,7 +60,7 @@ class VelocityFriction(SidedFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoulombFriction(VelocityFriction, DryFriction):
+class CoulombFriction(SidedFriction, LawEffect, DryFriction):
     """Dry friction, ``torque * sign(v)``, its sign ``tanh(v / turnover)`` at reversal.
 
     Signature
@@ -85,16 +85,10 @@ class CoulombFriction(VelocityFriction, DryFriction):
     def breakaway_torque(self) -> float:
         return float(self.known_coefficients()[0])
 
-    def column(self, v: Array) -> Array:
-        return self.direction(v)
-
-    def column_slope(self, v: Array) -> Array:
-        return self.direction_slope(v)
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         torque, turnover = parameters[0], parameters[1]
-        sign = math.tanh(rate / turnover)
+        sign = np.tanh(rate / turnover)
         out[0] = torque * sign
         out[1] = 0.0
         out[2] = torque * (1.0 - sign * sign) / turnover
@@ -133,7 +127,7 @@ class ViscousFriction(VelocityFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AsymmetricFriction(VelocityFriction):
+class AsymmetricFriction(SidedFriction, LawEffect):
     """Viscous friction that differs by direction, ``coefficient * |v|``.
 
     Signature
@@ -152,21 +146,15 @@ class AsymmetricFriction(VelocityFriction):
 
     coefficient: float | None = linear("N m s/rad", rank=FRICTION)
 
-    def column(self, v: Array) -> Array:
-        return np.abs(v)
-
-    def column_slope(self, v: Array) -> Array:
-        return np.sign(v)
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
-        out[0] = parameters[0] * abs(rate)
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        out[0] = parameters[0] * np.abs(rate)
         out[1] = 0.0
-        out[2] = parameters[0] * ((rate > 0.0) - (rate < 0.0))
+        out[2] = parameters[0] * np.sign(rate)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousPowerFriction(VelocityFriction, DryFriction):
+class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction):
     """Viscous part of equation 3.53, ``coefficient * sign(v) * |v|^power``, power = 1 - delta_v.
 
     It stands in for `viscous_friction` at the same joint.
@@ -191,27 +179,16 @@ class ViscousPowerFriction(VelocityFriction, DryFriction):
     power: float | None = shape("-", start=0.7, lower=0.1, upper=3.0)
     turnover: float | None = turnover_shape()
 
-    def column(self, v: Array) -> Array:
-        power = self.known_shape()[0]
-        return self.direction(v) * np.abs(v) ** power
-
-    def column_slope(self, v: Array) -> Array:
-        power = self.known_shape()[0]
-        size, slope = np.abs(v), self.direction_slope(v)
-        # direction(v)/|v| is finite at rest, so the two terms are put together before the power is taken
-        ratio = np.where(size > 0, np.abs(self.direction(v)) / np.where(size > 0, size, 1.0), slope)
-        return size**power * (slope + power * ratio)
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         coefficient, power, turnover = parameters[0], parameters[1], parameters[2]
-        size = abs(rate)
-        sign = math.tanh(size / turnover)
+        size = np.abs(rate)
+        sign = np.tanh(size / turnover)
         slope = (1.0 - sign * sign) / turnover
         grown = coefficient * size**power
-        out[0] = math.copysign(grown * sign, rate)
+        out[0] = np.copysign(grown * sign, rate)
         out[1] = 0.0
-        out[2] = grown * (slope + power * (sign / size if size > 0.0 else slope))
+        out[2] = grown * (slope + power * (sign / np.maximum(size, TINY)))
 
     def own_starts(self, motion: Motion) -> Array:
         return np.array([[0.2], [0.4], [0.6], [0.8], [1.3], [1.8], [2.4]])
@@ -221,7 +198,7 @@ class ViscousPowerFriction(VelocityFriction, DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StribeckFriction(VelocityFriction, DryFriction):
+class StribeckFriction(SidedFriction, LawEffect, DryFriction):
     """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed.
 
     Signature
@@ -254,30 +231,17 @@ class StribeckFriction(VelocityFriction, DryFriction):
         out[:, 0] = FADES * low, max(FADED * Resolution.of(at).speed, 8.0 * FADES * low)
         return out
 
-    def _fade(self, v: Array) -> Array:
-        velocity, power, _ = self.known_shape()
-        return np.exp(-((np.abs(v) / velocity) ** power))
-
-    def column(self, v: Array) -> Array:
-        return self.direction(v) * self._fade(v)
-
-    def column_slope(self, v: Array) -> Array:
-        velocity, power, _ = self.known_shape()
-        size, slope = np.abs(v) / velocity, self.direction_slope(v)
-        ratio = np.where(v != 0, np.abs(self.direction(v)) / np.where(v != 0, np.abs(v), 1.0), slope)
-        return self._fade(v) * (slope - power * size**power * ratio)
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         torque, velocity, power, turnover = parameters[0], parameters[1], parameters[2], parameters[3]
-        size = abs(rate)
-        sign = math.tanh(size / turnover)
+        size = np.abs(rate)
+        sign = np.tanh(size / turnover)
         slope = (1.0 - sign * sign) / turnover
         faded = (size / velocity) ** power
-        left = torque * math.exp(-faded)
-        out[0] = math.copysign(left * sign, rate)
+        left = torque * np.exp(-faded)
+        out[0] = np.copysign(left * sign, rate)
         out[1] = 0.0
-        out[2] = left * (slope - power * faded * (sign / size if size > 0.0 else slope))
+        out[2] = left * (slope - power * faded * (sign / np.maximum(size, TINY)))
 
     def own_starts(self, motion: Motion) -> Array:
         low, high = self.own_range(motion)[:, 0]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, Effect, JointEffect, Sites, given, linear, shape
+from rx90b_flex.effects.effect import SPRING, Effect, JointEffect, JointForce, Sites, given, linear, shape
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
@@ -20,7 +20,7 @@ ANGLES, RATIOS = 16, (0.4, 0.75, 0.93)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravitySpring(JointEffect):
+class GravitySpring(JointForce):
     """A spring between two neighbouring links, equations 3.9 and 3.61.
 
     It pulls its ends together with ``stiffness * (l - l_0) + prestress``, so its torque about the joint is
@@ -160,9 +160,6 @@ class _SpringOfTwoLevers(JointEffect):
         moving = ratio * (np.cos(angle) * across - np.sin(angle) * np.cross(axis, across))
         anchors = tuple(float(x) for x in FAR * np.r_[across, moving])
         return GravitySpring(joint=self.joint, stiffness=stiffness, prestress=prestress, anchors=anchors)
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        raise TypeError(f"{self.label}: a spring that was searched for goes into the tree as one of known geometry")
 
 
 @dataclass(frozen=True, kw_only=True)

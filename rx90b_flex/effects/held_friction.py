@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, linear
+from rx90b_flex.effects.effect import FRICTION, Remembering, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, last_direction, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeldFriction(DryFriction):
+class HeldFriction(DryFriction, Remembering):
     """What dry friction still holds at rest in the direction of the last move, ``torque * (last direction - sign(v))``.
 
     A controller that brings a joint to rest leaves the gear wound up: the motor goes on holding part of the friction that it last
@@ -32,8 +31,6 @@ class HeldFriction(DryFriction):
     ------
     Not in Hardeman 2008; dry friction at standstill takes any value up to its own (C. A. Coulomb, 1785).
     """
-
-    remembers: ClassVar[bool] = True
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     turnover: float | None = turnover_shape()

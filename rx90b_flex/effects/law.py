@@ -27,7 +27,8 @@ class Law:
         The linear part.
     function : callable or None
         ``function(x, rate, parameters, out)`` writes torque, slope by x and slope by rate to ``out[0:3]``. Plain
-        arithmetic and `math` on numbers, no calls to other functions: the simulation compiles it.
+        arithmetic and functions of NumPy that take numbers and arrays alike, without branches and without calls to other
+        functions: the simulation compiles it for numbers, `LawEffect` asks it for columns.
     parameters : array
         What the function reads.
     stores : bool

@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
-from rx90b_flex.effects.effect import FRICTION, Effect, derived, linear
+from rx90b_flex.effects.effect import FRICTION, Effect, Remembering, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.presliding import deflection_range
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
@@ -21,7 +21,7 @@ BEFORE, AFTER = 0.4, 2.5  # of a smooth element's deflection, within which sever
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaxwellSlipFriction(ManyCoefficients):
+class MaxwellSlipFriction(ManyCoefficients, Remembering):
     """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
 
     An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its
@@ -42,7 +42,6 @@ class MaxwellSlipFriction(ManyCoefficients):
     Not in Hardeman 2008; F. Al-Bender, V. Lampaert, J. Swevers, IEEE Transactions on Automatic Control 50(11), 2005.
     """
 
-    remembers: ClassVar[bool] = True
     refines: ClassVar[tuple[str, ...]] = ("presliding_friction",)
 
     torques: tuple[float, ...] | None = linear("N m", lower=0.0, rank=FRICTION, size=0)

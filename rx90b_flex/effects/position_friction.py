@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import derived, shape
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.effect import LawEffect, derived, shape
+from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect
 
 
 @dataclass(frozen=True, kw_only=True)
-class PositionFriction(PeriodicEffect, DryFriction):
+class PositionFriction(PeriodicEffect, DryFriction, LawEffect):
     """Dry friction that changes with the angle, ``amplitude * sin(order * q + phase) * sign(v)``, order cycles a joint turn.
 
     Signature
@@ -63,23 +62,10 @@ class PositionFriction(PeriodicEffect, DryFriction):
     def shape_spread(self, motion: Motion) -> Array:
         return np.r_[PeriodicEffect.shape_spread(self, motion), 0.3 * self.sharpness]
 
-    def _waves(self, q: Array) -> tuple[Array, Array]:
-        angle = self.known_shape()[0] * q
-        return np.sin(angle), np.cos(angle)
-
-    def basis(self, at: JointMotion) -> Array:
-        return np.stack(self._waves(at.q), axis=1) * self.direction(at.v)[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        s, c = self._waves(at.q)
-        by_q = self.known_shape()[0] * np.stack([c, -s], axis=1) * self.direction(at.v)[:, None]
-        by_v = np.stack([s, c], axis=1) * self.direction_slope(at.v)[:, None]
-        return by_q, by_v, np.zeros_like(by_q)
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         sine, cosine, order, turnover = parameters[0], parameters[1], parameters[2], parameters[3]
-        s, c, sign = math.sin(order * x), math.cos(order * x), math.tanh(rate / turnover)
+        s, c, sign = np.sin(order * x), np.cos(order * x), np.tanh(rate / turnover)
         out[0] = (sine * s + cosine * c) * sign
         out[1] = order * (sine * c - cosine * s) * sign
         out[2] = (sine * s + cosine * c) * (1.0 - sign * sign) / turnover

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import dahl
-from rx90b_flex.effects.effect import FRICTION, JointEffect, derived, linear
+from rx90b_flex.effects.effect import FRICTION, Remembering, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
 
@@ -18,7 +18,7 @@ LARGEST_DEFLECTION = 0.3  # of a joint's travel: what takes longer to turn over 
 
 
 @dataclass(frozen=True, kw_only=True)
-class PreslidingFriction(JointEffect):
+class PreslidingFriction(Remembering):
     """Dahl's friction: at reversal the torque turns over with `stiffness`, then approaches `torque`.
 
     ``dF/dq = stiffness * (1 - F / torque * sign(v))``. Where samples do not follow each other in time there is no memory, and it
@@ -40,8 +40,6 @@ class PreslidingFriction(JointEffect):
     Not in Hardeman 2008; P. R. Dahl, *A Solid Friction Model*, The Aerospace Corporation, TOR-0158(3107-18)-1,
     1968.
     """
-
-    remembers: ClassVar[bool] = True
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     stiffness: float | None = derived("N m/rad", lower=0.0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from rx90b_flex.effects.effect import JointEffect, shape
+from rx90b_flex.effects.effect import JointForce, shape
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
@@ -115,7 +115,7 @@ def last_direction(at: JointMotion) -> Array:
     return np.where(last >= 0, np.sign(at.v[np.maximum(last, 0)]), 0.0)
 
 
-class DryFriction(JointEffect):
+class DryFriction(JointForce):
     """Friction of one joint that changes sign with its velocity. Its `turnover`, declared last, is the joint's."""
 
     turnover: float | None

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import OTHER, JointEffect, derived, shape
+from rx90b_flex.effects.effect import OTHER, JointEffect, LawEffect, derived, shape
 from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 
 GROUP = 16  # orders of a spectrum over the angle that are worked out together
@@ -135,7 +134,7 @@ class PeriodicEffect(SineEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearRipple(PeriodicEffect):
+class GearRipple(PeriodicEffect, LawEffect):
     """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn.
 
     Signature
@@ -155,19 +154,10 @@ class GearRipple(PeriodicEffect):
     part: ClassVar[str] = "spring"
     law_stores: ClassVar[bool] = True
 
-    def basis(self, at: JointMotion) -> Array:
-        (order,) = self.known_shape()
-        return np.stack([np.sin(order * at.q), np.cos(order * at.q)], axis=1)
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        (order,) = self.known_shape()
-        slope = order * np.stack([np.cos(order * at.q), -np.sin(order * at.q)], axis=1)
-        return slope, np.zeros_like(slope), np.zeros_like(slope)
-
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         sine, cosine, order = parameters[0], parameters[1], parameters[2]
-        s, c = math.sin(order * x), math.cos(order * x)
+        s, c = np.sin(order * x), np.cos(order * x)
         out[0] = sine * s + cosine * c
         out[1] = order * (sine * c - cosine * s)
         out[2] = 0.0

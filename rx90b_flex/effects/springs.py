@@ -9,13 +9,13 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, JointEffect, RestSites, RestSizes, derived, linear
+from rx90b_flex.effects.effect import SPRING, JointForce, RestSites, RestSizes, derived, linear
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpring(JointEffect):
+class JointSpring(JointForce):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on

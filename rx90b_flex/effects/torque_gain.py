@@ -10,11 +10,12 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rx90b_flex.effects.effect import OTHER, JointEffect, derived
+from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueGain(JointEffect):
+class TorqueGain(LogEffect, JointEffect):
     """The logged torque is `gain` times the true one: a motor constant, a gear ratio or a unit that is not what the log assumes.
 
     It is linear in ``gain - 1``, whose column is the model's torque; a fit goes on until that torque is the one with the gain in
@@ -36,8 +37,6 @@ class TorqueGain(JointEffect):
     Journal of Dynamic Systems, Measurement, and Control 136(5), 2014.
     """
 
-    acts_on: ClassVar[str] = "signals"
-    in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
     multiplies: ClassVar[bool] = True
     acts_at: ClassVar[str] = "drive"
@@ -70,9 +69,6 @@ class TorqueGain(JointEffect):
 
     def basis(self, at: JointMotion) -> Array:
         return at.motion.model_torque[:, int(np.flatnonzero(at.port)[0])][:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        raise TypeError(f"{self.type_name()} is no force of the robot")
 
     def _gains(self, joints: Sequence[str]) -> Array:
         (excess,) = self.known_coefficients()

@@ -10,13 +10,14 @@ from typing import ClassVar, Self
 import numpy as np
 from scipy import interpolate
 
-from rx90b_flex.effects.effect import Effect, JointEffect, Sites, derived, linear, shape
+from rx90b_flex.effects.effect import JointEffect, Sites, derived, linear, shape
+from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueDelay(Effect):
+class TorqueDelay(LogEffect):
     """The logged torque is late: it shows what the motor gave `delay` ago; a negative delay: it is early, or the position is late.
 
     On one joint, or on all joints alike.
@@ -41,8 +42,6 @@ class TorqueDelay(Effect):
     """
 
     on: ClassVar[str] = "robot or joint"
-    acts_on: ClassVar[str] = "signals"
-    in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
     SHORTEST: ClassVar[float] = 1e-4  # s
     SMALLEST_SAMPLES: ClassVar[float] = 0.2  # of the log's clock: less is named where it explains much
@@ -128,7 +127,7 @@ def _late(x: Array, time: Array, delay: float) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotorSaturation(JointEffect):
+class MotorSaturation(LogEffect, JointEffect):
     """The motor gives ``tau - coefficient * tau^3`` where the log, which knows its current, says tau.
 
     Signature
@@ -145,8 +144,6 @@ class MotorSaturation(JointEffect):
     Not in Hardeman 2008; the first odd term by which a saturating motor falls short of its current.
     """
 
-    acts_on: ClassVar[str] = "signals"
-    in_dynamics: ClassVar[bool] = False
     needs_model: ClassVar[bool] = True
     acts_at: ClassVar[str] = "drive"
 
@@ -186,12 +183,9 @@ class MotorSaturation(JointEffect):
         own = np.array([joint == self.joint for joint in joints])
         return np.where(own, self._asked(torque), torque)
 
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        raise TypeError(f"{self.type_name()} is no force of the robot")
-
 
 @dataclass(frozen=True, kw_only=True)
-class LineInterference(SineEffect):
+class LineInterference(LogEffect, SineEffect):
     """Mains or another fixed frequency in the torque signal, ``amplitude * sin(2 pi frequency_hz t + phase)``.
 
     The time is the file's, so that recordings of one clock share the phase.
@@ -209,10 +203,8 @@ class LineInterference(SineEffect):
     Not in Hardeman 2008; mains and switching in current sensors.
     """
 
-    acts_on: ClassVar[str] = "signals"
     by_clock: ClassVar[bool] = True
     repeats_with_motion: ClassVar[bool] = False
-    in_dynamics: ClassVar[bool] = False
     acts_at: ClassVar[str] = "drive"
     repeats: ClassVar[bool] = True
     PEAKS: ClassVar[int] = 6
@@ -231,9 +223,6 @@ class LineInterference(SineEffect):
         angle = 2.0 * np.pi * frequency * time
         own = np.array([joint == self.joint for joint in joints])
         return np.asarray(torque + np.multiply.outer(sine * np.sin(angle) + cosine * np.cos(angle), own)[:, :, None])
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        raise TypeError(f"{self.type_name()} is no force of the robot")
 
     def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """The highest peaks of the residual's spectrum, recordings added with the phases of their clock."""

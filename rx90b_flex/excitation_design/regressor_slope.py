@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from rx90b_flex.effects.effect import Effect, JointEffect
+from rx90b_flex.effects.effect import Effect, JointForce
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.robot import Robot
 
@@ -39,7 +39,7 @@ def regressor_slope(robot: Robot, q: Array, v: Array, a: Array, weight: Array) -
 
 
 def _of_effect(effect: Effect, motion: Motion, weight: Array) -> Slopes:
-    if isinstance(effect, JointEffect):
+    if isinstance(effect, JointForce):
         at = motion.joint(effect.joint, effect.port_kind)
         on_joint = np.einsum("tnk,n->tk", weight, at.port)
         by_q, by_v, by_a = (np.outer((on_joint * slope).sum(axis=1), at.port) for slope in effect.slopes(at))

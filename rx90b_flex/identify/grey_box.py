@@ -250,7 +250,7 @@ def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     q = np.zeros(robot.model.nv)
     port = friction_port(robot.effects, robot.layout, joint)
     motion = robot.motion(q, speed * robot.layout.port(joint, "drive"), q)
-    frictions = [e for e in robot.effects if e.part == "friction" and e.joints == (joint,) and e.acts_on == "forces"]
+    frictions = [e for e in robot.effects if e.part == "friction" and e.joints == (joint,) and e.in_dynamics]
     slope = sum(float(port @ e.derivatives(motion)[1][0] @ port) / float(port @ port) ** 2 for e in frictions)
     return max(slope, 1.0)
 

@@ -368,7 +368,7 @@ def _frictions(robot: Robot, joints: Sequence[str]) -> list[Effect]:
 
 
 def _is_friction(effect: Effect, joints: Sequence[str]) -> bool:
-    return effect.part == "friction" and effect.acts_on == "forces" and set(effect.joints) <= set(joints)
+    return effect.part == "friction" and effect.in_dynamics and set(effect.joints) <= set(joints)
 
 
 def _with_friction(robot: Robot, joints: Sequence[str], coefficients: Array) -> Robot:

@@ -2,13 +2,12 @@
 
 Between two samples of the controller the drive torques are constant, and the robot moves by a linearly implicit
 (Rosenbrock-W) method of second order, L-stable, with the analytic Jacobian of all that is stiff: see
-`rx90b_flex.kernels`. Steps end at the controller's samples, so that no step crosses a jump of the torque.
+`rx90b_flex.compiled.step`. Steps end at the controller's samples, so that no step crosses a jump of the torque.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,22 +18,26 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import signal
 
-from rx90b_flex import kernels
+from rx90b_flex.compiled.controller import DIVERGED, JUMP, OVERLOAD, OVERSPEED, RUNNING, Inputs, Lanes, Logs, Loop
+from rx90b_flex.compiled.loop import DIVISION, run
+from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
+from rx90b_flex.compiled.step import Extra
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.effect import Remembering
+from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.kernels import Extra, Inputs, Lanes, Logs, Loop, Plant, no_extra
+from rx90b_flex.plant import Plant
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.cs8 import CS8, drive_places
+from rx90b_flex.simulate.decimation import Decimator
 from rx90b_flex.simulate.trajectories import Trajectory
 
 Indices = NDArray[np.int64]
 Progress = Callable[[float], None]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
-FILTER_ATTENUATION_DB = 80.0
-FILTER_TRANSITION = 0.22  # of the anti-alias filter, over its cutoff: 80 to 100 Hz about 90
 TOLERANCE = 1e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
 SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controller's supervision stops the robot
 
@@ -300,13 +303,13 @@ def _refuse(
             )
 
 
-def _as_simulated(robot: Robot) -> tuple[Robot, tuple[Effect, ...]]:
+def _as_simulated(robot: Robot) -> tuple[Robot, tuple[LogEffect, ...]]:
     """The robot with its forces as a simulation has them, and the effects that stand between it and the log."""
     try:
         forces = [e.simulated(robot.effects) for e in robot.effects]
     except ValueError as error:
         raise ValueError(f"{robot.name}: {error}") from None
-    between = tuple(e for e in robot.effects if not e.in_dynamics)
+    between = tuple(e for e in robot.effects if isinstance(e, LogEffect))
     return (robot.with_effects([f for f in forces if f is not None]) if between else robot), between
 
 
@@ -403,118 +406,6 @@ def hermite(position: Array, velocity: Array, rows: Indices, part: Array, rate_h
     return x.reshape(shape), rate_hz * v.reshape(shape), rate_hz**2 * a.reshape(shape)
 
 
-class _Band(NamedTuple):
-    """A low-pass that is flat to one frequency and stops from another, before a signal of `rate_hz` is thinned out."""
-
-    rate_hz: float
-    factor: int
-    passes_hz: float
-    stops_hz: float
-
-    def weights(self) -> Array:
-        """Of a linear phase, by Kaiser's window, an odd number."""
-        taps, beta = signal.kaiserord(FILTER_ATTENUATION_DB, (self.stops_hz - self.passes_hz) / (0.5 * self.rate_hz))
-        middle = 0.5 * (self.passes_hz + self.stops_hz)
-        return np.asarray(signal.firwin(2 * (taps // 2) + 1, middle, window=("kaiser", beta), fs=self.rate_hz))
-
-
-def _bands(rate_hz: float, stride: int, cutoff_hz: float) -> list[list[_Band]]:
-    """The ways to thin a signal out in one or two stages.
-
-    The last one has its transition about the cutoff; one before it only keeps away what its own rate folds into that.
-    """
-    low, high = (1.0 - 0.5 * FILTER_TRANSITION) * cutoff_hz, (1.0 + 0.5 * FILTER_TRANSITION) * cutoff_hz
-    ways = [[_Band(rate_hz, stride, low, high)]]
-    for first in range(2, stride + 1):
-        between = rate_hz / first
-        if stride % first == 0 and between > 2.0 * high:
-            ways.append([_Band(rate_hz, first, high, between - high), _Band(between, stride // first, low, high)])
-    return ways
-
-
-class _Stage:
-    """A linear-phase filter whose output is thinned out, its delay taken out, fed chunk by chunk.
-
-    The ends are continued by odd reflection, so that value and slope go on.
-    """
-
-    def __init__(self, weights: Array, factor: int, channels: int, longest: int) -> None:
-        self.weights, self.factor, self.half = weights, factor, len(weights) // 2
-        self.buffer = np.zeros((longest + len(weights) + self.half + factor, channels))
-        self.filled = 0
-
-    def inbox(self, samples: int) -> Array:
-        """Where the next samples belong, (samples, channels): fill it, then `push`."""
-        start = self.filled or self.half
-        return self.buffer[start : start + samples]
-
-    def push(self, samples: int, out: Array) -> int:
-        """Filter what was put into the inbox; what is ready goes to `out` (N, channels). Returns the outputs' number."""
-        if self.filled == 0:
-            inbox = self.inbox(samples)
-            ahead = np.minimum(np.arange(self.half, 0, -1), samples - 1)
-            np.subtract(2.0 * inbox[0], inbox[ahead], out=self.buffer[: self.half])
-            self.filled = self.half
-        self.filled += samples
-        ready = max(0, (self.filled - len(self.weights)) // self.factor + 1)
-        kernels.decimate(self.buffer, self.weights, self.factor, out[:ready])
-        used = ready * self.factor
-        self.buffer[: self.filled - used] = self.buffer[used : self.filled].copy()
-        self.filled -= used
-        return ready
-
-    def finish(self, out: Array) -> int:
-        """What the last samples still owe."""
-        behind = np.maximum(self.filled - 2 - np.arange(self.half), 0)
-        np.subtract(2.0 * self.buffer[self.filled - 1], self.buffer[behind], out=self.inbox(self.half))
-        return self.push(self.half, out)
-
-
-class _Decimator:
-    """The anti-alias filter before the log, in the stages that take the fewest multiplications.
-
-    Parameters
-    ----------
-    controller : CS8
-    stride : int
-        Samples an output.
-    channels : int
-    longest : int
-        Most samples that are pushed at once.
-    """
-
-    def __init__(self, controller: CS8, stride: int, channels: int, longest: int) -> None:
-        ways = []
-        for bands in _bands(controller.controller_rate_hz, stride, controller.log_cutoff_hz):
-            weights = [band.weights() for band in bands]
-            rates = [band.rate_hz / band.factor for band in bands]
-            ways.append((sum(len(w) * rate for w, rate in zip(weights, rates, strict=True)), bands, weights))
-        _, bands, weights = min(ways, key=lambda way: way[0])
-        self.stages = []
-        for band, own in zip(bands, weights, strict=True):
-            self.stages.append(_Stage(own, band.factor, channels, longest))
-            longest = len(self.stages[-1].buffer) // band.factor + 1
-
-    def inbox(self, samples: int) -> Array:
-        """Where the next samples belong, (samples, channels): fill it, then `push`."""
-        return self.stages[0].inbox(samples)
-
-    def push(self, samples: int, out: Array) -> int:
-        """Filter what was put into the inbox; what is ready goes to `out` (N, channels). Returns the outputs' number."""
-        for stage, after in itertools.pairwise(self.stages):
-            room = len(stage.buffer) // stage.factor + 1
-            samples = stage.push(samples, after.inbox(room))
-        return self.stages[-1].push(samples, out)
-
-    def finish(self, out: Array) -> int:
-        """What the last samples still owe."""
-        done = 0
-        for stage, after in itertools.pairwise(self.stages):
-            room = len(stage.buffer) // stage.factor + 1
-            done += after.push(stage.finish(after.inbox(room)), out[done:])
-        return done + self.stages[-1].finish(out[done:])
-
-
 def tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
     """Poses of a frame at positions (N, n), shape (N, 4, 4), in the base frame, m."""
     data, tip = model.createData(), model.getFrameId(frame)
@@ -531,7 +422,7 @@ def tip_poses(model: pin.Model, frame: str, q: Array) -> Array:
 @dataclass(frozen=True, eq=False)
 class _Job:
     robot: Robot
-    between: tuple[Effect, ...]  # robot and log
+    between: tuple[LogEffect, ...]  # robot and log
     controller: CS8
     trajectories: tuple[Trajectory, ...]
     noise: Noise
@@ -561,7 +452,7 @@ class _Runner:
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
         self.late_q, self.late_v = np.zeros_like(self.lanes.q), np.zeros_like(self.lanes.q)
         rest = job.robot.motion(self.lanes.q, self.lanes.v, self.lanes.a)
-        self.memories = {e: e.memory(rest) for e in self.plant.others if e.remembers}
+        self.memories = {e: e.memory(rest) for e in self.plant.others if isinstance(e, Remembering)}
         self.shows = any(e.shown(rest) is not None for e in job.between)
         ahead = max((e.history_s for e in job.between), default=0.0)
         rows = int(np.ceil(ahead * controller.controller_rate_hz))
@@ -628,7 +519,7 @@ class _Runner:
         size *= self.up * self.stride
         count, n = self.lanes.q.shape
         joints, states = len(self.loop.drive), -(-self.samples // self.stride)
-        filtered = _Decimator(self.job.controller, self.stride, 3 * joints * count, size)
+        filtered = Decimator(self.job.controller, self.stride, 3 * joints * count, size)
         logged = np.zeros((states, 3, joints, count))
         out = logged.reshape(states, -1)
         whole = [np.zeros((count, states, n)) for _ in range(2)] + [np.zeros((count, states)) for _ in range(2)]
@@ -708,18 +599,17 @@ class _Runner:
         if self.plant.others or self.job.between:
             self._advance_by_parts(inputs, logs, samples)
         else:
-            tree, laws = self.plant.tree, self.plant.laws
-            kernels.run(tree, laws, self.memory, self.loop, no_extra(), self.lanes, inputs, logs, samples)
+            run(self.plant.packed, self.loop, self.lanes, inputs, logs, samples)
 
     def _advance_by_parts(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        """The loop of `kernels.run`, with the effects that have no compiled law asked for their forces in between."""
+        """The loop of `run`, with the effects that have no compiled law asked for their forces in between."""
         lanes, loop = self.lanes, self.loop
         torque = np.zeros_like(lanes.q)
         h = loop.period / loop.substeps
         for k in range(samples):
             if self.shows:
                 inputs.noise[k] += np.stack([x.T for x in self._shown(lanes.q, lanes.v)])
-            kernels.control_all(loop, lanes, inputs, logs, k, torque)
+            control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
             for effect in self.job.between:
@@ -729,30 +619,30 @@ class _Runner:
                 time = (inputs.first + k) * loop.period + part * h
                 bend = self._step(torque, time, h)
                 if part == 0 and k % logs.stride == 0:
-                    running = lanes.status == kernels.RUNNING
+                    running = lanes.status == RUNNING
                     logs.dissipated[running, logs.row + k // logs.stride] = lanes.closed[running]
                 if bend > loop.tolerance:
                     for now, before in zip(lanes, kept, strict=True):
                         now[:] = before
                     self.memories = known
                     lanes.divided[:] += 1
-                    fine = h / kernels.DIVISION
-                    for i in range(kernels.DIVISION):
+                    fine = h / DIVISION
+                    for i in range(DIVISION):
                         self._step(torque, time + i * fine, fine)
 
     def _step(self, torque: Array, time: float, h: float) -> float:
         """One step of all lanes; returns the largest bend of the laws."""
-        tree, laws, lanes, loop, memory = self.plant.tree, self.plant.laws, self.lanes, self.loop, self.memory
+        plant, lanes, loop, memory = self.plant.packed, self.lanes, self.loop, self.memory
         extra = self._extra(time)
-        kernels.begin_all(tree, laws, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
+        begin_all(plant, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
         late = self._force(self.late_q, self.late_v, lanes.a, time + h)
-        return float(kernels.finish_all(tree, laws, memory, loop, extra, late, lanes, torque, h))
+        return float(finish_all(plant, memory, loop, extra, late, lanes, torque, h))
 
     def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
         motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
         force = np.zeros_like(q)
         for effect in self.plant.others:
-            if effect.remembers:
+            if isinstance(effect, Remembering):
                 force += effect.remembered(effect.onward(self.memories[effect], motion), motion)[0]
             else:
                 force += effect.force(motion)
@@ -768,7 +658,7 @@ class _Runner:
         force, lost = np.zeros((count, n)), np.zeros(count)
         slopes = [np.zeros((count, n, n)) for _ in range(3)]
         for effect in self.plant.others:
-            if effect.remembers:
+            if isinstance(effect, Remembering):
                 self.memories[effect] = effect.onward(self.memories[effect], motion)
                 own, slope = effect.remembered(self.memories[effect], motion)
                 force += own
@@ -785,7 +675,7 @@ class _Runner:
         # the compiled step wants the part that does not depend on the acceleration
         force -= np.einsum("lij,lj->li", slopes[2], lanes.a)
         by_q, by_v, by_a = (np.ascontiguousarray(x) for x in slopes)
-        return Extra(True, lost, force, by_a, by_v, by_q)
+        return Extra(lost, force, by_a, by_v, by_q)
 
     # ---- results ----------------------------------------------------------------------------------------
 
@@ -841,20 +731,20 @@ class _Runner:
 
     def _why(self, lane: int) -> str | None:
         status, joint = int(self.lanes.status[lane]), int(self.lanes.joint[lane])
-        if status == kernels.RUNNING:
+        if status == RUNNING:
             return None
         at = f"at t = {self.lanes.sample[lane] / self.job.controller.controller_rate_hz:.4f} s"
-        if status == kernels.DIVERGED:
+        if status == DIVERGED:
             return f"{at} the motion diverged: coordinates are no longer finite"
         name, place = self.job.robot.joints[joint], int(self.loop.drive[joint])
-        if status == kernels.JUMP:
+        if status == JUMP:
             jump = self.jumps[lane]
             assert jump is not None
             return f"{at} the reference of {name} jumps: {jump.speed:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
-        if status == kernels.OVERLOAD:
+        if status == OVERLOAD:
             held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
             return f"{at} the torque of {name} has been at its limit of {limit:g} N m for {held:g} ms"
-        if status == kernels.OVERSPEED:
+        if status == OVERSPEED:
             speed_now = self.lanes.v[lane, place]
             return f"{at} {name} turns at {speed_now:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
         limits = f"{self.loop.lower[joint]:.4g} to {self.loop.upper[joint]:.4g} rad"

@@ -26,8 +26,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90b_flex.compiled.about_mean import Along, Ports, Steps, make_steps
+from rx90b_flex.compiled.controller import Inputs, Logs
+from rx90b_flex.compiled.perturbed import Perturbed, advance
+from rx90b_flex.compiled.rate_table import CELLS, fill_tables
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.kernels import CELLS, Along, Inputs, Logs, Perturbed, Ports, Steps, advance, fill_tables, make_steps
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Role
 from rx90b_flex.simulate import closed_loop
@@ -90,6 +93,18 @@ def perturb_lanes(
         Trajectories with different references, or that do not fit robot and controller; a nominal motion that ends early.
     """
     closed_loop._refuse(robot, controller, trajectories, noise, rng, 1)
+    _refuse(robot, trajectories)
+    first = trajectories[0]
+    own = controller.for_joints(robot.joints)
+    position, velocity = _nominal_motion(robot, own, first, nominal)
+    job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, role)
+    children = [] if rng is None else rng.spawn(len(trajectories))
+    return _PerturbationRunner(job, children, position, velocity, friction == "exact", manipulator == "frozen").run(
+        progress
+    )
+
+
+def _refuse(robot: Robot, trajectories: Sequence[Trajectory]) -> None:
     for effect in robot.effects:
         if effect.remembers or not effect.in_dynamics:
             raise ValueError(
@@ -102,13 +117,6 @@ def perturb_lanes(
                 f"trajectory {t.name!r} has other references than {first.name!r}; "
                 "the perturbation method takes excitations of one nominal motion"
             )
-    own = controller.for_joints(robot.joints)
-    position, velocity = _nominal_motion(robot, own, first, nominal)
-    job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, role)
-    children = [] if rng is None else rng.spawn(len(trajectories))
-    return _PerturbationRunner(job, children, position, velocity, friction == "exact", manipulator == "frozen").run(
-        progress
-    )
 
 
 def _nominal_motion(robot: Robot, controller: CS8, trajectory: Trajectory, nominal: Nominal) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 runs.
 
 Arithmetic on it is elementwise and in the order written, like that on single numbers: a function of
-`rx90b_flex.kernels` gives the same bits for a lane, compiled for numbers or for vectors. What has branches (sine, laws)
+`rx90b_flex.compiled` gives the same bits for a lane, compiled for numbers or for vectors. What has branches (sine, laws)
 goes lane by lane.
 """
 

@@ -1,0 +1,171 @@
+"""The perturbation method: the linear system about a nominal motion, a step a sample."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90b_flex.compiled.compile import Array, Integers, entry, inlined
+from rx90b_flex.compiled.laws import Laws, ask, combine, scatter
+from rx90b_flex.compiled.linear import invert
+from rx90b_flex.compiled.scratch import Scratch, scratch_in
+from rx90b_flex.compiled.tree import Tree, inverse_dynamics
+
+
+class Along(NamedTuple):
+    """The nominal motion of a chunk and the system about it."""
+
+    nodes: Array  # (rows + 1, 3, n, n) M, D and K at the references' rate, without the compiled laws' functions
+    q: Array  # (samples + 1, n) at the controller's rate
+    v: Array  # (samples + 1, n)
+    middle: Array  # (samples, 3, n) coordinates, rates, accelerations in the middle of a sample
+    other: Array  # (samples, n) forces of the effects without a compiled law
+
+
+class Steps(NamedTuple):
+    """The linear system of a chunk, a step a sample, the same for all lanes.
+
+    With y = (dq', dq, drive torque) the rate in the middle of a step is ``move @ y + shift - push @ port torques``.
+    """
+
+    q: Array  # (samples, n) nominal coordinates at the step's start
+    v: Array  # (samples, n)
+    move: Array  # (samples, n, 2 n + joints)
+    shift: Array  # (samples, n) rad/s
+    push: Array  # (samples, n, ports) rad/s per N m, of the exact laws
+    port_x: Array  # (samples, ports) combination of the nominal coordinates in the middle of the step
+    port_rate: Array  # (samples, ports)
+    gain: Array  # (samples, ports, ports) ports.T @ push
+
+
+class Ports(NamedTuple):
+    """Combinations of the coordinates that exact laws depend on."""
+
+    vector: Array  # (n, ports)
+    start: Integers  # (ports + 1,) first law of each port in `law`
+    law: Integers
+    tabulated: Integers  # (ports,) whether the torque depends on the rate alone and is read from the table
+    table: Array  # (ports, 2 * CELLS, 4) cubics of the torque by |rate| less the cell's start; negative rates second
+
+
+@inlined
+def _add_linear_laws(
+    laws: Laws, x: Array, v: Array, before: Array, after: Array, damping: Array, stiffness: Array, force: Array
+) -> None:
+    """Add the laws' functions along the nominal motion: torque, slope by the angle, chord over the step by the rate."""
+    for m in range(len(laws.inertia)):
+        if laws.address[m] == 0:
+            continue
+        angle, rate = combine(laws, m, x), combine(laws, m, v)
+        torque, by_x, by_rate = ask(laws, m, angle, rate)
+        low, high = combine(laws, m, before), combine(laws, m, after)
+        if abs(high - low) > 1e-9:
+            by_rate = (ask(laws, m, angle, high)[0] - ask(laws, m, angle, low)[0]) / (high - low)
+        scatter(laws, m, torque, force)
+        for w in range(laws.place.shape[1]):
+            for u in range(laws.place.shape[1]):
+                weight = laws.weight[m, w] * laws.weight[m, u]
+                damping[laws.place[m, w], laws.place[m, u]] += weight * by_rate
+                stiffness[laws.place[m, w], laws.place[m, u]] += weight * by_x
+
+
+@inlined
+def _see_ports(ports: Ports, middle: Array, push: Array, port_x: Array, port_rate: Array, gain: Array) -> None:
+    """What the ports of the exact laws see of the nominal motion, and how their torques move each other's rates."""
+    n = middle.shape[1]
+    for p in range(push.shape[1]):
+        port_x[p], port_rate[p] = 0.0, 0.0
+        for i in range(n):
+            port_x[p] += ports.vector[i, p] * middle[0, i]
+            port_rate[p] += ports.vector[i, p] * middle[1, i]
+        for u in range(push.shape[1]):
+            total = 0.0
+            for i in range(n):
+                total += ports.vector[i, u] * push[i, p]
+            gain[u, p] = total
+
+
+@inlined
+def _make_step(
+    tree: Tree,
+    laws: Laws,
+    ports: Ports,
+    scratch: Scratch,
+    drive: Integers,
+    h: float,
+    up: int,
+    along: Along,
+    at: int,
+    work: Array,
+    steps: Steps,
+    exact: bool,
+) -> None:
+    """Matrices of the step at a chunk's sample `at`."""
+    row = at // up
+    part = (at - row * up + 0.5) / up
+    middle, low, high = along.middle[at], along.nodes[row], along.nodes[row + 1]
+    n = middle.shape[1]
+    mass, damping, stiffness, system, inverse = work[0], work[1], work[2], work[3], work[4]
+    for i in range(n):
+        for j in range(n):
+            mass[i, j] = low[0, i, j] + part * (high[0, i, j] - low[0, i, j])
+            damping[i, j] = low[1, i, j] + part * (high[1, i, j] - low[1, i, j])
+            stiffness[i, j] = low[2, i, j] + part * (high[2, i, j] - low[2, i, j])
+    force = scratch.generalised
+    inverse_dynamics(tree, scratch, middle[0], middle[1], middle[2], force)
+    for m in range(len(laws.inertia)):
+        torque = laws.stiffness[m] * combine(laws, m, middle[0]) + laws.damping[m] * combine(laws, m, middle[1])
+        scatter(laws, m, torque + laws.inertia[m] * combine(laws, m, middle[2]), force)
+    if not exact:
+        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force)
+    for i in range(n):
+        force[i] += along.other[at, i]
+        for j in range(n):
+            system[i, j] = mass[i, j] + 0.5 * h * damping[i, j] + 0.25 * h * h * stiffness[i, j]
+    invert(system, inverse)
+    move, push, gain = steps.move[at], steps.push[at], steps.gain[at]
+    port_x, port_rate = steps.port_x[at], steps.port_rate[at]
+    for i in range(n):
+        for j in range(2 * n):
+            move[i, j] = 0.0
+        shift = 0.0
+        for m in range(n):
+            x = inverse[i, m]
+            y = -0.5 * h * x
+            shift += y * force[m]
+            for j in range(n):
+                move[i, j] += x * mass[m, j]
+            for j in range(n):
+                move[i, n + j] += y * stiffness[m, j]
+        steps.shift[at, i] = shift
+        for j in range(len(drive)):
+            move[i, 2 * n + j] = 0.5 * h * inverse[i, drive[j]]
+        for p in range(push.shape[1]):
+            total = 0.0
+            for m in range(n):
+                total += inverse[i, m] * ports.vector[m, p]
+            push[i, p] = 0.5 * h * total
+    _see_ports(ports, middle, push, port_x, port_rate, gain)
+
+
+@entry
+def make_steps(
+    tree: Tree,
+    laws: Laws,
+    ports: Ports,
+    memory: Array,
+    drive: Integers,
+    h: float,
+    up: int,
+    along: Along,
+    steps: Steps,
+    exact: bool,
+) -> None:
+    """Fill `steps` for all samples of a chunk, `up` of them between two nodes."""
+    n = along.q.shape[1]
+    scratch, work = scratch_in(memory, n, len(laws.inertia)), np.zeros((5, n, n))
+    for at in range(len(along.middle)):
+        for i in range(n):
+            steps.q[at, i], steps.v[at, i] = along.q[at, i], along.v[at, i]
+        _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, steps, exact)

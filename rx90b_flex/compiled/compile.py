@@ -1,0 +1,75 @@
+"""How functions of this folder are compiled and kept on disk.
+
+numba keeps a function's machine code as long as the function's own file stays as it is, also where that code holds
+functions of other files. Here it is kept as long as all files of this folder stay as they are.
+
+No reordering of sums: runs repeat to the bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@cache
+def sources_stamp() -> str:
+    """Of the content of all files of this folder."""
+    known = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        known.update(path.name.encode() + path.read_bytes())
+    return known.hexdigest()
+
+
+class _Located:
+    """Where numba keeps a function, and what tells it that the sources are still those that were compiled."""
+
+    def __init__(self, locator: Any) -> None:
+        self.locator = locator
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.locator, name)
+
+    def get_source_stamp(self) -> Any:
+        return self.locator.get_source_stamp(), sources_stamp()
+
+
+class _Kept(CompileResultCacheImpl):
+    @property
+    def locator(self) -> _Located:
+        return _Located(super().locator)
+
+
+class _Cache(FunctionCache):
+    _impl_class = _Kept
+
+
+def _compiler(**options: Any) -> Callable[[Function], Function]:
+    def decorate(function: Function) -> Function:
+        # nothing calls these functions as C functions, and what makes them such takes long to compile
+        njit: Any = numba.njit
+        compiled: Function = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+        compiled._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
+        return compiled
+
+    return decorate
+
+
+# What Python calls.
+entry = _compiler()
+# Called from compiled code: large functions, which keeps the time that the compiler takes in bounds.
+called = _compiler(no_cpython_wrapper=True)
+# Put into what calls it: a call would copy the hundreds of words that describe the arrays.
+inlined = _compiler(no_cpython_wrapper=True, forceinline=True)

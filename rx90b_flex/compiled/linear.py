@@ -1,0 +1,123 @@
+"""Linear algebra on small matrices that dominate on their diagonals: no pivots."""
+
+from __future__ import annotations
+
+from rx90b_flex.compiled.compile import Array, inlined
+
+
+@inlined
+def factor(system: Array) -> None:
+    """U of ``U.T diag(1 / d) U = system`` in place, from the upper triangle of a symmetric matrix; 1 / d on its
+    diagonal.
+    """
+    n = len(system)
+    for k in range(n):
+        inverse = 1.0 / system[k, k]
+        system[k, k] = inverse
+        for i in range(k + 1, n):
+            scale = system[k, i] * inverse
+            for j in range(i, n):
+                system[i, j] -= scale * system[k, j]
+
+
+@inlined
+def solve(system: Array, x: Array) -> None:
+    """Solve with what `factor` left, in place."""
+    n = len(x)
+    for k in range(n):
+        x[k] *= system[k, k]
+        for j in range(k + 1, n):
+            x[j] -= x[k] * system[k, j]
+    for k in range(n - 1, -1, -1):
+        total = 0.0
+        for j in range(k + 1, n):
+            total += system[k, j] * x[j]
+        x[k] -= total * system[k, k]
+
+
+@inlined
+def factor_general(system: Array) -> None:
+    """L and U in place, 1 / U_kk on the diagonal; no pivots: inertia outweighs what makes the matrix unsymmetric."""
+    n = len(system)
+    for k in range(n):
+        inverse = 1.0 / system[k, k]
+        system[k, k] = inverse
+        for i in range(k + 1, n):
+            scale = system[i, k] * inverse
+            system[i, k] = scale
+            for j in range(k + 1, n):
+                system[i, j] -= scale * system[k, j]
+
+
+@inlined
+def solve_general(system: Array, x: Array) -> None:
+    n = len(x)
+    for i in range(n):
+        for j in range(i):
+            x[i] -= system[i, j] * x[j]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= system[i, j] * x[j]
+        x[i] *= system[i, i]
+
+
+@inlined
+def add_dense(matrix: Array, lane: int, scale: float, x: Array, out: Array) -> None:
+    n = len(x)
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += matrix[lane, i, j] * x[j]
+        out[i] += scale * total
+
+
+@inlined
+def invert(matrix: Array, out: Array) -> None:
+    """Inverse by Gauss and Jordan without pivots: the mass matrix dominates."""
+    n = len(matrix)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 1.0 if i == j else 0.0
+    for k in range(n):
+        scale = 1.0 / matrix[k, k]
+        for j in range(k, n):
+            matrix[k, j] *= scale
+        for j in range(k + 1):
+            out[k, j] *= scale
+        for i in range(n):
+            if i != k:
+                factor = matrix[i, k]
+                if factor != 0.0:
+                    for j in range(k, n):
+                        matrix[i, j] -= factor * matrix[k, j]
+                    for j in range(k + 1):
+                        out[i, j] -= factor * out[k, j]
+
+
+@inlined
+def product(matrix: Array, y: Array, shift: Array, out: Array) -> None:
+    """out = matrix @ y + shift, lanes in the columns."""
+    rows, inner = matrix.shape
+    lanes = y.shape[1]
+    for i in range(rows):
+        for c in range(lanes):
+            out[i, c] = shift[i]
+        j = 0
+        while j + 6 <= inner:  # several at a time, since looks at `out` cost as much as the arithmetic
+            a0, a1, a2, a3, a4, a5 = (
+                matrix[i, j],
+                matrix[i, j + 1],
+                matrix[i, j + 2],
+                matrix[i, j + 3],
+                matrix[i, j + 4],
+                matrix[i, j + 5],
+            )
+            for c in range(lanes):
+                half = a0 * y[j, c] + a1 * y[j + 1, c] + a2 * y[j + 2, c]
+                out[i, c] += half + (a3 * y[j + 3, c] + a4 * y[j + 4, c] + a5 * y[j + 5, c])
+            j += 6
+        while j < inner:
+            a0 = matrix[i, j]
+            for c in range(lanes):
+                out[i, c] += a0 * y[j, c]
+            j += 1

@@ -1,0 +1,106 @@
+"""A plant in two flat arrays, which cross from Python faster than twenty, and its accelerations."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90b_flex.compiled.compile import Array, Integers, entry, inlined
+from rx90b_flex.compiled.laws import Laws, add_laws_to_system, law_forces
+from rx90b_flex.compiled.linear import factor, solve
+from rx90b_flex.compiled.scratch import scratch_in
+from rx90b_flex.compiled.tree import Tree, inverse_dynamics, mass_matrix
+from rx90b_flex.compiled.vectors import WIDTH
+
+WANTED = 4  # where the integers say how many lanes of a vector are asked for their laws
+SIZES = 5  # integers before the arrays
+
+
+class Packed(NamedTuple):
+    """All integers and all numbers of a plant."""
+
+    integers: Integers
+    numbers: Array
+
+
+def pack(tree: Tree, laws: Laws) -> Packed:
+    """The arrays one behind the other, in the order in which `unpack` takes them."""
+    integers = [tree.parent, tree.prismatic, tree.turned, tree.shifted, tree.heavy]
+    integers += [laws.place, laws.address, laws.stores]
+    numbers = [tree.rotation, tree.inertia, tree.offset, tree.axis, tree.moment, tree.mass, tree.gravity]
+    numbers += [laws.weight, laws.inertia, laws.damping, laws.stiffness, laws.parameters, laws.out]
+    sizes = np.array([len(tree.parent), *laws.place.shape, laws.parameters.shape[1], WIDTH], dtype=np.int64)
+    return Packed(np.concatenate([sizes, *(x.ravel() for x in integers)]), np.concatenate([x.ravel() for x in numbers]))
+
+
+@inlined
+def unpack(packed: Packed) -> tuple[Tree, Laws]:
+    """Tree and laws as views of what `pack` made."""
+    integers, numbers = packed
+    n, m, width, length = integers[0], integers[1], integers[2], integers[3]
+    place_from = SIZES + 5 * n
+    law_from = place_from + m * width
+    of_joint = integers[SIZES:place_from].reshape((5, n))
+    of_law = integers[law_from:].reshape((2, m))
+    vectors_from = 2 * 9 * n
+    mass_from = vectors_from + 3 * 3 * n
+    gravity_from = mass_from + n
+    weight_from = gravity_from + 3
+    linear_from = weight_from + m * width
+    parameters_from = linear_from + 3 * m
+    out_from = parameters_from + m * length
+    matrices = numbers[:vectors_from].reshape((2, n, 3, 3))
+    vectors = numbers[vectors_from:mass_from].reshape((3, n, 3))
+    linear = numbers[linear_from:parameters_from].reshape((3, m))
+    tree = Tree(
+        parent=of_joint[0],
+        prismatic=of_joint[1],
+        turned=of_joint[2],
+        shifted=of_joint[3],
+        heavy=of_joint[4],
+        rotation=matrices[0],
+        inertia=matrices[1],
+        offset=vectors[0],
+        axis=vectors[1],
+        moment=vectors[2],
+        mass=numbers[mass_from:gravity_from],
+        gravity=numbers[gravity_from:weight_from],
+    )
+    laws = Laws(
+        place=integers[place_from:law_from].reshape((m, width)),
+        weight=numbers[weight_from:linear_from].reshape((m, width)),
+        inertia=linear[0],
+        damping=linear[1],
+        stiffness=linear[2],
+        address=of_law[0],
+        stores=of_law[1],
+        parameters=numbers[parameters_from:out_from].reshape((m, length)),
+        out=numbers[out_from:],
+        wanted=integers[WANTED:SIZES],
+    )
+    return tree, laws
+
+
+@entry
+def accelerations(
+    integers: Integers, numbers: Array, memory: Array, drive: Integers, q: Array, v: Array, drive_torque: Array
+) -> Array:
+    """Accelerations of what was packed, under drive torques; not finite where the mass matrix is singular."""
+    tree, laws = unpack(Packed(integers, numbers))
+    n = len(q)
+    out = np.zeros(n)
+    s = scratch_in(memory, n, len(laws.inertia))
+    for i in range(n):
+        s.a[i] = 0.0
+    inverse_dynamics(tree, s, q, v, s.a, s.generalised)
+    law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
+    mass_matrix(tree, s, s.system)
+    add_laws_to_system(laws, s, 0.0, 0.0, s.system)
+    for j in range(len(drive)):
+        out[drive[j]] = drive_torque[j]
+    for i in range(n):
+        out[i] -= s.generalised[i]
+    factor(s.system)
+    solve(s.system, out)
+    return out

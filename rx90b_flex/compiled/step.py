@@ -1,0 +1,155 @@
+"""One step of the integrator.
+
+Verwer's two-stage Rosenbrock-W method ROS2 on y = (q, v), y' = F(y):
+
+    (1 - g h J) k_1 = h F(y),   (1 - g h J) k_2 = h F(y + k_1) - 2 k_1,   y <- y + 3/2 k_1 + 1/2 k_2
+
+Second order for any J, L-stable for the true J. J here holds what is stiff (mass matrix, slopes of the effects) and
+leaves out the slow rest (how gravity and Coriolis forces change along a step). With M a = u - f(q, v), D = df/dv and
+K = df/dq, eliminating the positions leaves one system of n equations a step, A = M + g h D + (g h)^2 K.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from rx90b_flex.compiled.compile import Array, inlined
+from rx90b_flex.compiled.laws import Laws, add_laws_to_system, combine, law_forces, scatter
+from rx90b_flex.compiled.linear import add_dense, factor, factor_general, solve, solve_general
+from rx90b_flex.compiled.scratch import Scratch
+from rx90b_flex.compiled.tree import Tree, inverse_dynamics, mass_matrix
+from rx90b_flex.compiled.vectors import larger_size
+
+# L-stable, and the smaller of the two error constants that (1 - 1/sqrt 2, 1 + 1/sqrt 2) give
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+
+
+class Extra(NamedTuple):
+    """What effects without a compiled law add at one stage, for each lane."""
+
+    lost: Array  # (lanes,) W, dissipated
+    force: Array  # (lanes, n)
+    inertia: Array  # (lanes, n, n)
+    damping: Array  # (lanes, n, n)
+    stiffness: Array  # (lanes, n, n)
+
+
+@inlined
+def _add_extra_to_system(extra: Extra, lane: int, gh: float, system: Array) -> None:
+    n = len(system)
+    for i in range(n):
+        for j in range(i):
+            system[i, j] = system[j, i]
+    for i in range(n):
+        for j in range(n):
+            more = extra.inertia[lane, i, j] + gh * extra.damping[lane, i, j]
+            system[i, j] += more + gh * gh * extra.stiffness[lane, i, j]
+
+
+@inlined
+def first_stage(
+    tree: Tree, laws: Laws, s: Scratch, extra: Extra | None, lane: int, q: Array, v: Array, torque: Array, h: float
+) -> Any:
+    """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch. Returns the power dissipated at y, W.
+
+    `extra.force` is the effects' force less `extra.inertia` times the acceleration that it was taken at.
+    """
+    n, gh = len(q), GAMMA * h
+    for i in range(n):
+        s.a[i] = 0.0
+    inverse_dynamics(tree, s, q, v, s.a, s.generalised)
+    lost = law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
+    mass_matrix(tree, s, s.system)
+    add_laws_to_system(laws, s, gh, gh * gh, s.system)
+    for i in range(n):
+        s.right[i] = h * (torque[i] - s.generalised[i])
+    for m in range(len(laws.inertia)):
+        scatter(laws, m, -gh * h * s.by_x[m] * combine(laws, m, v), s.right)
+    if extra is not None:
+        for i in range(n):
+            s.right[i] -= h * extra.force[lane, i]
+        lost += extra.lost[lane]
+        add_dense(extra.stiffness, lane, -gh * h, v, s.right)
+        _add_extra_to_system(extra, lane, gh, s.system)
+        factor_general(s.system)
+    else:
+        factor(s.system)
+    for i in range(n):
+        s.k_v[i] = s.right[i]
+    if extra is not None:
+        solve_general(s.system, s.k_v)
+    else:
+        solve(s.system, s.k_v)
+    for i in range(n):
+        s.k_q[i] = h * v[i] + gh * s.k_v[i]
+        s.q[i] = q[i] + s.k_q[i]
+        s.v[i] = v[i] + s.k_v[i]
+        s.a[i] = s.k_v[i] / h
+    return lost
+
+
+@inlined
+def _bend(laws: Laws, s: Scratch, h: float) -> Any:
+    """How far the laws' torques at y + k_1 are from where their slopes at y put them, as an angle that a step errs by,
+    rad.
+    """
+    most = 0.0
+    for m in range(len(laws.inertia)):
+        if laws.address[m] == 0:
+            continue
+        rate, x = combine(laws, m, s.k_v), combine(laws, m, s.k_q)
+        missed = s.late_torques[m] - laws.inertia[m] * combine(laws, m, s.a)
+        missed -= s.torques[m] + s.by_rate[m] * rate + s.by_x[m] * x
+        lightest = 0.0
+        for w in range(laws.place.shape[1]):
+            if laws.weight[m, w] != 0.0:  # inverse pivots: of the inertia that this coordinate turns, or more
+                lightest = larger_size(lightest, s.system[laws.place[m, w], laws.place[m, w]])
+        most = larger_size(most, missed * lightest)
+    return h * h * most
+
+
+@inlined
+def second_stage(
+    tree: Tree,
+    laws: Laws,
+    s: Scratch,
+    extra: Extra | None,
+    late_force: Array | None,
+    lane: int,
+    q: Array,
+    v: Array,
+    torque: Array,
+    h: float,
+) -> Any:
+    """k_2, then q and v moved on by a step. Returns how much the laws bend along it, rad.
+
+    `late_force` (lanes, n) is the extra effects' force at y + k_1.
+
+    The accelerations at y + k_1 are asked for about k_1 / h: what remains of the mass matrix's change along the step is
+    then of second order.
+    """
+    n, gh = len(q), GAMMA * h
+    inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
+    law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
+    bend = _bend(laws, s, h)
+    # right = h (u - f) - M k_1 - g h K r, with M k_1 from the first stage's equation and r = h v - 2 k_q
+    for i in range(n):
+        s.right[i] = h * (torque[i] - s.generalised[i]) - s.right[i]
+        s.q[i] = h * s.v[i] - 2.0 * s.k_q[i]
+    for m in range(len(laws.inertia)):
+        rate, x = combine(laws, m, s.k_v), combine(laws, m, s.q)
+        scatter(laws, m, gh * (s.by_rate[m] * rate + s.by_x[m] * (gh * rate - x)), s.right)
+    if extra is not None and late_force is not None:
+        for i in range(n):
+            s.right[i] -= h * late_force[lane, i]
+        add_dense(extra.damping, lane, gh, s.k_v, s.right)
+        add_dense(extra.stiffness, lane, gh * gh, s.k_v, s.right)
+        add_dense(extra.stiffness, lane, -gh, s.q, s.right)
+        solve_general(s.system, s.right)
+    else:
+        solve(s.system, s.right)
+    for i in range(n):
+        q[i] += 1.5 * s.k_q[i] + 0.5 * (s.q[i] + gh * s.right[i])
+        v[i] += 1.5 * s.k_v[i] + 0.5 * s.right[i]
+    return bend

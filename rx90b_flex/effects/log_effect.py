@@ -1,0 +1,36 @@
+"""What stands between robot and log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.motion import Array, Motion
+
+
+class LogEffect(Effect):
+    """An effect that is no force of the robot: it changes what controller and log are shown, or what the motors give."""
+
+    in_dynamics: ClassVar[bool] = False
+
+    def shown(self, motion: Motion) -> tuple[Array, Array] | None:
+        """What controller and log are shown beyond the angles and their rates, each (N, n); None: nothing."""
+        return None
+
+    def delivered(self, joints: Sequence[str], torque: Array) -> Array:
+        """Torques that the motors give where the controller and the log say `torque` (N, joints)."""
+        return torque
+
+    def ordered(self, joints: Sequence[str], torque: Array) -> Array:
+        """The inverse of `delivered`."""
+        return torque
+
+    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+        """Log of the torque (N, joints, lanes) at uniform times (N,); the first `history_s` of it is there to look back on."""
+        return torque
+
+    @property
+    def history_s(self) -> float:
+        """How far `noted` looks back, s."""
+        return 0.0

@@ -1,0 +1,142 @@
+"""A robot in arrays, for compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from rx90b_flex.compiled.compile import Integers
+from rx90b_flex.compiled.laws import Laws, compiled_law
+from rx90b_flex.compiled.packed import Packed, accelerations, pack
+from rx90b_flex.compiled.scratch import scratch_size
+from rx90b_flex.compiled.tree import Tree
+from rx90b_flex.compiled.vectors import WIDTH
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.motion import Array, Motion
+
+
+def tree_of(model: pin.Model) -> Tree:
+    """The arrays of a pinocchio model whose joints have one coordinate each."""
+    n = model.nv
+    if model.nq != n or model.njoints != n + 1:
+        raise ValueError(f"{model.name}: {model.njoints - 1} joints with {model.nq} positions; one each is expected")
+    axes = np.array([np.ravel(model.joints[i].createData().S) for i in range(1, n + 1)])
+    prismatic = np.logical_not(axes[:, 3:].any(axis=1))
+    placements = [model.jointPlacements[i] for i in range(1, n + 1)]
+    rotation = np.array([p.rotation for p in placements])
+    offset = np.array([p.translation for p in placements])
+    bodies = [model.inertias[i] for i in range(1, n + 1)]
+    dynamic = np.array([b.toDynamicParameters() for b in bodies])
+    packed = dynamic[:, [4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(n, 3, 3)
+    return Tree(
+        parent=np.array([int(model.parents[i]) - 1 for i in range(1, n + 1)], dtype=np.int64),
+        prismatic=np.array(prismatic, dtype=np.int64),
+        turned=np.array((rotation != np.eye(3)).any(axis=(1, 2)), dtype=np.int64),
+        shifted=np.array(offset.any(axis=1) | prismatic, dtype=np.int64),
+        heavy=np.array(dynamic.any(axis=1), dtype=np.int64),
+        rotation=np.ascontiguousarray(rotation),
+        offset=np.ascontiguousarray(offset),
+        axis=np.where(prismatic[:, None], axes[:, :3], axes[:, 3:]),
+        mass=np.ascontiguousarray(dynamic[:, 0]),
+        moment=np.ascontiguousarray(dynamic[:, 1:4]),
+        inertia=np.ascontiguousarray(packed),
+        gravity=np.array(model.gravity.linear, dtype=float),
+    )
+
+
+def laws_of(laws: Sequence[Law], n: int) -> Laws:
+    """The arrays of scalar laws on n coordinates."""
+    ports = [np.flatnonzero(law.port) for law in laws]
+    width = max([len(p) for p in ports], default=1)
+    length = max([len(law.parameters) for law in laws], default=1)
+    place = np.zeros((len(laws), width), dtype=np.int64)
+    weight = np.zeros((len(laws), width))
+    parameters = np.zeros((len(laws), max(length, 1)))
+    for m, (law, port) in enumerate(zip(laws, ports, strict=True)):
+        place[m, : len(port)] = port
+        weight[m, : len(port)] = law.port[port]
+        parameters[m, : len(law.parameters)] = law.parameters
+    inertia, damping, stiffness = (
+        np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness")
+    )
+    address = [0 if law.function is None else int(compiled_law(law.function).address) for law in laws]
+    stores = [law.stores for law in laws]
+    return Laws(
+        place,
+        weight,
+        inertia,
+        damping,
+        stiffness,
+        np.array(address, dtype=np.int64),
+        np.array(stores, dtype=np.int64),
+        parameters,
+        np.zeros(3),
+        np.full(1, WIDTH),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A robot in arrays: its tree, the effects that have compiled laws, and those that have none.
+
+    Attributes
+    ----------
+    tree, laws, drives : arrays
+    others : tuple of Effect
+        Asked for `force` and `derivatives` at each step.
+    in_tree : tuple of Effect
+        Part of `tree`: masses that they fix to it, gravity that they turn.
+    """
+
+    tree: Tree
+    laws: Laws
+    others: tuple[Effect, ...]
+    drives: Integers  # (joints,) where the drive angles stand among the coordinates
+    in_tree: tuple[Effect, ...] = ()
+
+    @cached_property
+    def packed(self) -> Packed:
+        """Tree and laws in flat arrays."""
+        return pack(self.tree, self.laws)
+
+    @cached_property
+    def _memory(self) -> Array:
+        return self.scratch(1)[0]
+
+    def accelerations(self, q: Array, v: Array, drive_torque: Array) -> Array:
+        """Accelerations of the tree and the effects with compiled laws, shape (n,)."""
+        return accelerations(*self.packed, self._memory, self.drives, q, v, drive_torque)
+
+    def scratch(self, lanes: int) -> Array:
+        """Working memory, one row a lane."""
+        return np.zeros((lanes, scratch_size(len(self.tree.parent), len(self.laws.inertia))))
+
+
+def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives: Integers) -> Plant:
+    """The arrays of a model and its effects; `motion` is any sample."""
+    laws: list[Law] = []
+    others: list[Effect] = []
+    in_tree: list[Effect] = []
+    loaded = model.copy()
+    # masses first: where there are some, gravity stays as it is, since tilts turn that of the links alone
+    for effect in sorted(effects, key=lambda effect: effect.gravity_change() is not None):
+        own, mass, tilt = effect.laws(motion), effect.point_mass(), effect.gravity_change()
+        if own is not None:
+            laws += own
+        elif mass is not None:
+            frame, weight, centre = mass
+            place = model.frames[model.getFrameId(frame)]
+            body = pin.Inertia(weight, centre, np.zeros((3, 3)))
+            loaded.appendBodyToJoint(place.parentJoint, body, place.placement)
+            in_tree.append(effect)
+        elif tilt is not None and not any(e.point_mass() is not None for e in in_tree):
+            loaded.gravity.linear += np.linalg.norm(model.gravity.linear) * tilt
+            in_tree.append(effect)
+        else:
+            others.append(effect)
+    return Plant(tree_of(loaded), laws_of(laws, model.nv), tuple(others), drives, tuple(in_tree))
