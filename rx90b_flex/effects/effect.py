@@ -18,6 +18,7 @@ import numpy as np
 
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
+from rx90b_flex.files.extensions import EFFECTS, brought
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
@@ -639,21 +640,44 @@ class FrameEffect(Effect):
 
 
 def catalogue() -> dict[str, type[Effect]]:
-    """All effect types by name: every concrete subclass of `Effect` in the modules of this folder."""
+    """All effect types by name: every concrete subclass of `Effect` in the modules of this folder, and what other packages bring.
+
+    Those name a class in the entry point group ``rx90b_flex.effects``.
+    """
     package = importlib.import_module("rx90b_flex.effects")
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"rx90b_flex.effects.{module.name}")
-
+    brought(EFFECTS, _why_no_type)
     found: dict[str, type[Effect]] = {}
-
-    def visit(cls: type[Effect]) -> None:
-        for sub in cls.__subclasses__():
-            visit(sub)
-            if not getattr(sub, "__abstractmethods__", None) and not sub.__name__.startswith("_"):
-                found[sub.type_name()] = sub
-
-    visit(Effect)  # type: ignore[type-abstract]
+    for sub in _subclasses(Effect):  # type: ignore[type-abstract]
+        if getattr(sub, "__abstractmethods__", None) or sub.__name__.startswith("_"):
+            continue
+        name = sub.type_name()
+        if _own(sub) or name not in found or not _own(found[name]):
+            found[name] = sub
     return dict(sorted(found.items()))
+
+
+def _subclasses(cls: type[Effect]) -> Iterator[type[Effect]]:
+    for sub in cls.__subclasses__():
+        yield from _subclasses(sub)
+        yield sub
+
+
+def _own(cls: type[Effect]) -> bool:
+    return cls.__module__.startswith("rx90b_flex.")
+
+
+def _why_no_type(found: Any) -> str:
+    """What is wrong with an effect type that another package brings; empty: nothing."""
+    if not (isinstance(found, type) and issubclass(found, Effect)):
+        return f"{found!r} is no class of effects; expected a subclass of rx90b_flex.effects.Effect"
+    lacking = getattr(found, "__abstractmethods__", None)
+    if lacking:
+        return f"{found.__name__} lacks {', '.join(sorted(lacking))}"
+    if any(_own(sub) and sub.__name__ == found.__name__ for sub in _subclasses(Effect)):  # type: ignore[type-abstract]
+        return f"there is an effect type {found.type_name()!r} already"
+    return ""
 
 
 def close_match(name: str, allowed: Sequence[str]) -> str:
@@ -685,9 +709,9 @@ def effect_from_table(
     if "type" not in table:
         raise ValueError(f"{where}: key 'type' is missing")
     if not isinstance(table["type"], str) or table["type"] not in types:
-        raise ValueError(
-            f"{where}: unknown effect type {table['type']!r}; {close_match(str(table['type']), list(types))}"
-        )
+        kind = str(table["type"])
+        why = brought(EFFECTS, _why_no_type).why_missing(kind) or f"; {close_match(kind, list(types))}"
+        raise ValueError(f"{where}: unknown effect type {table['type']!r}{why}")
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
     key = {"robot or joint": "joint"}.get(cls.on, cls.on if cls.on != "robot" else None)
