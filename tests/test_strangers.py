@@ -9,9 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import independent as ind
+import numpy as np
 import pytest
 
 import rx90b_flex
+from rx90b_flex.signals import load_campaign
 
 GUIDES = Path(rx90b_flex.__file__).parent / "docs" / "guides"
 STUDIES = Path(__file__).parents[1] / "benchmarks"
@@ -139,7 +142,7 @@ GOOD = printed("new_effect", "python")
     ("source", "why"),
     [
         (BROKEN, "RuntimeError: built for another version"),
-        ("CubicFriction = 3\n", "3 is no class of effects"),
+        ("CubicFriction = 3\n", "3 is no subclass of rx90b_flex.effects.effect.Effect"),
         (GOOD.replace("def column_slope", "def another_slope"), "CubicFriction lacks column_slope"),
         (GOOD.replace("class Cubic", "class Coulomb") + "\nCubicFriction = CoulombFriction\n", "'coulomb_friction' already"),
     ],
@@ -166,3 +169,97 @@ def test_an_error_in_a_package_of_effects_names_the_package(tmp_path):
     told = command(f"demo --hidden {TYPE} --out found", tmp_path, packages)
     last = told.splitlines()[-1]
     assert told.startswith("70\n") and "a fault of package broken_friction 1.0" in last and "Traceback" not in told
+
+
+# ---- log formats ----------------------------------------------------------------------------------------------------
+
+
+def jsonl(path: Path) -> Path:
+    """Ten seconds of an arm of two joints; its URDF lies beside the log."""
+    arm, rng = ind.two_joints(path.parent), np.random.default_rng(1)
+    m = ind.harmonics(rng, 2, period_s=10.0, rate_hz=100.0)
+    torque = arm.torque(m) + ind.white(rng, len(m.time), (0.1, 0.05))
+    names = ["time", "q1", "q2", "tau1", "tau2"]
+    rows = np.column_stack([m.time, m.q, torque]).tolist()
+    path.write_text("".join(json.dumps(dict(zip(names, row, strict=True))) + "\n" for row in rows), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("other", [False, True], ids=["one file of the folder", "another package"])
+def test_a_log_format_is_imported(other, tmp_path):
+    jsonl(tmp_path / "run.jsonl")
+    source, folder = printed("new_log_format", "python"), tmp_path / "theirs"
+    folder.mkdir()
+    (folder / "json_lines.py").write_text(source, encoding="utf-8")
+    where: dict[str, object] = {"place": ("rx90b_flex.signals.readers", folder)}
+    if other:
+        (folder / "json_lines.py").unlink()
+        where = {"packages": install(folder, "json_logs", source, printed("new_log_format", "toml"))}
+    words = "import run.jsonl --robot two_joints.urdf --out data --format csv"
+    assert f"{command(words, tmp_path).splitlines()[-1]}".startswith("rx90b-flex: run.jsonl: unknown kind of file")
+    told = command(words, tmp_path, **where)
+    assert told.startswith("0\n") and "1000 lines of JSON" in told
+    recordings = load_campaign(tmp_path / "data" / "campaign.toml").recordings
+    logged = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
+    for name, field in (("q", "position"), ("tau", "torque")):
+        got = np.concatenate([getattr(r, field) for r in recordings])
+        np.testing.assert_allclose(got, [[row[f"{name}1"], row[f"{name}2"]] for row in logged], rtol=1e-12)
+    (tmp_path / "bad.jsonl").write_text("{")
+    bad = command("import bad.jsonl --robot two_joints.urdf --out worse", tmp_path, **where).splitlines()
+    assert bad[0] == "2" and bad[-1].startswith("rx90b-flex: bad.jsonl: cannot be read: ") and len(bad) == 2
+
+
+def test_a_broken_package_of_readers_is_named_and_left_out(tmp_path):
+    jsonl(tmp_path / "run.jsonl")
+    table = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
+    lines = [",".join(table[0]), *(",".join(map(str, row.values())) for row in table)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    packages = install(tmp_path, "json_logs", BROKEN, printed("new_log_format", "toml"))
+    works = command("import run.csv --robot two_joints.urdf --out data", tmp_path, packages)
+    refused = command("import run.jsonl --robot two_joints.urdf --out worse", tmp_path, packages)
+    why = "package json_logs 1.0: rx90b_flex.readers 'jsonl': RuntimeError: built for another version"
+    assert works.startswith("0\n") and f"rx90b-flex: warning: {why}" in works
+    assert refused.startswith("2\n") and f"run.jsonl: unknown kind of file; {why}" in refused.splitlines()[-1]
+    assert "Traceback" not in works + refused
+
+
+# ---- estimators -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("other", [False, True], ids=["one file of the folder", "another package"])
+def test_an_estimator_identifies(other, tmp_path):
+    """Tukey's biweight, of which the guide has the influence function, is the fixed point of its own weights."""
+    arm, rng = ind.two_joints(tmp_path), np.random.default_rng(2)
+    m = ind.harmonics(rng, 2, period_s=10.0, rate_hz=100.0)
+    noise = ind.white(rng, len(m.time), (0.1, 0.05))
+    noise[rng.random(noise.shape) < 0.05] += 8.0
+    ind.write_files(
+        tmp_path, arm, [{"type": "viscous_friction", "joint": j} for j in ("shoulder", "elbow")],
+        [ind.run(arm, "identification", m, [lambda m, load: m.v * (3.0, 1.5)], noise)], known=True,
+    )  # fmt: skip
+    source, folder = printed("new_estimator", "python"), tmp_path / "theirs"
+    folder.mkdir()
+    (folder / "biweight.py").write_text(source, encoding="utf-8")
+    where: dict[str, object] = {"place": ("rx90b_flex.identify.estimators", folder)}
+    if other:
+        (folder / "biweight.py").unlink()
+        where = {"packages": install(folder, "robust_statistics", source, printed("new_estimator", "toml"))}
+    told = command("identify campaign.toml --estimator biweight --despite-faults --out found", tmp_path, **where)
+    assert told.startswith("0\n") and "Estimated by biweight" in told
+    written = json.loads((tmp_path / "found" / "identification.json").read_text())
+    assert written["estimator"] == "biweight"
+    values = {p["name"]: p for p in written["parameters"] if p["value"] is not None}
+    for joint, true in (("shoulder", 3.0), ("elbow", 1.5)):
+        found = values[f"{joint}.viscous_friction.coefficient"]
+        assert abs(found["value"] - true) < 3.0 * found["std"] < 0.1 * true
+
+
+def test_a_broken_package_of_estimators_is_named_and_left_out(tmp_path):
+    packages = install(tmp_path, "robust_statistics", BROKEN, printed("new_estimator", "toml"))
+    (tmp_path / "campaign.toml").write_text("")
+    refused = command("identify campaign.toml --estimator biweight --out found", tmp_path, packages)
+    works = command("identify campaign.toml --estimator huber --out found", tmp_path, packages)
+    why = "package robust_statistics 1.0: rx90b_flex.estimators 'biweight': RuntimeError: built for another version"
+    assert refused.startswith("2\n") and f"--estimator is 'biweight'; {why}" in refused.splitlines()[-1]
+    assert f"rx90b-flex: warning: {why}" in works and "campaign.toml: " in works.splitlines()[-1]
+    assert "Traceback" not in works + refused

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import importlib
-import pkgutil
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +16,7 @@ import numpy as np
 
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
-from rx90b_flex.files.extensions import EFFECTS, brought
+from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
@@ -644,40 +642,22 @@ def catalogue() -> dict[str, type[Effect]]:
 
     Those name a class in the entry point group ``rx90b_flex.effects``.
     """
-    package = importlib.import_module("rx90b_flex.effects")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"rx90b_flex.effects.{module.name}")
+    import_all("rx90b_flex.effects")
     brought(EFFECTS, _why_no_type)
     found: dict[str, type[Effect]] = {}
-    for sub in _subclasses(Effect):  # type: ignore[type-abstract]
-        if getattr(sub, "__abstractmethods__", None) or sub.__name__.startswith("_"):
-            continue
+    for sub in filter(concrete, subclasses(Effect)):
         name = sub.type_name()
-        if _own(sub) or name not in found or not _own(found[name]):
+        if own(sub) or name not in found or not own(found[name]):
             found[name] = sub
     return dict(sorted(found.items()))
 
 
-def _subclasses(cls: type[Effect]) -> Iterator[type[Effect]]:
-    for sub in cls.__subclasses__():
-        yield from _subclasses(sub)
-        yield sub
-
-
-def _own(cls: type[Effect]) -> bool:
-    return cls.__module__.startswith("rx90b_flex.")
-
-
 def _why_no_type(found: Any) -> str:
     """What is wrong with an effect type that another package brings; empty: nothing."""
-    if not (isinstance(found, type) and issubclass(found, Effect)):
-        return f"{found!r} is no class of effects; expected a subclass of rx90b_flex.effects.Effect"
-    lacking = getattr(found, "__abstractmethods__", None)
-    if lacking:
-        return f"{found.__name__} lacks {', '.join(sorted(lacking))}"
-    if any(_own(sub) and sub.__name__ == found.__name__ for sub in _subclasses(Effect)):  # type: ignore[type-abstract]
+    wrong = wrong_class(found, Effect)
+    if not wrong and any(own(sub) and sub.__name__ == found.__name__ for sub in subclasses(Effect)):
         return f"there is an effect type {found.type_name()!r} already"
-    return ""
+    return wrong
 
 
 def close_match(name: str, allowed: Sequence[str]) -> str:

@@ -5,9 +5,11 @@ A package that cannot be used is left out with a warning of one line; what needs
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -38,6 +40,37 @@ class Brought:
     def why_missing(self, name: str) -> str:
         """Why what an entry point of this name should bring is not there, after a semicolon; empty where there is none."""
         return next((f"; {b.line}" for b in self.broken if b.name == name), "")
+
+
+def import_all(package: str) -> None:
+    """Import every module of a folder of the package."""
+    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+        importlib.import_module(f"{package}.{module.name}")
+
+
+def subclasses(cls: Any) -> Iterator[Any]:
+    """All classes below a class that is loaded, those below them first."""
+    for sub in cls.__subclasses__():
+        yield from subclasses(sub)
+        yield sub
+
+
+def concrete(cls: type) -> bool:
+    """Whether a class lacks nothing and is not for its own file only."""
+    return not getattr(cls, "__abstractmethods__", None) and not cls.__name__.startswith("_")
+
+
+def own(cls: type) -> bool:
+    """Whether a class is of this package."""
+    return cls.__module__.startswith("rx90b_flex.")
+
+
+def wrong_class(found: Any, base: type) -> str:
+    """Why something that another package brings is no class of a kind that can be used; empty where it is one."""
+    if not (isinstance(found, type) and issubclass(found, base)):
+        return f"{found!r} is no subclass of {base.__module__}.{base.__name__}"
+    lacking = sorted(getattr(found, "__abstractmethods__", ()))
+    return f"{found.__name__} lacks {', '.join(lacking)}" if lacking else ""
 
 
 @cache
