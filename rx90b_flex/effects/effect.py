@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ import numpy as np
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
+from rx90b_flex.files.keys import check_keys, close_match
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
@@ -660,12 +660,6 @@ def _why_no_type(found: Any) -> str:
     return wrong
 
 
-def close_match(name: str, allowed: Sequence[str]) -> str:
-    """A hint for an error message: the nearest allowed name, else the list of them."""
-    near = difflib.get_close_matches(name, allowed, n=1)
-    return f"did you mean {near[0]!r}?" if near else "expected one of: " + ", ".join(allowed)
-
-
 def effect_from_table(
     table: Mapping[str, Any], where: str, joints: Sequence[str], frames: Sequence[str] = ()
 ) -> Effect:
@@ -696,9 +690,7 @@ def effect_from_table(
     where = f"{where} ({cls.type_name()})"
     key = {"robot or joint": "joint"}.get(cls.on, cls.on if cls.on != "robot" else None)
     allowed = ["type", *([key] if key else []), *cls.parameters(), *cls.choices()]
-    for name in table:
-        if name not in allowed:
-            raise ValueError(f"{where}: unknown key {name!r}; {close_match(name, allowed)}")
+    check_keys(table, allowed, where)
     values: dict[str, Any] = {}
     if key:
         if key in table:

@@ -21,6 +21,7 @@ from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.export import with_link_parameters
 from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.grey_bias import GreyBias, bias_functions, bias_of
 from rx90b_flex.identify.grey_model import (
     MASS,
     SLOPE,
@@ -118,7 +119,7 @@ class _GreyBoxProblem:
     whiteners: tuple[ComplexArray, ...]  # (F, n*n, n*n)
     free: Mask  # parameters that are fitted
     bending_alike_std: float
-    bias: tuple[_Bias, ...] = ()  # of each response; empty: the model is taken as exact
+    bias: tuple[GreyBias, ...] = ()  # of each response; empty: the model is taken as exact
     bias_sizes: tuple[float, float] = (0.0, 0.0)  # model and friction error
 
     @cached_property
@@ -172,13 +173,15 @@ class _GreyBoxProblem:
         The estimate is the restricted likelihood's: of the sizes given what the parameters cannot explain.
         """
         functions = [
-            _bias_functions(w, r.hz, model, np.array([by_x[own].sum(axis=0) for own in self.slopes_of(r.joints)]))
+            bias_functions(
+                w, r.hz, model, np.array([by_x[own].sum(axis=0) for own in self.slopes_of(r.joints)]), REACH_HZ
+            )
             for w, r, model, by_x in zip(
                 self.whiteners, self.responses, self.predicted(x), self.derivatives(x), strict=True
             )
         ]
         found = _bias_sizes(self, x, functions, sizes)
-        bias = tuple(_bias(*pair, found) for pair in functions)
+        bias = tuple(bias_of(*pair, found) for pair in functions)
         return dataclasses.replace(self, bias=bias, bias_sizes=found)
 
     def slopes_of(self, joints: Sequence[str]) -> list[Mask]:
@@ -241,42 +244,6 @@ def _whitener(covariance: ComplexArray, response: FrequencyResponse) -> ComplexA
             f"the covariance of the frequency response is not positive definite at {where}; expected more realisations "
             "than its entries, or lines whose neighbours have them"
         ) from None
-
-
-@dataclass(frozen=True, eq=False)
-class _Bias:
-    """Smooth errors of a model, as random functions of frequency: the covariance of whitened errors is ``1 + Q diag(s^2) Q^H``."""
-
-    directions: ComplexArray  # Q, (F * n*n, K), orthonormal
-    shrink: Array  # 1 - 1 / sqrt(1 + s^2), (K,)
-
-    def white(self, errors: ComplexArray) -> ComplexArray:
-        inside = self.directions.conj().T @ errors
-        return errors - self.directions @ (self.shrink[:, None] * inside if errors.ndim == 2 else self.shrink * inside)
-
-
-def _bias_functions(
-    whitener: ComplexArray, hz: Array, model: ComplexArray, friction: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """Whitened functions whose random sums are errors of independent entries, as large as |model| (F, n, n), and of frictions.
-
-    A joint's friction torque acts on all drives alike whatever brings it about, so that its error is a column of the derivative by
-    its slope, (joints, F, n, n), on its own for each input. Returns two arrays (F * n*n, K).
-    """
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * ((hz[:, None] - hz) / REACH_HZ) ** 2))
-    basis = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, values > 1e-3 * values[-1]]
-    lines, entries = len(hz), model[0].size
-    own = np.abs(model).reshape(lines, entries, 1, 1) * np.eye(entries)[:, :, None] * basis[:, None, None, :]
-    inputs = friction[..., None] * np.eye(model.shape[-1])  # (joints, F, n, n, n): by the last, one column each
-    shared = np.moveaxis(inputs, 0, -1).reshape(lines, entries, -1)[..., None] * basis[:, None, None, :]
-    first, second = ((whitener @ f.reshape(lines, entries, -1)).reshape(lines * entries, -1) for f in (own, shared))
-    return first, second
-
-
-def _bias(model: ComplexArray, friction: ComplexArray, sizes: tuple[float, float]) -> _Bias:
-    functions = np.concatenate([sizes[0] * model, sizes[1] * friction], axis=1)
-    directions, s, _ = np.linalg.svd(functions, full_matrices=False)
-    return _Bias(directions, 1.0 - 1.0 / np.sqrt(1.0 + s**2))
 
 
 def _bias_sizes(

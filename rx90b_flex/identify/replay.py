@@ -301,18 +301,6 @@ def grey_box_by_replay(
     )
 
 
-def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
-    """Coefficients of frictions beside their declared values."""
-    names = [
-        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
-    ]
-    before = [float(c) for e in declared for c in e.coefficients]
-    return tuple(
-        FrictionEstimate(name, unit, d, v, s)
-        for (name, unit), d, v, s in zip(names, before, values.tolist(), std.tolist(), strict=True)
-    )
-
-
 def _settled(before: GreyBox, now: GreyBox) -> bool:
     return all(
         abs(np.log(e.value / before[e.name].value)) < SETTLED * e.std / e.value
@@ -325,6 +313,18 @@ def _simulated(tasks: Sequence[tuple[Replay, Robot]], jobs: int) -> list[Complex
     """Responses of replays on robots."""
     work = (joblib.delayed(Replay.responses)(replay, robot) for replay, robot in tasks)
     return list(joblib.Parallel(n_jobs=min(jobs, len(tasks)))(work))
+
+
+def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
+    """Coefficients of frictions beside their declared values."""
+    names = [
+        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
+    ]
+    before = [float(c) for e in declared for c in e.coefficients]
+    return tuple(
+        FrictionEstimate(name, unit, d, v, s)
+        for (name, unit), d, v, s in zip(names, before, values.tolist(), std.tolist(), strict=True)
+    )
 
 
 def _spread(realisations: ComplexArray) -> Array:

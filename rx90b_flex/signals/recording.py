@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import json
 import math
 import os
 import re
@@ -16,7 +15,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.files.toml import named_beside, read_toml
+from rx90b_flex.files.keys import suggestion
+from rx90b_flex.files.toml import named_beside, read_toml, toml_value
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.data_fault import DataFaultError
 from rx90b_flex.signals.section import CampaignSection
@@ -24,7 +24,6 @@ from rx90b_flex.signals.stated import (
     JOINT_SIDES,
     Accelerometer,
     FlangeLoad,
-    flange_load_toml,
     read_accelerometers,
     read_date,
     read_flange_load,
@@ -331,32 +330,33 @@ def write_campaign(
     first = recordings[0]
     robot_text = robot if isinstance(robot, str) else Path(os.path.relpath(robot, directory)).as_posix()
     lines = [
-        f"robot = {_toml(robot_text)}",
-        f"sample_rate_hz = {_toml(first.sample_rate_hz)}",
-        f"joints = {_toml(first.joints)}",
+        f"robot = {toml_value(robot_text)}",
+        f"sample_rate_hz = {toml_value(float(first.sample_rate_hz))}",
+        f"joints = {toml_value(first.joints)}",
         "",
         "[signals]",
     ]
-    lines += [f"{item.key} = {_toml([f'{item.prefix}_{joint}' for joint in first.joints])}" for item in fields]
+    lines += [f"{item.key} = {toml_value([f'{item.prefix}_{joint}' for joint in first.joints])}" for item in fields]
     if cutoff_hz is not None:
-        lines += ["", "[preprocessing]", f"cutoff_hz = {_toml(cutoff_hz)}"]
+        lines += ["", "[preprocessing]", f"cutoff_hz = {toml_value(float(cutoff_hz))}"]
     if noise_torque is not None:
         if len(noise_torque) != len(first.joints):
             raise ValueError(f"noise_torque has {len(noise_torque)} values for {len(first.joints)} joints")
-        lines += ["", "[noise]", f"torque_rms = {_toml(noise_torque)}"]
+        lines += ["", "[noise]", f"torque_rms = {toml_value(np.asarray(noise_torque, dtype=float))}"]
     for i, sensor in enumerate(accelerometers):
-        lines += ["", "[[accelerometer]]", f"link = {_toml(sensor.link)}", f"position = {_toml(sensor.position)}"]
-        lines.append(f"columns = {_toml(_acceleration_columns(len(accelerometers))[3 * i : 3 * i + 3])}")
+        lines += ["", "[[accelerometer]]", f"link = {toml_value(sensor.link)}"]
+        lines.append(f"position = {toml_value(np.asarray(sensor.position, dtype=float))}")
+        lines.append(f"columns = {toml_value(_acceleration_columns(len(accelerometers))[3 * i : 3 * i + 3])}")
     files = _file_names(recordings, file_format)
     for recording, file in zip(recordings, files, strict=True):
         target = directory / file
         target.parent.mkdir(parents=True, exist_ok=True)
         save_recording(recording, target)
-        lines += ["", "[[recording]]", f"file = {_toml(file)}", f"role = {_toml(recording.role)}"]
+        lines += ["", "[[recording]]", f"file = {toml_value(file)}", f"role = {toml_value(recording.role)}"]
         if recording.period_s is not None:
-            lines.append(f"period_s = {_toml(recording.period_s)}")
+            lines.append(f"period_s = {toml_value(float(recording.period_s))}")
         if recording.payload is not None:
-            lines.append(f"payload = {flange_load_toml(recording.payload)}")
+            lines.append(f"payload = {toml_value(dataclasses.asdict(recording.payload))}")
         if recording.date is not None:
             lines.append(f"date = {recording.date}")
     campaign = directory / "campaign.toml"
@@ -492,7 +492,7 @@ def _read_entry(section: CampaignSection, campaign: Path, layout: _CampaignLayou
     text = section.text("role")
     role = next((known for known in ROLES if known == text), None)
     if role is None:
-        hint = tables.suggestion(text, ROLES)
+        hint = suggestion(text, ROLES)
         raise section.problem("role", f'found {text!r}{hint}, "identification" or "validation" is expected')
     start = section.number("start_s") if section.has("start_s") else None
     end = section.number("end_s") if section.has("end_s") else None
@@ -720,12 +720,3 @@ def _acceleration_columns(sensors: int) -> list[str]:
 
 def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
-
-
-def _toml(value: str | float | Sequence[str] | Sequence[float]) -> str:
-    if isinstance(value, str):
-        # a TOML basic string takes JSON's escapes; DEL alone is escaped by TOML only
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    if isinstance(value, Sequence):
-        return f"[{', '.join(_toml(item) for item in value)}]"
-    return repr(float(value))
