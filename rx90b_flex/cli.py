@@ -488,7 +488,10 @@ def simulate_command(
 @app.command("import")
 def import_command(
     files: Annotated[
-        list[Path], typer.Argument(help="CSV, Parquet, MATLAB, MCAP or ROS 2 bag; the last one validates.")
+        list[Path],
+        typer.Argument(
+            help="Logs: CSV, Parquet, MATLAB, MCAP, ROS 2 bags, or any with a reader; the last one validates."
+        ),
     ],
     robot: Annotated[str, typer.Option(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
     out: Out,
@@ -536,6 +539,9 @@ def identify_command(
     campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
     out: Out,
     basics: Basics = False,
+    estimator: Annotated[
+        str, typer.Option(help="least_squares; huber, which bumps hardly move; or one of another package.")
+    ] = "least_squares",
     despite_faults: Despite = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -547,6 +553,10 @@ def identify_command(
     from rx90b_flex.signals.folders import CHECKED, IDENTIFIED, check_folder, fill_folder
 
     check_folder(out, IDENTIFIED, overwrite, [campaign])
+    if estimator != "least_squares":  # the usual one is there, and its libraries take a while
+        from rx90b_flex.identify.estimators.estimator import estimator_named
+
+        estimator_named(estimator)
     with progress() as tell:
         tell("reading", 0.0)
         read = read_campaign(campaign)
@@ -560,7 +570,7 @@ def identify_command(
         if not (checked.usable or despite_faults):
             fill_folder(out, lambda folder: write_check_report(checked, folder), CHECKED, overwrite)
             _end_refused(checked, out)
-        result = identify_campaign(read, robot=declared, progress=tell)
+        result = identify_campaign(read, robot=declared, estimator=estimator, progress=tell)
         tell("writing the report", 0.95)
 
         def fill(folder: Path) -> None:

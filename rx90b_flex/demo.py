@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90b_flex.effects import Effect, Motion, catalogue, close_match
+from rx90b_flex.effects import Effect, Motion, Sites, catalogue, close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation import harmonic_motion
 from rx90b_flex.export import save_robot
@@ -26,7 +26,7 @@ POSITION_NOISE = 2e-6  # rad, resolver
 STRENGTH = (5.0, 10.0)  # hidden torque over noise after the low-pass, both root mean square
 
 NOTHING = "none"
-HIDDEN = (
+HIDDEN = (  # drawn from where nobody says what to hide
     "asymmetric_friction",
     "coulomb_friction",
     "drive_inertia",
@@ -100,10 +100,26 @@ def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT)
     return Demonstration(declared, true, effect, tuple(recordings))
 
 
+def hideable() -> tuple[str, ...]:
+    """Effect types that the demonstration can hide: torques on joints that follow from the motion alone, and that a search tries."""
+    sites = Sites(("a", "b"), "tip")
+    return tuple(name for name, cls in catalogue().items() if name in HIDDEN or _can_hide(cls, sites))
+
+
+def _can_hide(cls: type[Effect], sites: Sites) -> bool:
+    more = cls.needs_load or cls.needs_model or cls.remembers or cls.needs or not cls.repeats_with_motion
+    stated = any(p.kind == "given" for p in cls.parameters().values())
+    plain = cls.in_dynamics and not (more or stated or cls.virtual or cls.last_resort)
+    return plain and cls.on in ("joint", "joints") and bool(cls.over_time(sites))
+
+
 def check_hidden(hidden: str | None) -> None:
     """Refuse an effect type that the demonstration does not make, with the nearest one that it does."""
-    if hidden is not None and hidden not in (*HIDDEN, NOTHING):
-        raise ValueError(f"--hidden: unknown effect type {hidden!r}; {close_match(hidden, (*HIDDEN, NOTHING))}")
+    if hidden is None or hidden == NOTHING or hidden in hideable():
+        return
+    if hidden in catalogue():
+        raise ValueError(f"--hidden: {hidden!r} is none of what the demonstration hides: {', '.join(hideable())}")
+    raise ValueError(f"--hidden: unknown effect type {hidden!r}; {close_match(hidden, (*hideable(), NOTHING))}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,19 +185,27 @@ def _with_values(
         own = shapes[effect.type_name()]()
         # a turn-over, declared last, is the joint's: as sharp as that of its other friction
         effect = effect.with_shape([*own, *[np.nan] * (len(effect.shape_names()) - len(own))])
+    elif effect.type_name() not in HIDDEN and len(effect.shape):
+        starts = effect.placed(motion).shape_starts(motion)
+        shared = np.array([key is not None for key in effect.shape_keys])
+        effect = effect.with_shape(np.where(shared, np.nan, starts[rng.integers(len(starts))]))
     mix: dict[str, Callable[[], Array]] = {
         "gear_ripple": lambda: rng.normal(size=2),
         "joint_coupling": lambda: np.array([0.1, 1.0, 0.5]) * rng.uniform(0.5, 1.5, 3),
         "joint_spring": lambda: np.array([1.0, rng.uniform(-0.5, 0.5)]),
     }
+    count = len(effect.coefficients)
     coefficients = mix[effect.type_name()]() if effect.type_name() in mix else np.ones(1)
+    if len(coefficients) != count:
+        signs = np.where(np.isfinite(effect.coefficient_bounds), 1.0, rng.choice([-1.0, 1.0], count))
+        coefficients = signs * rng.uniform(0.5, 1.0, count)
     force = effect.columns(motion) @ coefficients
     rows = np.flatnonzero(force.any(axis=0))
     noise = TORQUE_NOISE * np.sqrt((torque**2).mean(axis=0)) * np.sqrt(2 * CUTOFF_HZ / SAMPLE_RATE_HZ)
     # what the declared model takes up of the effect does not stand out
     left = (force - _taken_up(effect, declared, motion, force))[:, rows]
-    size = np.sqrt((left**2).mean(axis=0)) / noise[rows]
-    return effect.with_coefficients(coefficients * rng.uniform(*STRENGTH) / size.max())
+    shown = np.sqrt((left**2).mean(axis=0)) / noise[rows]
+    return effect.with_coefficients(coefficients * rng.uniform(*STRENGTH) / shown.max())
 
 
 def _taken_up(effect: Effect, declared: Sequence[Effect], motion: Motion, force: Array) -> Array:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
+from rx90b_flex.files.extensions import BrokenPackageWarning, blamed
 from rx90b_flex.interrupts import interruptible
 
 REFUSED = 2
@@ -46,7 +47,7 @@ def run(app: CommandLine, usage_error: type[Exception], name: str) -> int:
         Of the program, before each line.
     """
     try:
-        with interruptible(), _quiet():
+        with interruptible(), _quiet(name):
             status = app(standalone_mode=False)
             sys.stdout.flush()
         status = status if isinstance(status, int) else 0
@@ -84,9 +85,12 @@ def _status_and_words(error: Exception, usage_error: type[Exception]) -> tuple[i
         return REFUSED, f"{where}{error.strerror or error}"
     if isinstance(error, MemoryError):
         return REFUSED, f"not enough memory: {error}" if str(error) else "not enough memory"
+    package = blamed(error)
     # of libraries, too, which derive their errors from it; but what NumPy says of an array is no word on somebody's input
     if isinstance(error, ValueError):
-        return REFUSED, str(error)
+        return REFUSED, f"{error} (in package {package})" if package else str(error)
+    if package:
+        return INTERNAL, f"a fault of package {package}: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)"
     return INTERNAL, f"a fault of the program: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)"
 
 
@@ -96,15 +100,22 @@ def _one_line(text: str) -> str:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _quiet(name: str) -> Iterator[None]:
     """Warnings of libraries are for who programs, unless asked for by ``python -W`` or PYTHONWARNINGS.
 
-    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch.
+    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch. One of a package that cannot be
+    used is a line.
     """
+
+    def line(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"{name}: warning: {_one_line(str(message))}", file=sys.stderr, flush=True)
+
     said = sys.unraisablehook
     with warnings.catch_warnings():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")
+            warnings.simplefilter("always", BrokenPackageWarning)
+            warnings.showwarning = line
             sys.unraisablehook = lambda _: None
         try:
             yield

@@ -16,6 +16,7 @@ from rx90b_flex import flexify as virtual
 from rx90b_flex.bodies import Inconsistency, inconsistencies, moments_about_centre, pseudo_inertia
 from rx90b_flex.effects import effect_to_table
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import toml_value
 from rx90b_flex.robot import Robot
 
 # Largest error of a parameter read back from the URDF, as a part of its body's largest one.
@@ -175,28 +176,6 @@ def robot_file_text(robot: Robot, urdf: str) -> str:
     }
     tables = [_toml_lines(head), *("\n[[effects]]\n" + _toml_lines(effect_to_table(e)) for e in robot.effects)]
     return "".join(tables)
-
-
-def toml_value(value: Any) -> str:
-    """A string, number, truth value or (nested) list as TOML.
-
-    Raises
-    ------
-    TypeError
-        Anything else.
-    """
-    if isinstance(value, str):
-        # JSON's escapes are TOML's too, but JSON leaves the control character DEL as it is
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, bool | np.bool_):
-        return "true" if value else "false"
-    if isinstance(value, int | np.integer):
-        return str(int(value))
-    if isinstance(value, float | np.floating):
-        return repr(float(value))
-    if isinstance(value, list | tuple | np.ndarray):
-        return "[" + ", ".join(toml_value(v) for v in value) + "]"
-    raise TypeError(f"{value!r} has no form in TOML")
 
 
 def _toml_lines(table: Mapping[str, Any]) -> str:

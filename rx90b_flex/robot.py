@@ -17,6 +17,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import read_toml
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
@@ -671,9 +672,7 @@ def _default_tip(tree: pin.Model) -> str:
 
 def _from_file(path: Path) -> Robot:
     table = read_toml(path, "robot file")
-    for key in table:
-        if key not in ROBOT_KEYS:
-            raise ValueError(f"{path}: unknown key {key!r}; {close_match(key, ROBOT_KEYS)}")
+    check_keys(table, ROBOT_KEYS, path)
     if "urdf" not in table:
         raise ValueError(f"{path}: key 'urdf' is missing")
     for key in ("name", "urdf", "tip_frame", "inertial_parameters"):

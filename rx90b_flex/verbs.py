@@ -36,6 +36,7 @@ def identify(
     *,
     robot: RobotSource | None = None,
     basics: bool = False,
+    estimator: str = "least_squares",
     progress: Progress | None = None,
 ) -> Identified:
     """Fit a robot's declared parameters to the identification recordings of a campaign; the command ``identify``.
@@ -49,6 +50,8 @@ def identify(
         In place of the one that the campaign names.
     basics : bool
         Whether drive inertia, dry and viscous friction and an offset are declared on every joint of the campaign that lacks them.
+    estimator : str
+        ``least_squares``; ``huber``, which bumps and lost samples hardly move; or another package's.
     progress : callable, optional
         Called with a message and a fraction.
 
@@ -77,7 +80,7 @@ def identify(
         declared = load_robot(read.robot_source) if declared is None else declared
         joints = [joint for joint in read.joints if joint in declared.joints]
         declared = with_basics(declared, joints, read.torque_side == "behind_gear")
-    return identify_campaign(read, robot=declared, progress=progress)
+    return identify_campaign(read, robot=declared, estimator=estimator, progress=progress)
 
 
 def simulate(

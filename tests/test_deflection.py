@@ -93,8 +93,8 @@ def test_a_declared_drive_stands_on_the_rigid_tree_and_goes_back_into_the_flexib
     over_time = robot.over_time()
     standing: tuple[Effect, ...] = over_time.effects
     rest = over_time.motion(*np.zeros((3, over_time.model.nv)))
-    assert [e.type_name() for e in standing] == ["drive_flexibility", "stiffness_hardening"]
-    assert [e.in_tree(rest) for e in standing] == [drive, harder]
+    assert [e.type_name() for e in standing] == ["drive_flexibility", "stiffness_hardening", "joint_flexibility"]
+    assert [e.in_tree(rest) for e in standing] == [drive, harder, bending]
     assert over_time.model.nv == robot.tree.nv
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from rx90b_flex.bodies import pseudo_inertia
 from rx90b_flex.effects import Effect, effect_from_table
-from rx90b_flex.export import save_robot, toml_value, with_link_parameters
+from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.files.toml import toml_value
 from rx90b_flex.robot import Robot, load_robot
 
 

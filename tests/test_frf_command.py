@@ -24,7 +24,7 @@ from rx90b_flex.identify.frf_command import (
     mean_motion,
     write_motor_identification,
 )
-from rx90b_flex.identify.grey_box import declared_parameters
+from rx90b_flex.identify.grey_model import declared_parameters
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662

@@ -12,7 +12,7 @@ from scipy.signal import resample
 
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
-from rx90b_flex.identify.grey_box import response_derivatives
+from rx90b_flex.identify.grey_model import response_derivatives
 from rx90b_flex.identify.replay import (
     Replay,
     _friction_derivatives,

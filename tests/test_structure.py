@@ -59,3 +59,29 @@ def test_the_files_that_the_architecture_page_names_are_there() -> None:
     assert len(named) > 50
     missing = [name for name in named if not ((ROOT.parent if name.startswith("tests") else ROOT) / name).exists()]
     assert missing == []
+
+
+LONGEST_FILE, LONGEST_BODY = 800, 60  # lines; a body is counted without its docstring
+# one compiled file for numba's cache, and what is being made into one loop
+LONG_FILES = {"kernels.py", "diagnose/close.py", "simulate/closed_loop.py"}
+LONG_BODIES = {"diagnose/close.py: _closed", "diagnose/alternatives.py: experiments"}
+
+
+def bodies(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """Each function's name and the lines of its statements."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            first = node.body[1 if ast.get_docstring(node) is not None and len(node.body) > 1 else 0]
+            yield node.name, int(node.body[-1].end_lineno or 0) - first.lineno + 1
+
+
+def test_files_are_short() -> None:
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES}
+    long = {name: length for name, length in lengths.items() if length >= LONGEST_FILE and name not in LONG_FILES}
+    assert long == {}
+
+
+def test_functions_are_short() -> None:
+    every = ((f"{path.relative_to(ROOT)}: {name}", n) for path, tree in SOURCES.items() for name, n in bodies(tree))
+    long = {name: length for name, length in every if length >= LONGEST_BODY and name not in LONG_BODIES}
+    assert long == {}

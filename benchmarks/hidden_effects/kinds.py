@@ -7,9 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import independent as ind
 import numpy as np
 
-from hidden_effects.physics import Hidden
+from hidden_effects.physics import Hidden, Values
+from rx90b_flex.effects import Coordinates, Effect, Motion, Sites, catalogue
 
 Drawn = Callable[[np.random.Generator], dict[str, Any]]
 LAG_S = 1e-3  # damping over stiffness of a drive
@@ -32,6 +34,7 @@ class Kind:
     rests: bool = False  # shows at rest alone
     finish: Callable[[dict[str, Any]], dict[str, Any]] = dict
     not_with: tuple[str, ...] = ()  # forms of dry friction that have it of themselves
+    law: Callable[[ind.Motion, int, Values], ind.Array] | None = None  # where `physics` has none
 
 
 def _phase(rng: np.random.Generator) -> float:
@@ -75,7 +78,7 @@ def _gain(p: dict[str, Any]) -> dict[str, Any]:
     return {"gain": 1.0 + p["more"]}
 
 
-KINDS: Mapping[str, Kind] = {
+STUDIED: Mapping[str, Kind] = {
     "drive_inertia": Kind(one("inertia")),
     "torque_offset": Kind(either("torque")),
     "coulomb_friction": Kind(one("torque"), absent=("coulomb_friction",)),
@@ -140,6 +143,28 @@ ELSEWHERE = {
 }
 
 
+def by_its_own_law(cls: type[Effect]) -> Kind | None:
+    """How a type is hidden that this study has no law of: by the package's own; None where it is no torque of one joint's motion."""
+    stated = any(p.kind == "given" for p in cls.parameters().values())
+    more = cls.needs_load or cls.needs_model or cls.remembers or cls.needs or cls.virtual
+    if cls.on != "joint" or not cls.in_dynamics or stated or more or not cls.over_time(Sites(("joint",), "tip")):
+        return None
+    named = {kind: [n for n, p in cls.parameters().items() if p.kind == kind] for kind in ("linear", "shape")}
+    starts = {n: p.start for n, p in cls.parameters().items() if p.kind == "shape"}
+
+    def law(m: ind.Motion, j: int, values: Values) -> ind.Array:
+        names = [f"joint_{i + 1}" for i in range(m.q.shape[1])]
+        seen = Motion(Coordinates(tuple(f"{n}:drive" for n in names)), m.q, m.v, m.a, m.time, lambda _: None)
+        return np.asarray(cls(joint=names[j], **values).force(seen)[:, j])
+
+    return Kind(one(*named["linear"]), lambda rng: starts, law=law) if named["linear"] else None
+
+
+OTHERS = {name: by_its_own_law(cls) for name, cls in catalogue().items() if name not in {**STUDIED, **ELSEWHERE}}
+KINDS: Mapping[str, Kind] = {**STUDIED, **{name: kind for name, kind in OTHERS.items() if kind is not None}}
+ELSEWHERE |= {name: "this study has no law of it" for name, kind in OTHERS.items() if kind is None}
+
+
 def places(kind: Kind, joints: int, rng: np.random.Generator) -> list[tuple[int, ...]]:
     """Where an effect may be hidden, in drawn order."""
     if kind.on in ("robot", "frame"):
@@ -153,4 +178,4 @@ def places(kind: Kind, joints: int, rng: np.random.Generator) -> list[tuple[int,
 
 
 def drawn(name: str, kind: Kind, place: tuple[int, ...], rng: np.random.Generator) -> Hidden:
-    return Hidden(name, place, kind.sizes(rng), kind.shapes(rng), kind.finish)
+    return Hidden(name, place, kind.sizes(rng), kind.shapes(rng), kind.finish, kind.law)

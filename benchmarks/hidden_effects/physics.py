@@ -25,13 +25,14 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """One effect to hide: its type, place (joint numbers) and values, sizes apart from shapes."""
+    """One effect to hide: its type, place (joint numbers) and values, sizes apart from shapes; a law where this file has none."""
 
     kind: str
     place: tuple[int, ...]
     sizes: dict[str, Any]
     shapes: dict[str, Any]
     finish: Callable[[dict[str, Any]], dict[str, Any]] = dict
+    law: Callable[[Motion, int, Values], Array] | None = None
 
     def values(self, size: float) -> dict[str, Any]:
         scaled = {name: (size * np.asarray(x)).tolist() for name, x in self.sizes.items()}
@@ -92,6 +93,8 @@ class Plant:
                 tau += ON_PAIR[h.kind](s, h.place, p)
             elif h.kind in ON_ARM:
                 tau += ON_ARM[h.kind](self, h.place, p, s)
+            elif h.law is not None:
+                tau[:, h.place[0]] += h.law(s.motor, h.place[0], p)
         return s, tau
 
     def logged(self, run: Experiment, rate_hz: float, periods: int) -> tuple[Array, Array]:

@@ -160,7 +160,7 @@ def torsion_alone(
     return torsion
 
 
-@compiled
+@entry
 def hinges_together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: float, parts: int) -> Array:
     """Deflections (N, m) of ``by_a x'' + at_rate x' + at_angle x = -load`` by the trapezoidal rule (Newmark's, beta = 1/4).
 

@@ -29,8 +29,8 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
+from rx90b_flex.signals.data_fault import DataFaultError
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
-from rx90b_flex.signals.recording import DataFaultError
 
 SCHEMA = 1
 PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's

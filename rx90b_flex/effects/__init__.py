@@ -7,11 +7,11 @@ from rx90b_flex.effects.effect import (
     RestSizes,
     Sites,
     catalogue,
-    close_match,
     effect_from_table,
     effect_to_table,
 )
 from rx90b_flex.effects.motion import Coordinates, JointMotion, Motion, TreeMotion
+from rx90b_flex.files.keys import close_match
 
 __all__ = [
     "Coordinates",

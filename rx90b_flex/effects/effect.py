@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import importlib
-import pkgutil
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +15,8 @@ import numpy as np
 
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
+from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
+from rx90b_flex.files.keys import check_keys, close_match
 
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
@@ -650,27 +649,26 @@ class FrameEffect(Effect):
 
 
 def catalogue() -> dict[str, type[Effect]]:
-    """All effect types by name: every concrete subclass of `Effect` in the modules of this folder."""
-    package = importlib.import_module("rx90b_flex.effects")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"rx90b_flex.effects.{module.name}")
+    """All effect types by name: every concrete subclass of `Effect` in the modules of this folder, and what other packages bring.
 
+    Those name a class in the entry point group ``rx90b_flex.effects``.
+    """
+    import_all("rx90b_flex.effects")
+    brought(EFFECTS, _why_no_type)
     found: dict[str, type[Effect]] = {}
-
-    def visit(cls: type[Effect]) -> None:
-        for sub in cls.__subclasses__():
-            visit(sub)
-            if not getattr(sub, "__abstractmethods__", None) and not sub.__name__.startswith("_"):
-                found[sub.type_name()] = sub
-
-    visit(Effect)  # type: ignore[type-abstract]
+    for sub in filter(concrete, subclasses(Effect)):
+        name = sub.type_name()
+        if own(sub) or name not in found or not own(found[name]):
+            found[name] = sub
     return dict(sorted(found.items()))
 
 
-def close_match(name: str, allowed: Sequence[str]) -> str:
-    """A hint for an error message: the nearest allowed name, else the list of them."""
-    near = difflib.get_close_matches(name, allowed, n=1)
-    return f"did you mean {near[0]!r}?" if near else "expected one of: " + ", ".join(allowed)
+def _why_no_type(found: Any) -> str:
+    """What is wrong with an effect type that another package brings; empty: nothing."""
+    wrong = wrong_class(found, Effect)
+    if not wrong and any(own(sub) and sub.__name__ == found.__name__ for sub in subclasses(Effect)):
+        return f"there is an effect type {found.type_name()!r} already"
+    return wrong
 
 
 def effect_from_table(
@@ -696,16 +694,14 @@ def effect_from_table(
     if "type" not in table:
         raise ValueError(f"{where}: key 'type' is missing")
     if not isinstance(table["type"], str) or table["type"] not in types:
-        raise ValueError(
-            f"{where}: unknown effect type {table['type']!r}; {close_match(str(table['type']), list(types))}"
-        )
+        kind = str(table["type"])
+        why = brought(EFFECTS, _why_no_type).why_missing(kind) or f"; {close_match(kind, list(types))}"
+        raise ValueError(f"{where}: unknown effect type {table['type']!r}{why}")
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
     key = {"robot or joint": "joint"}.get(cls.on, cls.on if cls.on != "robot" else None)
     allowed = ["type", *([key] if key else []), *cls.parameters(), *cls.choices()]
-    for name in table:
-        if name not in allowed:
-            raise ValueError(f"{where}: unknown key {name!r}; {close_match(name, allowed)}")
+    check_keys(table, allowed, where)
     values: dict[str, Any] = {}
     if key:
         if key in table:

@@ -1,13 +1,16 @@
-"""The one reader of TOML files: whatever is wrong with one is a line that names it."""
+"""The one reader of TOML files, for which whatever is wrong with one is a line that names it; and values as TOML."""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 LARGEST = 64 * 2**20  # bytes: files that people write are some thousand
 DEEPEST = 100  # arrays and tables within each other; where the parser itself ends depends on who calls it
@@ -90,3 +93,27 @@ def named_beside(path: Path, name: str) -> Path | str:
     beside = path.parent / name
     # unlike the path's own method, no error where the name is too long
     return beside if os.path.isfile(beside) else name
+
+
+def toml_value(value: Any) -> str:
+    """A string, number, truth value, (nested) list or table as TOML.
+
+    Raises
+    ------
+    TypeError
+        Anything else.
+    """
+    if isinstance(value, str):
+        # JSON's escapes are TOML's too, but JSON leaves the control character DEL as it is
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if isinstance(value, float | np.floating):
+        return repr(float(value))
+    if isinstance(value, list | tuple | np.ndarray):
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {toml_value(v)}" for key, v in value.items()) + " }"
+    raise TypeError(f"{value!r} has no form in TOML")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from rx90b_flex.closing import LoopOptions, close_campaign, declared_robot
 from rx90b_flex.diagnose.refused import DATA_FAULT
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.effects import Effect
-from rx90b_flex.files.toml import named_beside
+from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.fleet.second_fit import SecondFit, found_effects, second_fit
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
@@ -77,8 +76,8 @@ def _files(campaign: Path) -> list[Path]:
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        return read_toml(path, "file")
+    except ValueError:
         return {}
 
 

@@ -412,6 +412,31 @@ class BaseCalibration:
     degrees_of_freedom: int
 
 
+def _placed_with_markers(
+    turns: Array, places: Array, measured: Array, std: float | Array
+) -> tuple[Array, Array, Array]:
+    """Where a fit of base and markers begins: the base's rotation (3, 3), the markers (m, 3) and its translation (3,), m."""
+    count = measured.shape[1]
+    seen = fit_rigid_body(measured[0], measured, std).rotation
+    in_base = Rotation.from_matrix(turns @ turns[0].T).as_rotvec()
+    in_camera = Rotation.from_matrix(seen).as_rotvec()
+    if np.linalg.matrix_rank(in_base, tol=1e-3) < 2:
+        raise ValueError(
+            "the link turns about one axis only, which leaves the base's turn about it open;"
+            " move a second joint or give the markers"
+        )
+    rotation = Rotation.align_vectors(in_camera, in_base)[0].as_matrix()
+    # measured = rotation link_rotation marker + (rotation link_position + translation): linear in the rest
+    inner = rotation @ turns
+    columns = np.zeros((len(turns), count, 3, 3 * count + 3))
+    for m in range(count):
+        columns[:, m, :, 3 * m : 3 * m + 3] = inner
+    columns[..., -3:] = np.eye(3)
+    moved = measured - (places @ rotation.T)[:, None]
+    first = np.linalg.lstsq(columns.reshape(-1, columns.shape[-1]), moved.ravel(), rcond=None)[0]
+    return rotation, first[:-3].reshape(count, 3), first[-3:]
+
+
 def calibrate_base(
     link_rotation: Array,
     link_position: Array,
@@ -448,24 +473,7 @@ def calibrate_base(
     known = None if markers is None else np.asarray(markers, dtype=float)
     count = measured.shape[1]
     if known is None:
-        seen = fit_rigid_body(measured[0], measured, std).rotation
-        in_base = Rotation.from_matrix(turns @ turns[0].T).as_rotvec()
-        in_camera = Rotation.from_matrix(seen).as_rotvec()
-        if np.linalg.matrix_rank(in_base, tol=1e-3) < 2:
-            raise ValueError(
-                "the link turns about one axis only, which leaves the base's turn about it open;"
-                " move a second joint or give the markers"
-            )
-        rotation = Rotation.align_vectors(in_camera, in_base)[0].as_matrix()
-        # measured = rotation link_rotation marker + (rotation link_position + translation): linear in the rest
-        inner = rotation @ turns
-        columns = np.zeros((len(turns), count, 3, 3 * count + 3))
-        for m in range(count):
-            columns[:, m, :, 3 * m : 3 * m + 3] = inner
-        columns[..., -3:] = np.eye(3)
-        moved = measured - (places @ rotation.T)[:, None]
-        first = np.linalg.lstsq(columns.reshape(-1, columns.shape[-1]), moved.ravel(), rcond=None)[0]
-        at, translation = first[:-3].reshape(count, 3), first[-3:]
+        rotation, at, translation = _placed_with_markers(turns, places, measured, std)
     else:
         at = known
         points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]

@@ -31,6 +31,7 @@ from scipy.spatial.transform import Rotation
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.identify.camera import (
     FRAME_PRIOR,
@@ -121,9 +122,7 @@ def read_markers(path: Path) -> MarkerRecording:
         One line that names the file and key, column or row.
     """
     keys = read_toml(path, "file of markers")
-    for key in keys:
-        if key not in KEYS:
-            raise ValueError(f"{path}: unknown key {key!r}; {close_match(key, KEYS)}")
+    check_keys(keys, KEYS, path)
     for key in ("robot", "joint", "file"):
         if not isinstance(keys.get(key), str):
             raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")

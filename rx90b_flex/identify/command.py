@@ -19,7 +19,8 @@ from rx90b_flex.bodies import Inconsistency, inconsistencies
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale, identify
+from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
+from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
@@ -136,6 +137,7 @@ class Identified(Showing):
         None where no recording has that role.
     predictions : tuple of Prediction
         Of the validation recordings, of those of identification where there are none.
+    estimator : str
     """
 
     source: Robot
@@ -148,6 +150,7 @@ class Identified(Showing):
     identification: RoleError
     validation: RoleError | None
     predictions: tuple[IdentifiedPrediction, ...]
+    estimator: str = "least_squares"
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -171,13 +174,17 @@ def _estimates(model: Identification) -> tuple[Estimate, ...]:
 
 
 def identify_campaign(
-    source: Path | Campaign, *, robot: Robot | None = None, progress: Progress | None = None
+    source: Path | Campaign,
+    *,
+    robot: Robot | None = None,
+    estimator: str = "least_squares",
+    progress: Progress | None = None,
 ) -> Identified:
     """Identify the declared robot of a campaign on its identification recordings.
 
-    Weighted least squares over base parameters, shape parameters by variable projection; flexible effects stay as
-    declared, since motor signals below the first resonance do not tell them. Links that cannot exist are replaced by the
-    nearest ones that can, in the metric of the data and pulled to the declared ones.
+    By an estimator of `rx90b_flex.identify.estimators`; by default weighted least squares over base parameters, shape parameters by
+    variable projection. Flexible effects stay as declared, since motor signals below the first resonance do not tell them. Links that
+    cannot exist are replaced by the nearest ones that can, in the metric of the data and pulled to the declared ones.
 
     Raises
     ------
@@ -187,10 +194,10 @@ def identify_campaign(
     tell = progress or (lambda _text, _part: None)
     # many products of small matrices: threads would wait for each other longer than they work
     with threadpool_limits(limits=1, user_api="blas"):
-        return _identified(source, robot, tell)
+        return _identified(source, robot, estimator_named(estimator), tell)
 
 
-def _identified(source: Path | Campaign, robot: Robot | None, tell: Progress) -> Identified:
+def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimator, tell: Progress) -> Identified:
     tell("reading", 0.0)
     campaign = source if isinstance(source, Campaign) else load_campaign(source)
     declared = load_robot(campaign.robot_source) if robot is None else robot
@@ -212,7 +219,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, tell: Progress) ->
     regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz)
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
-    model = identify(regression, regression.robot.effects, fit_links=fitted)
+    model = estimator.identify(regression, regression.robot.effects, fit_links=fitted)
     tell("making it possible", 0.6)
     try:
         theta, held = possible_coefficients(model)
@@ -236,6 +243,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, tell: Progress) ->
         _error(fit),
         _error(kept) if kept else None,
         kept or fit,
+        estimator.name(),
     )
 
 
@@ -373,6 +381,7 @@ def identification_json(result: Identified) -> dict[str, Any]:
         "schema": SCHEMA,
         "robot": result.source.name,
         "joints": list(result.campaign.joints),
+        "estimator": result.estimator,
         "identification": dataclasses.asdict(result.identification),
         "validation": None if result.validation is None else dataclasses.asdict(result.validation),
         "rank": result.model.solution.rank,

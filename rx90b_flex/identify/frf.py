@@ -354,13 +354,7 @@ def _estimate(
     else:
         remarks.append("one period: noise cannot be told from distortion")
     if realisations > 1:
-        count = NEIGHBOURS if neighbours is None else neighbours
-        if neighbours is None and (2 * count + 1) * (realisations - 1) < ENOUGH * n * n:
-            count = -(-(-(-ENOUGH * n * n // (realisations - 1)) - 1) // 2)
-            remarks.append(
-                f"{realisations} realisations: {min(2 * count + 1, len(hz))} neighbouring lines count for each line's covariance, "
-                f"with more realisations {2 * NEIGHBOURS + 1} would do"
-            )
+        count = _neighbours(realisations, neighbours, len(hz), n, remarks)
         covariance, freedom = _over_realisations(single, count)
         if freedom < n * n:
             remarks.append(
@@ -400,6 +394,18 @@ def _estimate(
         periods=periods,
         remarks=tuple(remarks),
     )
+
+
+def _neighbours(realisations: int, neighbours: int | None, lines: int, n: int, remarks: list[str]) -> int:
+    """How many lines on either side count for each line's covariance; said where these are more than usual."""
+    count = NEIGHBOURS if neighbours is None else neighbours
+    if neighbours is None and (2 * count + 1) * (realisations - 1) < ENOUGH * n * n:
+        count = -(-(-(-ENOUGH * n * n // (realisations - 1)) - 1) // 2)
+        remarks.append(
+            f"{realisations} realisations: {min(2 * count + 1, lines)} neighbouring lines count for each line's covariance, "
+            f"with more realisations {2 * NEIGHBOURS + 1} would do"
+        )
+    return count
 
 
 def _over_realisations(single: ComplexArray, neighbours: int) -> tuple[ComplexArray, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,6 +13,7 @@ import numpy as np
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter, widening
+from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
@@ -297,7 +298,6 @@ class Identification:
         places = np.r_[first : first + k, len(self.theta) + of_shapes]
         at = np.concatenate([self.theta[first : first + k], effect.shape])
         determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
-        # of a joint that never moves, say: its shape is not told either
         if (
             k and not determined[:k].any() and not effect.coefficients_follow
         ):  # of a joint that never moves, say: its shape is not told either
@@ -407,53 +407,6 @@ def shared_values(effects: Sequence[Effect]) -> dict[tuple[str, ...], float]:
     """Values of the shape parameters that effects share, where they are known."""
     pairs = ((key, x) for e in effects for key, x in zip(e.shape_keys, e.shape, strict=True) if key is not None)
     return {key: float(x) for key, x in pairs if not np.isnan(x)}
-
-
-@dataclass(frozen=True, eq=False)
-class _ByJoint:
-    """Columns, each joint's rows apart and only those that touch them.
-
-    Attributes
-    ----------
-    places : tuple of array of int
-        For each joint, which columns these are among all.
-    columns : tuple of array, shape (N, m)
-    """
-
-    places: tuple[Indices, ...]
-    columns: tuple[Array, ...]
-
-    @staticmethod
-    def of(parts: Iterable[tuple[Indices, Indices, Array]], joints: int, samples: int) -> _ByJoint:
-        """From parts of (their places (k,), joints (r,), columns (samples, r, k))."""
-        places: list[list[Indices]] = [[np.zeros(0, dtype=np.intp)] for _ in range(joints)]
-        columns: list[list[Array]] = [[np.zeros((samples, 0))] for _ in range(joints)]
-        for at, rows, part in parts:
-            for i, j in enumerate(rows):
-                places[j].append(at)
-                columns[j].append(part[:, i])
-        stacked = (np.concatenate(x, axis=1) for x in columns)
-        return _ByJoint(tuple(np.concatenate(x) for x in places), tuple(stacked))
-
-    @staticmethod
-    def of_dense(places: Indices, columns: Array) -> _ByJoint:
-        """From columns (N, joints, k) that stand in `places` (k,), without what is zero."""
-        touched = columns.any(axis=0)
-        pairs = [(places[t], np.ascontiguousarray(columns[:, j, t])) for j, t in enumerate(np.atleast_2d(touched))]
-        return _ByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
-
-    def beside(self, other: _ByJoint) -> _ByJoint:
-        """These columns and others."""
-        pairs = zip(self.columns, other.columns, strict=True)
-        return _ByJoint(
-            tuple(np.concatenate(x) for x in zip(self.places, other.places, strict=True)),
-            tuple(np.concatenate(x, axis=1) for x in pairs),
-        )
-
-    @cached_property
-    def grams(self) -> tuple[Array, ...]:
-        """Products with themselves, for each joint (m, m)."""
-        return tuple(x.T @ x for x in self.columns)
 
 
 def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None) -> _Fit:
@@ -566,7 +519,7 @@ class _Fit:
         ends = self._offset + np.cumsum([0, *(len(e.coefficients) for e in self.effects)])
         return tuple(np.arange(a, b) for a, b in pairwise(ends))
 
-    def _by_joint(self, shaped: bool) -> _ByJoint:
+    def _by_joint(self, shaped: bool) -> ColumnsByJoint:
         """Columns of the effects that have shape parameters, or of those without, as far as their coefficients are estimated."""
         parts = []
         for e, at in zip(self.effects, self._places, strict=True):
@@ -574,18 +527,18 @@ class _Fit:
                 rows, columns = self.regression.compact([e])
                 plain = e.multiplies or (self.factors == 1.0).all()
                 parts.append((at, rows, columns if plain else columns * self.factors[rows, None]))
-        return _ByJoint.of(parts, len(self.regression.joints), len(self.regression))
+        return ColumnsByJoint.of(parts, len(self.regression.joints), len(self.regression))
 
     @cached_property
-    def fixed(self) -> _ByJoint:
+    def fixed(self) -> ColumnsByJoint:
         """Columns that no shape parameter changes; shared by all steps of a fit."""
         rest = self._by_joint(shaped=False)
         if not self.fit_links:
             return rest
-        return _ByJoint.of_dense(np.arange(self._offset), self._link_columns).beside(rest)
+        return ColumnsByJoint.of_dense(np.arange(self._offset), self._link_columns).beside(rest)
 
     @cached_property
-    def varied(self) -> _ByJoint:
+    def varied(self) -> ColumnsByJoint:
         """Columns that change with the shapes."""
         return self._by_joint(shaped=True)
 
@@ -700,7 +653,7 @@ class _Fit:
         return other
 
     @cached_property
-    def _by_shape(self) -> _ByJoint:
+    def _by_shape(self) -> ColumnsByJoint:
         """Derivative of the predicted torque by each shape parameter."""
         parts = []
         for e, places, coefficients in zip(self.effects, self.shapes.places, self._places, strict=True):
@@ -715,16 +668,12 @@ class _Fit:
                 above, below = ((x.coefficients if e.coefficients_follow else theta) for x in pair)
                 slope = (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step) * self.factors[rows]
                 parts.append((np.array([place]), rows, slope[:, :, None]))
-        return _ByJoint.of(parts, len(self.regression.joints), len(self.regression))
+        return ColumnsByJoint.of(parts, len(self.regression.joints), len(self.regression))
 
     @property
     def shape_columns(self) -> Array:
         """Derivative of the predicted torque by each shape parameter; (N, joints, s)."""
-        out = np.zeros((*self.regression.torque.shape, len(self.shapes)))
-        for j, (places, columns) in enumerate(zip(self._by_shape.places, self._by_shape.columns, strict=True)):
-            for place, column in zip(places, columns.T, strict=True):
-                out[:, j, place] += column
-        return out
+        return self._by_shape.summed(len(self.shapes))
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""

@@ -27,7 +27,8 @@ from rx90b_flex.effects.friction import ViscousFriction, friction_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
-from rx90b_flex.identify.grey_box import SLOPE, GreyBox, Progress, grey_box, response_derivatives
+from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
+from rx90b_flex.identify.grey_model import SLOPE, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
 from rx90b_flex.simulate import CS8, Trajectory
@@ -291,13 +292,7 @@ def grey_box_by_replay(
         )
         if _settled(last, grey):
             break
-    names = [
-        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
-    ]
-    frictions = tuple(
-        FrictionEstimate(name, unit, d, v, s)
-        for (name, unit), d, v, s in zip(names, values.tolist(), friction.tolist(), std.tolist(), strict=True)
-    )
+    frictions = _friction_estimates(declared, friction, std)
     left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
     before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
     robot = _with_friction(grey.robot, joints, friction)
@@ -318,6 +313,18 @@ def _simulated(tasks: Sequence[tuple[Replay, Robot]], jobs: int) -> list[Complex
     """Responses of replays on robots."""
     work = (joblib.delayed(Replay.responses)(replay, robot) for replay, robot in tasks)
     return list(joblib.Parallel(n_jobs=min(jobs, len(tasks)))(work))
+
+
+def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
+    """Coefficients of frictions beside their declared values."""
+    names = [
+        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
+    ]
+    before = [float(c) for e in declared for c in e.coefficients]
+    return tuple(
+        FrictionEstimate(name, unit, d, v, s)
+        for (name, unit), d, v, s in zip(names, before, values.tolist(), std.tolist(), strict=True)
+    )
 
 
 def _spread(realisations: ComplexArray) -> Array:

@@ -33,6 +33,7 @@ from scipy import special
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
@@ -96,7 +97,7 @@ def read_static_tests(path: Path) -> StaticTests:
         One line that names the file and the test, key, column or row.
     """
     keys = read_toml(path, "file of tests")
-    _known(str(path), keys, KEYS)
+    check_keys(keys, KEYS, path)
     robot = None
     if "robot" in keys:
         robot = load_robot(_robot_source(path, keys["robot"]))
@@ -118,16 +119,10 @@ def _robot_source(path: Path, robot: Any) -> str:
     return str(named_beside(path, robot))
 
 
-def _known(where: str, keys: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    for key in keys:
-        if key not in known:
-            raise ValueError(f"{where}: unknown key {key!r}; {close_match(key, known)}")
-
-
 def _read_test(path: Path, where: str, table: Any, robot: Robot | None) -> StaticTest:
     if not isinstance(table, dict):
         raise ValueError(f"{where} is {table!r}; expected a table")
-    _known(where, table, TEST_KEYS)
+    check_keys(table, TEST_KEYS, where)
     for key in ("coordinate", "file"):
         if not isinstance(table.get(key), str):
             raise ValueError(f"{where}: {key} is {table.get(key)!r}; expected a text")

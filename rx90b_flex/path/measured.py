@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.keys import suggestion
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
 from rx90b_flex.path.planning import HOLD_S
 from rx90b_flex.showing import Showing
-from rx90b_flex.signals.tables import read_table, suggestion
+from rx90b_flex.signals.tables import read_table
 
 FILES = ("measured.json", "measured.csv")
 FEWEST = 10  # places

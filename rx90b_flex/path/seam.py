@@ -30,8 +30,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.trajectories import LINE_DISTANCE, LINE_HEIGHT, LINE_LENGTH
@@ -356,9 +356,7 @@ def load_seam(source: str | Path, speed_mm_s: float | None = None) -> Seam:
 
 
 def _seam(table: dict[str, Any], path: Path, speed_mm_s: float | None) -> Seam:
-    for key in table:
-        if key not in KEYS:
-            raise ValueError(f"{path}: unknown key {key!r}; {close_match(key, KEYS)}")
+    check_keys(table, KEYS, path)
     points, rotations = _points(table, path)
     speed = table.get("speed_mm_s") if speed_mm_s is None else speed_mm_s
     if speed is None:

@@ -16,9 +16,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.signals.logs import TIME, Log, read_log, stem_of
-from rx90b_flex.signals.recording import Recording, Role, printed_resolution
-from rx90b_flex.signals.tables import LARGEST, suggestion
+from rx90b_flex.files.keys import suggestion
+from rx90b_flex.signals.logs import TIME, read_log, stem_of
+from rx90b_flex.signals.readers.reader import Log
+from rx90b_flex.signals.recording import Recording, Role
+from rx90b_flex.signals.tables import LARGEST
+from rx90b_flex.signals.times import printed_resolution
 
 Array = NDArray[np.float64]
 Sureness = Literal["stated", "sure", "likely"]

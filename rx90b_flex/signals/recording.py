@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import json
 import math
 import os
 import re
@@ -16,20 +15,22 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.files.toml import named_beside, read_toml
+from rx90b_flex.files.keys import suggestion
+from rx90b_flex.files.toml import named_beside, read_toml, toml_value
 from rx90b_flex.signals import tables
+from rx90b_flex.signals.data_fault import DataFaultError
 from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
     JOINT_SIDES,
     Accelerometer,
     FlangeLoad,
-    flange_load_toml,
     read_accelerometers,
     read_date,
     read_flange_load,
     read_torque_constants,
     read_torque_side,
 )
+from rx90b_flex.signals.times import check_increasing, check_uniform, printed_resolution
 
 Array = NDArray[np.float64]
 Role = Literal["identification", "validation"]
@@ -68,27 +69,6 @@ _OTHER_UNIT = re.compile(
     r"[_\[( /](degs?|degrees?|deg[_/]s2?|dps|mrad|revs?|rpm|turns?|mm|nmm|ncm|knm|ma|mv|counts?|ticks?|percent)[\])]?$",
     re.IGNORECASE,
 )
-
-
-class DataFaultError(ValueError):
-    """A log that is refused for a reason that has a name, as in ``check.json``.
-
-    Attributes
-    ----------
-    kind, signal, joints, factor, rows : as `rx90b_flex.diagnose.faults.fault.DataFault` has them.
-    """
-
-    def __init__(
-        self,
-        message: str,
-        kind: str,
-        signal: str | None = None,
-        joints: tuple[str, ...] = (),
-        factor: float | None = None,
-        rows: tuple[int, ...] = (),
-    ) -> None:
-        super().__init__(message)
-        self.kind, self.signal, self.joints, self.factor, self.rows = kind, signal, joints, factor, rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,32 +330,33 @@ def write_campaign(
     first = recordings[0]
     robot_text = robot if isinstance(robot, str) else Path(os.path.relpath(robot, directory)).as_posix()
     lines = [
-        f"robot = {_toml(robot_text)}",
-        f"sample_rate_hz = {_toml(first.sample_rate_hz)}",
-        f"joints = {_toml(first.joints)}",
+        f"robot = {toml_value(robot_text)}",
+        f"sample_rate_hz = {toml_value(float(first.sample_rate_hz))}",
+        f"joints = {toml_value(first.joints)}",
         "",
         "[signals]",
     ]
-    lines += [f"{item.key} = {_toml([f'{item.prefix}_{joint}' for joint in first.joints])}" for item in fields]
+    lines += [f"{item.key} = {toml_value([f'{item.prefix}_{joint}' for joint in first.joints])}" for item in fields]
     if cutoff_hz is not None:
-        lines += ["", "[preprocessing]", f"cutoff_hz = {_toml(cutoff_hz)}"]
+        lines += ["", "[preprocessing]", f"cutoff_hz = {toml_value(float(cutoff_hz))}"]
     if noise_torque is not None:
         if len(noise_torque) != len(first.joints):
             raise ValueError(f"noise_torque has {len(noise_torque)} values for {len(first.joints)} joints")
-        lines += ["", "[noise]", f"torque_rms = {_toml(noise_torque)}"]
+        lines += ["", "[noise]", f"torque_rms = {toml_value(np.asarray(noise_torque, dtype=float))}"]
     for i, sensor in enumerate(accelerometers):
-        lines += ["", "[[accelerometer]]", f"link = {_toml(sensor.link)}", f"position = {_toml(sensor.position)}"]
-        lines.append(f"columns = {_toml(_acceleration_columns(len(accelerometers))[3 * i : 3 * i + 3])}")
+        lines += ["", "[[accelerometer]]", f"link = {toml_value(sensor.link)}"]
+        lines.append(f"position = {toml_value(np.asarray(sensor.position, dtype=float))}")
+        lines.append(f"columns = {toml_value(_acceleration_columns(len(accelerometers))[3 * i : 3 * i + 3])}")
     files = _file_names(recordings, file_format)
     for recording, file in zip(recordings, files, strict=True):
         target = directory / file
         target.parent.mkdir(parents=True, exist_ok=True)
         save_recording(recording, target)
-        lines += ["", "[[recording]]", f"file = {_toml(file)}", f"role = {_toml(recording.role)}"]
+        lines += ["", "[[recording]]", f"file = {toml_value(file)}", f"role = {toml_value(recording.role)}"]
         if recording.period_s is not None:
-            lines.append(f"period_s = {_toml(recording.period_s)}")
+            lines.append(f"period_s = {toml_value(float(recording.period_s))}")
         if recording.payload is not None:
-            lines.append(f"payload = {flange_load_toml(recording.payload)}")
+            lines.append(f"payload = {toml_value(dataclasses.asdict(recording.payload))}")
         if recording.date is not None:
             lines.append(f"date = {recording.date}")
     campaign = directory / "campaign.toml"
@@ -511,7 +492,7 @@ def _read_entry(section: CampaignSection, campaign: Path, layout: _CampaignLayou
     text = section.text("role")
     role = next((known for known in ROLES if known == text), None)
     if role is None:
-        hint = tables.suggestion(text, ROLES)
+        hint = suggestion(text, ROLES)
         raise section.problem("role", f'found {text!r}{hint}, "identification" or "validation" is expected')
     start = section.number("start_s") if section.has("start_s") else None
     end = section.number("end_s") if section.has("end_s") else None
@@ -548,13 +529,44 @@ def _refuse_repeats(section: CampaignSection, key: str, names: Sequence[str]) ->
 
 def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recording:
     """The part of a table that one [[recording]] asks for, checked and brought to the joint side."""
-    rate = layout.sample_rate_hz
+    time, part = _part(table, entry, layout.sample_rate_hz)
+    first = part.start
+    values = _signals(table, part, layout)
+    if entry.period_s is not None:
+        problem = _period_problem(entry.period_s, layout.sample_rate_hz, part.stop - first)
+        if problem:
+            raise ValueError(f"{table.path}: {entry.where.name} period_s: {entry.period_s!r} {problem}")
+    return Recording(
+        name=tables.stem_of(table.path),
+        role=entry.role,
+        time=time[part].copy(),
+        sample_rate_hz=layout.sample_rate_hz,
+        joints=layout.joints,
+        position=values["position"],
+        torque=values["torque"],
+        velocity=values.get("velocity"),
+        link_position=values.get("link_position"),
+        reference_position=values.get("reference_position"),
+        reference_velocity=values.get("reference_velocity"),
+        feedforward_torque=values.get("feedforward_torque"),
+        joint_torque=values.get("joint_torque"),
+        motor_current=values.get("motor_current"),
+        acceleration=values.get("acceleration"),
+        payload=entry.payload,
+        period_s=entry.period_s,
+        source=table.path,
+        date=entry.date or _day_of(float(time[first])),
+    )
+
+
+def _part(table: tables.Table, entry: _Entry, rate: float) -> tuple[Array, slice]:
+    """Times of a table (N,), s, and the rows that one [[recording]] asks for."""
     rows = len(table.values)
     if "time" in table.names:
         time = table.columns(["time"])[:, 0]
         _check_finite(table.path, ["time"], time[:, None], 0)
         resolution = printed_resolution(time, table.single_precision[table.names.index("time")])
-        _check_increasing(table.path, time, rate, resolution)
+        check_increasing(table.path, time, rate, resolution)
     else:
         time = np.arange(rows) / rate
         resolution = np.zeros(rows)
@@ -564,8 +576,13 @@ def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recordi
         raise ValueError(
             f"{table.path}: {last - first} data row(s) in the part that {entry.where.name} asks for, 2 are needed"
         )
-    _check_uniform(table.path, time[part], rate, resolution[part], first)
+    check_uniform(table.path, time[part], rate, resolution[part], first)
+    return time, part
 
+
+def _signals(table: tables.Table, part: slice, layout: _CampaignLayout) -> dict[str, Array]:
+    """Fields of a recording, on the joint side."""
+    first = part.start
     values: dict[str, Array] = {}
     for item in _SIGNALS:
         names = layout.columns.get(item.key)
@@ -584,31 +601,7 @@ def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recordi
         _check_finite(table.path, layout.acceleration, values["acceleration"], first)
     if layout.torque_constants is not None:
         values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.torque_constants])
-    if entry.period_s is not None:
-        problem = _period_problem(entry.period_s, rate, last - first)
-        if problem:
-            raise ValueError(f"{table.path}: {entry.where.name} period_s: {entry.period_s!r} {problem}")
-    return Recording(
-        name=tables.stem_of(table.path),
-        role=entry.role,
-        time=time[part].copy(),
-        sample_rate_hz=rate,
-        joints=layout.joints,
-        position=values["position"],
-        torque=values["torque"],
-        velocity=values.get("velocity"),
-        link_position=values.get("link_position"),
-        reference_position=values.get("reference_position"),
-        reference_velocity=values.get("reference_velocity"),
-        feedforward_torque=values.get("feedforward_torque"),
-        joint_torque=values.get("joint_torque"),
-        motor_current=values.get("motor_current"),
-        acceleration=values.get("acceleration"),
-        payload=entry.payload,
-        period_s=entry.period_s,
-        source=table.path,
-        date=entry.date or _day_of(float(time[first])),
-    )
+    return values
 
 
 def _day_of(clock: float) -> str | None:
@@ -691,85 +684,6 @@ def _select(file: Path, time: Array, entry: _Entry, rate: float) -> tuple[int, i
     return begin, end
 
 
-def printed_resolution(time: Array, single_precision: bool) -> Array:
-    """(N,) s: by how much each time may differ from the true one because of the digits it was logged with.
-
-    The step of the last decimal, or of the last significant digit, that the column as a whole uses, whichever is
-    coarser: logs print with a fixed number of either.
-    """
-    representation = 4.0 * np.spacing(np.abs(time))
-    # zero shows no digits: as small as the smallest other time
-    sizes = np.abs(time)
-    smallest = float(np.min(sizes[sizes > 0.0], initial=1.0))
-    magnitude = np.floor(np.log10(np.maximum(sizes, smallest) * (1.0 + 1e-15)))
-
-    def fits(step: Array) -> bool:
-        return bool(np.all(np.abs(np.round(time / step) * step - time) <= representation))
-
-    decimals = next((10.0**-d for d in range(16) if fits(np.full_like(time, 10.0**-d))), 0.0)
-    digits = next((d for d in range(1, 17) if fits(10.0 ** (magnitude + 1.0 - d))), 17)
-    resolution = np.maximum(np.maximum(10.0 ** (magnitude + 1.0 - digits), decimals), representation)
-    single = sizes.astype(np.float32)
-    if single_precision or digits <= 9 or np.array_equal(single, sizes):
-        # nine digits or fewer hold what 32-bit floats hold, so the clock may have been one
-        resolution = np.maximum(resolution, np.spacing(single).astype(np.float64))
-    return np.asarray(resolution)
-
-
-def _check_increasing(file: Path, time: Array, rate: float, resolution: Array) -> None:
-    steps = np.diff(time)
-    # equal times are only a matter of print where the print is coarser than the sample period
-    coarse = np.maximum(resolution[1:], resolution[:-1]) > 1.01 / rate
-    bad = (steps < 0.0) | ((steps == 0.0) & ~coarse)
-    if np.any(bad):
-        row = int(np.argmax(bad)) + 1
-        raise ValueError(
-            f"{file}: column 'time', row {row + 1}: {time[row]:.10g} s after {time[row - 1]:.10g} s;"
-            f" increasing times are expected"
-        )
-
-
-def _check_uniform(file: Path, time: Array, rate: float, resolution: Array, first: int) -> None:
-    """Times must step by 1/rate to 1 %, apart from the rounding of their print."""
-    period = 1.0 / rate
-    steps = np.diff(time)
-    rounding = np.maximum(resolution[1:], resolution[:-1])
-    fine = bool(np.max(rounding) <= 0.6 * period)
-    typical = float(np.median(steps)) if fine else float(np.mean(steps))
-    if fine:
-        contradicts = abs(typical - period) > 0.01 * period + float(np.median(rounding))
-    else:
-        contradicts = abs(typical - period) > 0.05 * period + float(np.max(rounding)) / len(steps)
-    if contradicts:
-        found = f"steps of {typical:.6g} s ({1.0 / typical:.6g} Hz)" if typical > 0.0 else "times that never change"
-        raise DataFaultError(
-            f"{file}: column 'time': {found} contradict sample_rate_hz = {rate:g} ({period:.6g} s)",
-            "sample_rate",
-            factor=rate * typical or None,
-        )
-    if fine:
-        bad = np.abs(steps - period) > 0.01 * period + rounding
-    else:
-        # Steps of such a print say nothing singly. All deviations from the grid must fit in one rounding interval;
-        # a lost sample shifts them by a period, which is more.
-        deviation = time - time[0] - np.arange(len(time)) * period
-        spread = np.maximum.accumulate(deviation) - np.minimum.accumulate(deviation)
-        widest = np.maximum.accumulate(resolution)
-        bad = (spread > np.minimum(0.01 * period + widest, 0.999 * np.maximum(widest, period)))[1:]
-    if np.any(bad):
-        row = int(np.argmax(bad)) + 1
-        raise ValueError(
-            f"{file}: column 'time', row {first + row + 1}: a step of {steps[row - 1]:.6g} s, {period:.6g} s is"
-            f" expected: samples must be uniform in time"
-        )
-    mean = float(time[-1] - time[0]) / len(steps)
-    if abs(mean - period) > 1e-3 * period + float(np.max(rounding)) / len(steps):
-        raise ValueError(
-            f"{file}: column 'time': {len(steps)} steps of {mean:.8g} s on average ({1.0 / mean:.8g} Hz) contradict"
-            f" sample_rate_hz = {rate:g}"
-        )
-
-
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -806,12 +720,3 @@ def _acceleration_columns(sensors: int) -> list[str]:
 
 def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
-
-
-def _toml(value: str | float | Sequence[str] | Sequence[float]) -> str:
-    if isinstance(value, str):
-        # a TOML basic string takes JSON's escapes; DEL alone is escaped by TOML only
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    if isinstance(value, Sequence):
-        return f"[{', '.join(_toml(item) for item in value)}]"
-    return repr(float(value))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.signals import tables
+from rx90b_flex.files.keys import suggestion
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class CampaignSection:
     def allow(self, *keys: str) -> None:
         for key in self.values:
             if key not in keys:
-                hint = tables.suggestion(key, keys)
+                hint = suggestion(key, keys)
                 raise self.problem(repr(key), f"unknown key{hint}; allowed here: {', '.join(keys)}")
 
     def has(self, key: str) -> bool:

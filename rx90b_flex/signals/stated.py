@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.signals import tables
+from rx90b_flex.files.keys import suggestion
 from rx90b_flex.signals.section import CampaignSection, shown
 
 # A list in a TOML file holds no gaps, but it may hold this.
@@ -105,7 +105,7 @@ def read_torque_side(root: CampaignSection, has_gears: bool, from_current: bool)
     torque.allow("side")
     side = torque.text("side")
     if side not in SIDES:
-        raise torque.problem("side", f"found {side!r}{tables.suggestion(side, SIDES)}; expected {', '.join(SIDES)}")
+        raise torque.problem("side", f"found {side!r}{suggestion(side, SIDES)}; expected {', '.join(SIDES)}")
     if side == "motor" and not has_gears:
         raise torque.problem(
             "side", "found 'motor', but there is no [motor] gear_matrix to bring torques to the joints"
@@ -135,7 +135,7 @@ def read_torque_constants(motor: CampaignSection, joints: Sequence[str]) -> tupl
     if isinstance(found, dict):
         for name in found:
             if name not in joints:
-                raise motor.problem(key, f"unknown joint {name!r}{tables.suggestion(name, joints)}")
+                raise motor.problem(key, f"unknown joint {name!r}{suggestion(name, joints)}")
         return tuple(_constant(motor, key, found.get(joint)) for joint in joints)
     if not isinstance(found, list):
         raise motor.problem(
@@ -177,8 +177,3 @@ def read_flange_load(entry: CampaignSection) -> FlangeLoad | None:
         raise inside.problem("centre", f"{text}; three numbers, m in the tip frame, are expected")
     x, y, z = (inside.finite("centre", value) for value in centre)
     return FlangeLoad(inside.positive("mass"), (x, y, z))
-
-
-def flange_load_toml(load: FlangeLoad) -> str:
-    """A payload as `read_flange_load` reads it back."""
-    return f"{{ mass = {load.mass!r}, centre = [{', '.join(repr(float(x)) for x in load.centre)}] }}"

@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from rx90b_flex.files.keys import check_keys, suggestion
 from rx90b_flex.files.toml import read_toml
-from rx90b_flex.signals.tables import read_table, stem_of, suggestion, write_whole
+from rx90b_flex.signals.tables import read_table, stem_of, write_whole
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -103,9 +104,7 @@ def write_static_test(test: StaticTest, path: str | os.PathLike[str]) -> None:
 
 def _read_keys(path: Path) -> dict[str, Any]:
     keys = read_toml(path, "file")
-    for key in keys:
-        if key not in KEYS:
-            raise ValueError(f"{path}: unknown key {key!r}{suggestion(key, KEYS)}; expected {', '.join(KEYS)}")
+    check_keys(keys, KEYS, path)
     for key in ("file", "coordinate"):
         if not isinstance(keys.get(key, "" if key == "coordinate" else None), str):
             raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import gzip
 import os
 import re
@@ -19,6 +18,8 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
+
+from rx90b_flex.files.keys import suggestion
 
 EXTENSIONS = (".csv", ".csv.gz", ".parquet")
 LARGEST = 1e9  # of any number that is read: no signal of a robot has so many SI units
@@ -58,13 +59,6 @@ def extension_of(path: Path) -> str:
 def stem_of(path: Path) -> str:
     """File name without its table extension: `run_1.csv.gz` gives `run_1`."""
     return path.name[: -len(extension_of(path))]
-
-
-def suggestion(word: str, candidates: Sequence[str]) -> str:
-    """`" (did you mean 'x'?)"` for the nearest candidates, or nothing."""
-    folded = {candidate.lower(): candidate for candidate in candidates}
-    close = [folded[match] for match in difflib.get_close_matches(word.lower(), list(folded), n=3, cutoff=0.6)]
-    return f" (did you mean {' or '.join(repr(name) for name in close)}?)" if close else ""
 
 
 def one_line(error: Exception) -> str:

@@ -12,10 +12,10 @@ import numpy as np
 from lxml import etree  # type: ignore[import-untyped, unused-ignore]
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.flexify import roll_pitch_yaw
 from rx90b_flex.simulators.bodies import SMALLEST_MASS, Body, possible_body
 from rx90b_flex.simulators.held import Format, Held, Lost, Port
 from rx90b_flex.simulators.tree import Hinge, Node, numbers, tree_of
+from rx90b_flex.written_angles import roll_pitch_yaw
 
 SDF = Format("sdf", "SDF", rotors=False, springs=True, constants=False, pairs=False, gravity=False, lines=False)
 

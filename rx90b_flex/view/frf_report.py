@@ -9,7 +9,8 @@ import joblib
 import numpy as np
 
 from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
-from rx90b_flex.identify.grey_box import SLOPE, GreyBox
+from rx90b_flex.identify.grey_box import GreyBox
+from rx90b_flex.identify.grey_model import SLOPE
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import PageTable, Section, image, write_page

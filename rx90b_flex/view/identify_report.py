@@ -31,6 +31,8 @@ def headline(result: Identified) -> list[str]:
         f"The data determine {len(result.base)} combinations of {len(result.model.theta)} parameters; "
         f"{len(told)} of {len(result.parameters)} values are told by themselves.",
     ]
+    if result.estimator != "least_squares":
+        lead.append(f"Estimated by {result.estimator.replace('_', ' ')}; least squares is what is usual.")
     lead += [consistency_words(result), *bound_words(result)]
     return lead
 

@@ -1,0 +1,102 @@
+"""What a reader of logs is, and the list of all readers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90b_flex.files.extensions import READERS, Brought, brought, import_all, own, subclasses, wrong_class
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Columns of one file.
+
+    Attributes
+    ----------
+    path : the file, or the folder of a bag.
+    names : of the columns, each once.
+    values : (N, columns) float64; empty cells are NaN.
+    notes : what was worked out while reading, a line each.
+    time : (N,) s, where the format itself says which column that is; else None.
+    roles : column -> (signal, joint), where the format itself says so.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    values: Array
+    notes: tuple[str, ...] = ()
+    time: Array | None = None
+    roles: Mapping[str, tuple[str, str]] | None = None
+
+    def column(self, name: str) -> Array:
+        """(N,) values of a column."""
+        return self.values[:, self.names.index(name)]
+
+
+class Reader(ABC):
+    """Reads one format into named columns. What they mean is worked out later, from names and units.
+
+    A subclass in a module of this folder, or of another package that names it in the entry point group ``rx90b_flex.readers``,
+    is used by ``rx90b-flex import`` for files of its endings.
+    """
+
+    endings: ClassVar[tuple[str, ...]]  # of file names, in lower case, with their dot
+
+    @classmethod
+    def takes_folder(cls, folder: Path) -> bool:
+        """Whether a folder is a log of this format."""
+        return False
+
+    @abstractmethod
+    def read(self, path: Path) -> Log:
+        """Read a file of one of `endings`, not empty, or a folder that `takes_folder`.
+
+        Raises
+        ------
+        ValueError
+            One line that begins with the path. Any other error is shown as one, too.
+        """
+
+    def read_topic(self, path: Path, topic: str | None) -> Log:
+        """Read one topic of a format that has several; None: that with most messages."""
+        raise ValueError(f"{path}: --topic {topic}: only bags have topics")
+
+
+def log_of(path: Path, names: Sequence[str], values: Array, notes: Sequence[str]) -> Log:
+    """Columns of a table as a log, each name once and more than one row."""
+    for name in names:
+        if list(names).count(name) > 1:
+            raise ValueError(f"{path}: column {name!r} is there {list(names).count(name)} times")
+    if len(values) < 2:
+        raise ValueError(f"{path}: {len(values)} rows of numbers; expected more")
+    return Log(path, tuple(names), values, tuple(notes))
+
+
+def readers() -> dict[str, type[Reader]]:
+    """All readers by the endings that they read."""
+    import_all("rx90b_flex.signals.readers")
+    found = [*from_others().things, *filter(own, subclasses(Reader))]
+    return {ending: cls for cls in found for ending in cls.endings}
+
+
+def from_others() -> Brought:
+    """Readers of other packages."""
+    return brought(READERS, _why_no_reader)
+
+
+def _why_no_reader(found: Any) -> str:
+    """What is wrong with a reader that another package brings; empty: nothing."""
+    wrong = wrong_class(found, Reader)
+    if wrong or not hasattr(found, "endings"):
+        return wrong or f"{found.__name__} lacks endings"
+    taken = {ending for cls in filter(own, subclasses(Reader)) for ending in cls.endings}
+    return next((f"files {ending} have a reader already" for ending in found.endings if ending in taken), "")
