@@ -179,6 +179,10 @@ class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction):
     power: float | None = shape("-", start=0.7, lower=0.1, upper=3.0)
     turnover: float | None = turnover_shape()
 
+    def basis(self, at: JointMotion) -> Array:
+        # as the law has it, without the slopes, which cost the most
+        return (self.direction(at.v) * np.abs(at.v) ** self.known_shape()[0])[:, None]
+
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         coefficient, power, turnover = parameters[0], parameters[1], parameters[2]
@@ -230,6 +234,10 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
         out = self.shape_bounds()
         out[:, 0] = FADES * low, max(FADED * Resolution.of(at).speed, 8.0 * FADES * low)
         return out
+
+    def basis(self, at: JointMotion) -> Array:
+        velocity, power, _ = self.known_shape()
+        return (self.direction(at.v) * np.exp(-((np.abs(at.v) / velocity) ** power)))[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:

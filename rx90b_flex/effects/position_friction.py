@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rx90b_flex.effects.effect import LawEffect, derived, shape
-from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect
 
@@ -61,6 +61,11 @@ class PositionFriction(PeriodicEffect, DryFriction, LawEffect):
 
     def shape_spread(self, motion: Motion) -> Array:
         return np.r_[PeriodicEffect.shape_spread(self, motion), 0.3 * self.sharpness]
+
+    def basis(self, at: JointMotion) -> Array:
+        # as the law has it, without the slopes: a search over orders asks for it most
+        angle = self.known_shape()[0] * at.q
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1) * self.direction(at.v)[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:

@@ -154,6 +154,11 @@ class GearRipple(PeriodicEffect, LawEffect):
     part: ClassVar[str] = "spring"
     law_stores: ClassVar[bool] = True
 
+    def basis(self, at: JointMotion) -> Array:
+        # as the law has it, without the slopes: a search over orders asks for it most
+        (order,) = self.known_shape()
+        return np.stack([np.sin(order * at.q), np.cos(order * at.q)], axis=1)
+
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         sine, cosine, order = parameters[0], parameters[1], parameters[2]
