@@ -19,8 +19,8 @@ from grey_box import BAND_HZ, declared_wrong, show, timed
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import estimate_frequency_response
 from rx90b_flex.identify.frf_command import feedback_of, mean_motion
-from rx90b_flex.identify.grey_box import grey_box, poses_along
-from rx90b_flex.identify.grey_model import declared_parameters
+from rx90b_flex.identify.grey_box import grey_box
+from rx90b_flex.identify.grey_model import declared_parameters, poses_along
 from rx90b_flex.identify.replay import Replay, grey_box_by_replay
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import load_campaign

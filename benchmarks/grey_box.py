@@ -23,8 +23,8 @@ from rx90b_flex.export import with_link_parameters
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import estimate_frequency_response
 from rx90b_flex.identify.frf_command import feedback_of, mean_motion
-from rx90b_flex.identify.grey_box import GreyBox, grey_box, poses_along
-from rx90b_flex.identify.grey_model import declared_parameters
+from rx90b_flex.identify.grey_box import GreyBox, grey_box
+from rx90b_flex.identify.grey_model import declared_parameters, poses_along
 from rx90b_flex.identify.replay import Replay, grey_box_by_replay
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.identify.validation import validate

@@ -9,7 +9,8 @@ import pytest
 
 from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.identify.frequency_response import FrequencyResponse
-from rx90b_flex.identify.grey_box import REACH_HZ, GreyBox, _problem, grey_box, poses_along, smoothed_covariance
+from rx90b_flex.identify.grey_box import REACH_HZ, GreyBox, _problem, grey_box, smoothed_covariance
+from rx90b_flex.identify.grey_model import poses_along
 from rx90b_flex.robot import Robot, load_robot
 
 HZ = np.arange(33, 322, 2) / 4.096

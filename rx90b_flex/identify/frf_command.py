@@ -25,7 +25,8 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
-from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box, poses_along
+from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box
+from rx90b_flex.identify.grey_model import poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
 from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions

@@ -300,3 +300,27 @@ def response_derivatives(
     own = np.array([p.name not in names.values() for p in parameters])
     by = matrices_at(robot, names, pose, parameters).derivatives(hz, values)
     return np.asarray((by * values[:, None, None, None])[own])
+
+
+def poses_along(position: Array, count: int = 3) -> Array:
+    """A few poses that stand for a motion to and fro: means of equal parts along its main direction, with each joint's variance.
+
+    For a motion along a line at constant speed three of them average polynomials up to the third degree exactly.
+
+    Parameters
+    ----------
+    position : array, shape (N, joints), rad
+        Whole periods, sampled evenly.
+
+    Returns
+    -------
+    array, shape (count, joints)
+    """
+    mean = position.mean(axis=0)
+    moved = position - mean
+    main = np.linalg.svd(moved, full_matrices=False)[2][0]
+    parts = np.array_split(moved[np.argsort(moved @ main)], count)
+    picked = np.array([part.mean(axis=0) for part in parts])
+    picked -= picked.mean(axis=0)
+    size = np.sqrt((picked**2).mean(axis=0))
+    return np.asarray(mean + picked * np.divide(position.std(axis=0), size, out=np.zeros_like(size), where=size > 0))
