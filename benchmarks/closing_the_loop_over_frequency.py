@@ -36,7 +36,8 @@ from modal_generator import Truth, carrying, heavier, measured_response, truth_o
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.close_flexible import ResponseLoop, close_response
-from rx90b_flex.diagnose.flexible import FoundChange, Structure
+from rx90b_flex.diagnose.flexible import Structure
+from rx90b_flex.diagnose.likelihood import FoundChange
 from rx90b_flex.diagnose.response import ResponseResidual, thinned
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.identify.frequency_response import FrequencyResponse

@@ -22,7 +22,8 @@ from modal_generator import (
 )
 
 from rx90b_flex.diagnose.close_flexible import close_response, write_loop
-from rx90b_flex.diagnose.flexible import CLOSE, FIRST_ERROR, Structure
+from rx90b_flex.diagnose.flexible import Structure
+from rx90b_flex.diagnose.likelihood import CLOSE, FIRST_ERROR
 from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, response_of, thinned
 from rx90b_flex.effects.coupling import JointCoupling
 from rx90b_flex.robot import load_robot

@@ -9,7 +9,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.base import Base
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.trial import JUST_AS_GOOD, Trial
+from rx90b_flex.diagnose.trial import JUST_AS_GOOD, TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.identify.coloured import scatter
@@ -62,7 +62,7 @@ class Alternative:
         return f"{self.experiment}: {SECONDS:g} s of that set the two {self.apart:.1f} standard errors apart."
 
 
-def worth_comparing(search: Search, named: Effect, winner: Trial, rivals: Sequence[Trial]) -> list[Effect]:
+def worth_comparing(search: Search, named: Effect, winner: TorqueTrial, rivals: Sequence[TorqueTrial]) -> list[Effect]:
     """Rivals of a round that touch what the named effect touches, explained much of it, and are not in the model by now."""
     present = [(type(e), e.place) for e in search.model.effects]
     others = [e for e in search.model.effects if e is not named and e.place]
@@ -86,7 +86,7 @@ class Comparison:
 
     Attributes
     ----------
-    named, rival : Trial
+    named, rival : TorqueTrial
         Both beside the model without either.
     behind : float
         Held-out error with the rival less that with the named effect, over its standard error: the larger of the one from
@@ -95,8 +95,8 @@ class Comparison:
         Variance of the difference of the two explanations over what white noise would give.
     """
 
-    named: Trial
-    rival: Trial
+    named: TorqueTrial
+    rival: TorqueTrial
     behind: float
     noise_over_white: float
 
@@ -133,7 +133,7 @@ def compare(search: Search, named: Effect, rival: Effect) -> Comparison:
     return Comparison(first, second, float(difference.sum() / error), coloured / white if white > 0 else 1.0)
 
 
-def compared(search: Search, named: Effect, winner: Trial, rivals: Sequence[Trial]) -> list[Comparison]:
+def compared(search: Search, named: Effect, winner: TorqueTrial, rivals: Sequence[TorqueTrial]) -> list[Comparison]:
     """The named effect of the final model against each rival of its round that is worth it."""
     return [compare(search, named, r) for r in worth_comparing(search, named, winner, rivals)]
 

@@ -25,7 +25,7 @@ from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
-from rx90b_flex.diagnose.trial import SIGNIFICANCE, Trial, added, choose
+from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects import Effect, Sites
@@ -71,9 +71,9 @@ class FoundEffect:
         That nothing is there, corrected for all that was tried.
     gain_t : float
         Gain on held-out blocks over its standard error.
-    rivals : tuple of Trial
+    rivals : tuple of TorqueTrial
         What else was tried in that round, best first.
-    trial : Trial
+    trial : TorqueTrial
         The trial that won that round, in the same units as its rivals.
     alternatives : tuple of Alternative
         What this data cannot tell from it in the final model, each with the experiment that would; best first.
@@ -85,8 +85,8 @@ class FoundEffect:
     after: Errors
     p_value: float
     gain_t: float
-    rivals: tuple[Trial, ...]
-    trial: Trial
+    rivals: tuple[TorqueTrial, ...]
+    trial: TorqueTrial
     alternatives: tuple[Alternative, ...] = ()
 
 
@@ -96,7 +96,7 @@ class LastRound:
 
     Attributes
     ----------
-    trials : tuple of Trial
+    trials : tuple of TorqueTrial
         The best of what was tried and refused, best first; empty where the noise floor ended the loop.
     candidates : int
         Effects that can be tried beside the final model: types times places.
@@ -104,7 +104,7 @@ class LastRound:
         Independent trials that p-values are corrected for.
     """
 
-    trials: tuple[Trial, ...]
+    trials: tuple[TorqueTrial, ...]
     candidates: int
     tests: int
 
@@ -523,8 +523,8 @@ class _Step:
     In the end also how the rivals do in its place in the final model.
     """
 
-    trial: Trial
-    rivals: tuple[Trial, ...]
+    trial: TorqueTrial
+    rivals: tuple[TorqueTrial, ...]
     errors: RoleErrors
     compared: tuple[Comparison, ...] = ()
     before: RoleErrors | None = None  # where several effects were added as one
@@ -537,7 +537,7 @@ class _Outcome:
     model: Identification
     errors: RoleErrors
     steps: tuple[_Step, ...]
-    refused: tuple[Trial, ...]
+    refused: tuple[TorqueTrial, ...]
 
     def with_steps(self, *new: _Step) -> tuple[_Step, ...]:
         """The steps and new ones; what a new effect stands in for is no longer in the model, even if an earlier round added it."""
@@ -583,7 +583,7 @@ class _Rounds:
         return outcome
 
     def _one_more(
-        self, outcome: _Outcome, trials: list[Trial], done: float, visited: set[_Signature]
+        self, outcome: _Outcome, trials: list[TorqueTrial], done: float, visited: set[_Signature]
     ) -> _Outcome | None:
         """With the best addition that still helps once everything is fitted again; None where none does.
 
@@ -634,7 +634,7 @@ class _Rounds:
         return None
 
     def _two_together(
-        self, outcome: _Outcome, trials: Sequence[Trial], done: float, visited: set[_Signature]
+        self, outcome: _Outcome, trials: Sequence[TorqueTrial], done: float, visited: set[_Signature]
     ) -> _Outcome | None:
         """Two additions where neither is sure alone, each in the other's residual; None where no two are sure together.
 
@@ -673,7 +673,7 @@ class _Rounds:
         pairs = zip(joints, new.identification.torque_rms, old.identification.torque_rms, strict=True)
         return all(after > before for joint, after, before in pairs if joint in touched)
 
-    def _new(self, trials: Sequence[Trial]) -> list[Trial]:
+    def _new(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
         """Single effects that the robot does not declare."""
         return [t for t in trials if not t.members and t.effect.label not in self._declared]
 

@@ -14,19 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from rx90b_flex.diagnose.flexible import (
+from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import (
     MOST_CHANGES,
-    NEW_STD,
     Change,
-    FlexibleFit,
-    FlexibleTrial,
     FoundChange,
-    Progress,
-    Residual,
+    LikelihoodFit,
+    LikelihoodTrial,
     SearchResult,
-    Structure,
     search,
 )
+from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.diagnose.modal import (
     MODEL_ERROR,
     Compared,
@@ -87,13 +85,13 @@ class FlexibleLoop:
         As declared.
     joints : tuple of str
         Whose drives moved.
-    residual : Residual
+    residual : FlexibleResidual
     result : SearchResult
     """
 
     source: Robot
     joints: tuple[str, ...]
-    residual: Residual
+    residual: FlexibleResidual
     result: SearchResult
 
     @property
@@ -259,7 +257,7 @@ def close_modal(
 
 
 def _separation(
-    robot: Robot, table: ModalTable, pose: ModalPose, found: FlexibleFit, trial: FlexibleTrial
+    robot: Robot, table: ModalTable, pose: ModalPose, found: LikelihoodFit, trial: LikelihoodTrial
 ) -> Separation | None:
     """The pose, of a few, where two explanations differ most in a mode of the band."""
     tree, turned = robot.tree, table.joints[1:3]
@@ -402,7 +400,7 @@ def close_response(
     )
 
 
-def _response_errors(residual: ResponseResidual, fit: FlexibleFit) -> tuple[ResponseErrors, ...]:
+def _response_errors(residual: ResponseResidual, fit: LikelihoodFit) -> tuple[ResponseErrors, ...]:
     return tuple(ResponseErrors(*pair) for pair in residual.errors(fit))
 
 
@@ -485,7 +483,7 @@ def _found_json(found: FoundChange) -> dict[str, Any]:
     }
 
 
-def _trial_json(trial: FlexibleTrial) -> dict[str, Any]:
+def _trial_json(trial: LikelihoodTrial) -> dict[str, Any]:
     return {
         "type": trial.change.type,
         "place": trial.change.place,
@@ -494,7 +492,7 @@ def _trial_json(trial: FlexibleTrial) -> dict[str, Any]:
     }
 
 
-def _errors_json(compared: tuple[Compared, ...], left_out: float, fit: FlexibleFit, chance: float) -> dict[str, Any]:
+def _errors_json(compared: tuple[Compared, ...], left_out: float, fit: LikelihoodFit, chance: float) -> dict[str, Any]:
     return {
         "log_frequency_rms": _number(error_rms(compared)),
         "log_frequency_rms_in_order": _number(in_order_rms(compared)),
@@ -521,7 +519,7 @@ def response_json(loop: ResponseLoop) -> dict[str, Any]:
     """The content of ``closed_loop.json`` for frequency responses."""
 
     def errors(
-        fitted: tuple[ResponseErrors, ...], held_out: tuple[ResponseErrors, ...], fit: FlexibleFit, chance: float
+        fitted: tuple[ResponseErrors, ...], held_out: tuple[ResponseErrors, ...], fit: LikelihoodFit, chance: float
     ) -> Any:
         lists = {"identification": fitted, "validation": held_out}
         return {

@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 from scipy import linalg, stats
 
-from rx90b_flex.diagnose.flexible import Change, FlexibleFit, Residual, State, Structure
+from rx90b_flex.diagnose.flexible import FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, State
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.files.toml import read_toml
@@ -348,7 +349,7 @@ class _Paired:
     slopes: Array  # (pairs, p)
 
 
-class ModalResidual(Residual):
+class ModalResidual(FlexibleResidual):
     """Logarithms of measured over model frequencies.
 
     Parameters
@@ -404,10 +405,10 @@ class ModalResidual(Residual):
         total = variance[:, None] + errors**2
         return float(errors[np.argmin((np.log(total) + residual[:, None] ** 2 / total).sum(axis=0))])
 
-    def _of(self, fit: FlexibleFit) -> list[_Paired]:
+    def _of(self, fit: LikelihoodFit) -> list[_Paired]:
         return self._paired(fit.changes, fit.x, max(fit.model_error, self.smallest_error))
 
-    def chance(self, fit: FlexibleFit) -> float:
+    def chance(self, fit: LikelihoodFit) -> float:
         """By chi-squared of all pairs at the stated errors; a measured mode without a partner counts as four standard deviations."""
         total, count = 0.0, 0
         for p in self._of(fit):
@@ -416,11 +417,11 @@ class ModalResidual(Residual):
             count += len(p.measured.hz)
         return float(stats.chi2.sf(total, max(count - len(fit.x), 1)))
 
-    def compare(self, fit: FlexibleFit) -> tuple[Compared, ...]:
+    def compare(self, fit: LikelihoodFit) -> tuple[Compared, ...]:
         """Every list of the table beside a fitted model's modes."""
         return tuple(Compared(p.pose, p.measured, np.exp(p.model), p.pairing) for p in self._of(fit))
 
-    def left_out(self, fit: FlexibleFit) -> float:
+    def left_out(self, fit: LikelihoodFit) -> float:
         """Root mean square of the errors with which each measured mode is predicted by a fit to the others.
 
         To first order: an error over ``1 - h``, h its leverage in the fit.

@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Predictio
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.residual import RoleErrors
-from rx90b_flex.diagnose.trial import Trial
+from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
@@ -96,12 +96,12 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
     }
 
 
-def _large(trial: Trial) -> bool:
+def _large(trial: TorqueTrial) -> bool:
     """Whether a refused candidate would explain much."""
     return bool(trial.refusal) and trial.share > REFUSED_SHARE
 
 
-def _refused(trial: Trial) -> dict[str, Any]:
+def _refused(trial: TorqueTrial) -> dict[str, Any]:
     """A candidate of the last round that would explain much, and why it is not believed; of a family all its joints."""
     named = _named(trial.effect)
     if trial.members:

@@ -1,4 +1,4 @@
-"""Frequency responses held against a flexible robot: the residual of the search in `rx90b_flex.diagnose.flexible`.
+"""Frequency responses held against a flexible robot: a residual of the loop in `rx90b_flex.diagnose.loop`.
 
 The response of ``(s^2 M + s D + K) q = B tau`` is ``P = s^2 B^T Z^-1 B`` (5.36); its slope by a parameter is
 ``-s^2 (B^T Z^-1) dZ (Z^-1 B)``. Friction enters as one viscous slope a joint, and all dampings share a factor: both are fitted with
@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage, stats
 
-from rx90b_flex.diagnose.flexible import Change, FlexibleFit, Residual, State, Structure
+from rx90b_flex.diagnose.flexible import FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, State
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_box import REACH_HZ, smoothed_covariance
@@ -61,7 +62,7 @@ def _response(
     return response, out
 
 
-class ResponseResidual(Residual):
+class ResponseResidual(FlexibleResidual):
     """Complex errors of frequency responses, each line with its own covariance.
 
     The model error of a line is alike to that of its neighbours within `REACH_HZ`, so that so many lines count as one.
@@ -158,7 +159,7 @@ class ResponseResidual(Residual):
     def _errors(self) -> Array:
         return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
 
-    def chance(self, fit: FlexibleFit) -> float:
+    def chance(self, fit: LikelihoodFit) -> float:
         total, count = 0.0, 0.0
         for k, (r, (whitener, _), many) in enumerate(
             zip(self.responses, self._whiteners(self.smallest_error), self._together, strict=True)
@@ -168,7 +169,7 @@ class ResponseResidual(Residual):
             count += 2.0 * r.value.size / many
         return float(stats.chi2.sf(total, max(count - len(fit.x), 1.0)))
 
-    def errors(self, fit: FlexibleFit) -> list[tuple[float, float]]:
+    def errors(self, fit: LikelihoodFit) -> list[tuple[float, float]]:
         """Of each response, root mean square error over |P| about each line, and over the stated errors."""
         out = []
         for k, (r, (whitener, _), size) in enumerate(
@@ -180,10 +181,10 @@ class ResponseResidual(Residual):
             out.append((next(both), next(both)))
         return out
 
-    def _predicted(self, pose: int, fit: FlexibleFit, hz: Array) -> ComplexArray:
+    def _predicted(self, pose: int, fit: LikelihoodFit, hz: Array) -> ComplexArray:
         return response_of(self.structure, pose, (*self.nuisance, *fit.changes), fit.x, hz)
 
-    def predict(self, fit: FlexibleFit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
+    def predict(self, fit: LikelihoodFit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
         """Responses of a fitted model, at the data's lines or others."""
         lines = [r.hz for r in self.responses] if hz is None else hz
         return tuple(self._predicted(k, fit, h) for k, h in enumerate(lines))
@@ -197,13 +198,13 @@ def _nuisances(structure: Structure) -> tuple[Change, ...]:
         if c.effect < 0:
             joint = structure.joints[c.column]
             out.append(
-                Change("viscous_friction", joint, False, ("friction_slope",), ("N m s/rad",), ((i,),), (), one, zero, NUISANCE_STD)
+                Change("viscous_friction", joint, False, ("friction_slope",), ("N m s/rad",), one, zero, NUISANCE_STD, ((i,),))
             )  # fmt: skip
         elif structure.full.effects[c.effect].virtual and c.column >= len(structure.full.effects[c.effect].virtual):
             dampings.append(i)
     if dampings:
         out.append(
-            Change("damping", "all", False, ("damping",), ("N m s/rad",), (tuple(dampings),), (), one, zero, NUISANCE_STD)
+            Change("damping", "all", False, ("damping",), ("N m s/rad",), one, zero, NUISANCE_STD, (tuple(dampings),))
         )  # fmt: skip
     return tuple(out)
 

@@ -14,7 +14,7 @@ from rx90b_flex.diagnose import evidence
 from rx90b_flex.diagnose.close import ClosedLoop, FoundEffect
 from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.motion import MotionErrors
-from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
+from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, TorqueTrial
 from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import SMALLEST_PART
@@ -324,7 +324,7 @@ def _roles(result: ClosedLoop) -> list[RoleTable]:
 class TrialRow:
     """One effect that was tried in a round."""
 
-    trial: Trial
+    trial: TorqueTrial
     share: float | None
     outcome: str
     won: bool
@@ -358,7 +358,7 @@ def _rounds(result: ClosedLoop) -> list[Round]:
     return out
 
 
-def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
+def _outcome(trial: TorqueTrial, effects: Sequence[FoundEffect], at: int) -> str:
     for i, later in enumerate(effects):
         if i > at and type(later.effect) is type(trial.effect) and later.effect.place == trial.effect.place:
             return f"added later, as no. {i + 1}"
