@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 from scipy.special import gammaln
 
-from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Residual, Candidates, Standing, Addition, verdict
+from rx90b_flex.diagnose.loop import Addition, Candidates, ClosingLoop, Progress, Residual, Standing, verdict
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, Trial
 from rx90b_flex.effects.motion import Array
 
@@ -333,7 +333,7 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
 
     def needless(
         self, standing: Standing[LikelihoodFit, LikelihoodTrial], latest: int
-    ) -> Addition[LikelihoodFit, LikelihoodTrial] | None:
+    ) -> Addition[LikelihoodTrial] | None:
         if len(standing.steps) < 2:
             return None
         worths = [self.worth(standing.model, s.trial) for s in standing.steps]
@@ -344,7 +344,7 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
         return self._less(model, trial.change), []
 
     def instead(
-        self, model: LikelihoodFit, step: Addition[LikelihoodFit, LikelihoodTrial]
+        self, model: LikelihoodFit, step: Addition[LikelihoodTrial]
     ) -> tuple[LikelihoodTrial, LikelihoodFit] | None:
         others = self._others(model, step.trial.change)
         better = bool(others) and others[0].criterion < self._criterion(model)

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rx90b_flex.diagnose.trial import Trial
 from rx90b_flex.effects import Effect
@@ -43,13 +43,13 @@ class Candidates:
 
 
 @dataclass(frozen=True, eq=False)
-class Addition(Generic[ModelT, TrialT]):
-    """One addition: the trial that won, what it beat, and the models before and after it."""
+class Addition(Generic[TrialT]):
+    """One addition: the trial that won, what it beat, and the errors before and after it (`Residual.errors_of`)."""
 
     trial: TrialT
     rivals: tuple[TrialT, ...]
-    before: ModelT
-    after: ModelT
+    before: Any
+    after: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Standing(Generic[ModelT, TrialT]):
     """Where the loop stands: a model, what was added to it, and what a round that added nothing refused."""
 
     model: ModelT
-    steps: tuple[Addition[ModelT, TrialT], ...] = ()
+    steps: tuple[Addition[TrialT], ...] = ()
     refused: tuple[TrialT, ...] = ()
 
 
@@ -99,6 +99,10 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """The settled model with a trial's candidate, None where that does not help; and the trial, which may fall with it."""
         return self.settled(self.joined(model, trial)), trial
 
+    def errors_of(self, model: ModelT) -> Any:
+        """A model's errors, which are kept with every addition; the models themselves are too large for that."""
+        return None
+
     def findings(self, trial: TrialT) -> list[TrialT]:
         """What an added trial counts as: one addition, those of a family, or none."""
         return [trial]
@@ -124,7 +128,7 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """The trial of adding what a model holds to the same model without it."""
 
     @abstractmethod
-    def needless(self, standing: Standing[ModelT, TrialT], latest: int) -> Addition[ModelT, TrialT] | None:
+    def needless(self, standing: Standing[ModelT, TrialT], latest: int) -> Addition[TrialT] | None:
         """An addition that the model can do without, after the latest so many; None where there is none."""
 
     @abstractmethod
@@ -132,7 +136,7 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """The model without what a trial added, and the trials of what that stood in for, where it is a finding by itself."""
 
     @abstractmethod
-    def instead(self, model: ModelT, step: Addition[ModelT, TrialT]) -> tuple[TrialT, ModelT] | None:
+    def instead(self, model: ModelT, step: Addition[TrialT]) -> tuple[TrialT, ModelT] | None:
         """What explains more in an addition's place, now that everything else is in the model, and the model with it."""
 
 
@@ -210,7 +214,8 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             if model is None:
                 continue
             rivals = _others(trials, best)
-            steps = [Addition(t, rivals, standing.model, model) for t in self.residual.findings(best)]
+            errors = [self.residual.errors_of(m) for m in (standing.model, model)]
+            steps = [Addition(t, rivals, *errors) for t in self.residual.findings(best)]
             more = self._added(standing, model, steps, len(steps))
             if more is not None:
                 return more
@@ -232,9 +237,10 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             again = residual.worth(whole, first)
             if not again.accepted:
                 continue
+            before, between, after = (residual.errors_of(m) for m in (standing.model, half, whole))
             new = [
-                Addition(again, _others(trials, first), standing.model, half),
-                Addition(second, _others(beside, second), half, whole),
+                Addition(again, _others(trials, first), before, between),
+                Addition(second, _others(beside, second), between, after),
             ]
             more = self._added(standing, whole, new, latest=1)
             if more is not None and all(residual.holds(more.model, s.trial) for s in new):
@@ -242,7 +248,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         return None
 
     def _added(
-        self, standing: Standing[ModelT, TrialT], model: ModelT, new: Sequence[Addition[ModelT, TrialT]], latest: int
+        self, standing: Standing[ModelT, TrialT], model: ModelT, new: Sequence[Addition[TrialT]], latest: int
     ) -> Standing[ModelT, TrialT] | None:
         """With new steps, less what they made needless or stand in for; None where that is no new model, or a worse one."""
         kept = [s for s in standing.steps if self.residual.holds(model, s.trial)]
@@ -261,7 +267,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         kept = [*standing.steps[:at], *restored, *standing.steps[at + 1 :]]
         if not kept:
             return standing
-        kept[-1] = dataclasses.replace(kept[-1], after=model)
+        kept[-1] = dataclasses.replace(kept[-1], after=self.residual.errors_of(model))
         newest = at >= len(standing.steps) - latest
         return self._pruned(Standing(model, tuple(kept)), max(1, latest - newest))
 
@@ -277,7 +283,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             rivals = (step.trial, *(t for t in step.rivals if t.label != rival.label))
             steps = list(standing.steps)
             steps[at] = dataclasses.replace(step, trial=rival, rivals=rivals)
-            steps[-1] = dataclasses.replace(steps[-1], after=model)
+            steps[-1] = dataclasses.replace(steps[-1], after=self.residual.errors_of(model))
             return self._swapped(Standing(model, tuple(steps), standing.refused))
         return standing
 
