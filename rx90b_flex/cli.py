@@ -198,7 +198,7 @@ def _print_checked(checked: object) -> None:
 def _close_over_frequency(
     source: Path, out: Path, robot: str | None, model_error: float | None, overwrite: bool
 ) -> None:
-    from rx90b_flex.diagnose.close_flexible import change_words, close_over_frequency, write_loop
+    from rx90b_flex.diagnose.close_flexible import close_over_frequency, write_loop
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
     from rx90b_flex.view.flexible_report import headline, write_flexible_report
 
@@ -208,7 +208,7 @@ def _close_over_frequency(
         tell("writing the report", 0.98)
         write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")], overwrite)
     say(f"{loop.source.name}: {loop.verdict.replace('_', ' ')}")
-    for text in (*(change_words(f) for f in loop.found), headline(loop), *loop.doubts()):
+    for text in (*(f.words for f in loop.found), headline(loop), *loop.doubts()):
         say(text)
     say(f"Report: {out / 'report.html'}")
 

@@ -17,12 +17,11 @@ import numpy as np
 from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleResidual, Structure
 from rx90b_flex.diagnose.likelihood import (
     MOST_CHANGES,
-    Change,
     FoundChange,
     LikelihoodFit,
     LikelihoodTrial,
     SearchResult,
-    search,
+    close_residual,
 )
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.diagnose.modal import (
@@ -240,7 +239,7 @@ def close_modal(
                 raise ValueError(f"only: no change {label!r} of {source.name}; {close_match(label, labels)}")
         kept = tuple(c for c in data.structure.changes if c.label in only)
         data.structure = dataclasses.replace(data.structure, changes=kept)
-    result = search(data, progress, most)
+    result = close_residual(data, progress, most)
     held_out = read.role("validation")
     other = residual(held_out) if held_out else None
     separations = {
@@ -388,7 +387,7 @@ def close_response(
         return ResponseResidual(structure, parts, model_error)
 
     data = residual([used for used, _ in split])
-    result = search(data, progress, most)
+    result = close_residual(data, progress, most)
     whole = residual(everything)
     rest = residual([r for _, r in others]) if others else None
     fits = (result.before, result.after)
@@ -459,36 +458,8 @@ def _shared_json(loop: FlexibleLoop) -> dict[str, Any]:
     return {
         "robot": loop.source.name,
         "joints": list(loop.joints),
-        "effects": [_found_json(f) for f in loop.found],
-        "verdict": loop.verdict,
-        "tried": loop.result.tried,
+        **loop.result.as_json(),
         "doubts": loop.doubts(),
-    }
-
-
-def _found_json(found: FoundChange) -> dict[str, Any]:
-    change = found.change
-    return {
-        "type": change.type,
-        "place": change.place,
-        "change": "added" if change.adds else "multiplied",
-        "parameters": {
-            name: {"value": float(v), "std": float(s), "unit": unit if change.adds else "-"}
-            for name, unit, v, s in zip(change.names, change.units, found.values, found.stds, strict=True)
-        },
-        "deviance_gain": found.gain,
-        "criterion": found.criterion,
-        "p_value": found.p_value,
-        "alternatives": [_trial_json(t) for t in found.alternatives],
-    }
-
-
-def _trial_json(trial: LikelihoodTrial) -> dict[str, Any]:
-    return {
-        "type": trial.change.type,
-        "place": trial.change.place,
-        "label": trial.change.label,
-        "criterion": trial.criterion,
     }
 
 
@@ -585,16 +556,3 @@ def close_over_frequency(
         responses, name = load_frequency_responses(source)
         return close_response(responses, robot or name, model_error=model_error or RESPONSE_ERROR, progress=progress)
     return close_modal(source, robot, model_error=model_error or MODEL_ERROR, progress=progress)
-
-
-def change_words(found: FoundChange) -> str:
-    """A found change with its values, in a sentence."""
-    c: Change = found.change
-    if c.adds:
-        values = ", ".join(
-            f"{n.replace('_', ' ')} {v:.4g} ± {s:.2g} {u}"
-            for n, v, s, u in zip(c.names, found.values, found.stds, c.units, strict=True)
-        )
-    else:
-        values = f"{found.values[0]:.3g} ± {found.stds[0]:.2g} times the declared value"
-    return f"{c.words}: {values}"

@@ -12,6 +12,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -166,6 +167,11 @@ class LikelihoodTrial(Trial):
             return f"chance would do as well (p = {self.p_value:.2g})"
         return "" if self.lowered >= 0 else "its parameters cost more than it explains"
 
+    def as_json(self) -> dict[str, Any]:
+        """As an alternative in ``closed_loop.json``."""
+        c = self.change
+        return {"type": c.type, "place": c.place, "label": c.label, "criterion": self.criterion}
+
 
 @dataclass(frozen=True, eq=False)
 class FoundChange:
@@ -191,6 +197,35 @@ class FoundChange:
     p_value: float
     criterion: float
     alternatives: tuple[LikelihoodTrial, ...]
+
+    @property
+    def words(self) -> str:
+        """With its values, in a sentence."""
+        c = self.change
+        if not c.adds:
+            return f"{c.words}: {self.values[0]:.3g} ± {self.stds[0]:.2g} times the declared value"
+        values = ", ".join(
+            f"{n.replace('_', ' ')} {v:.4g} ± {s:.2g} {u}"
+            for n, v, s, u in zip(c.names, self.values, self.stds, c.units, strict=True)
+        )
+        return f"{c.words}: {values}"
+
+    def as_json(self) -> dict[str, Any]:
+        """As an effect in ``closed_loop.json``."""
+        c = self.change
+        return {
+            "type": c.type,
+            "place": c.place,
+            "change": "added" if c.adds else "multiplied",
+            "parameters": {
+                name: {"value": float(v), "std": float(s), "unit": unit if c.adds else "-"}
+                for name, unit, v, s in zip(c.names, c.units, self.values, self.stds, strict=True)
+            },
+            "deviance_gain": self.gain,
+            "criterion": self.criterion,
+            "p_value": self.p_value,
+            "alternatives": [t.as_json() for t in self.alternatives],
+        }
 
 
 class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
@@ -449,8 +484,14 @@ class SearchResult:
     chance_after: float
     tried: int
 
+    def as_json(self) -> dict[str, Any]:
+        """What ``closed_loop.json`` says of it, whatever the data."""
+        return {"effects": [f.as_json() for f in self.found], "verdict": self.verdict, "tried": self.tried}
 
-def search(residual: LikelihoodResidual, progress: Progress | None = None, most: int = MOST_CHANGES) -> SearchResult:
+
+def close_residual(
+    residual: LikelihoodResidual, progress: Progress | None = None, most: int = MOST_CHANGES
+) -> SearchResult:
     """Close the loop on a residual: add the change that explains most, again and again; take out what became needless.
 
     Parameters

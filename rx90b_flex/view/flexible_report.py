@@ -11,7 +11,6 @@ from rx90b_flex.diagnose.close_flexible import (
     ModalLoop,
     ResponseLoop,
     alone,
-    change_words,
     error_rms,
     in_order_rms,
 )
@@ -60,7 +59,7 @@ def _share(value: float) -> str:
 
 
 def _lead(loop: ModalLoop | ResponseLoop) -> list[str]:
-    return [VERDICTS[loop.verdict], *(f"Found: {change_words(f)}." for f in loop.found), headline(loop)]
+    return [VERDICTS[loop.verdict], *(f"Found: {f.words}." for f in loop.found), headline(loop)]
 
 
 def _found(loop: FlexibleLoop) -> Section:
