@@ -13,8 +13,15 @@ import argparse
 import dataclasses
 import time
 
-from rx90b_flex.diagnose.close_flexible import ModalLoop, alone, close_modal, error_rms, in_order_rms
-from rx90b_flex.diagnose.modal import ModalTable, load_modal_table
+from rx90b_flex.diagnose.modal import (
+    ModalLoop,
+    ModalTable,
+    alone,
+    close_modal,
+    error_rms,
+    in_order_rms,
+    load_modal_table,
+)
 from rx90b_flex.export import with_link_parameters
 from rx90b_flex.robot import Robot, load_robot, robots_folder
 from rx90b_flex.view.modal_plots import ladder

@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.diagnose.likelihood import Change, LikelihoodResidual
+from rx90b_flex.diagnose.likelihood import Change, FoundChange, LikelihoodResidual, LikelihoodTrial, SearchResult
 from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
 from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 
+SCHEMA = 1
+UNUSUAL = 10.0  # factor from declared stiffnesses of its kind beyond which a new hinge's is called unusual
+FEW_MODES = 6.0  # data for each fitted parameter below which a fit says little
 FACTOR_STD = 1.0  # of the logarithm: what a declared value may be wrong by
 NEW_STD = 2.0  # of the logarithm of a new value, about those declared of its kind, else about what the band can show
 
@@ -101,6 +106,14 @@ class Structure:
         linear = [_pose(full, joints, np.asarray(q, dtype=float), coefficients) for q in poses]
         structure = Structure(robot, full, tuple(joints), tuple(coefficients), tuple(linear), ())
         return dataclasses.replace(structure, changes=tuple(_changes(structure, first, band_hz, new_std)))
+
+    def restricted(self, only: Sequence[str]) -> Structure:
+        """With some of the changes, by their labels."""
+        labels = [c.label for c in self.changes]
+        for label in only:
+            if label not in labels:
+                raise ValueError(f"only: no change {label!r} of {self.robot.name}; {close_match(label, labels)}")
+        return dataclasses.replace(self, changes=tuple(c for c in self.changes if c.label in only))
 
     @cached_property
     def declared(self) -> Array:
@@ -268,3 +281,104 @@ class FlexibleResidual(LikelihoodResidual):
     @property
     def changes(self) -> tuple[Change, ...]:
         return self.structure.changes
+
+
+@dataclass(frozen=True, eq=False)
+class FlexibleLoop(ABC):
+    """The loop closed on data of a robot at rest in poses.
+
+    Attributes
+    ----------
+    source : Robot
+        As declared.
+    joints : tuple of str
+        Whose drives moved.
+    residual : FlexibleResidual
+    result : SearchResult
+    """
+
+    kind: ClassVar[str]  # of data, in the plural
+
+    source: Robot
+    joints: tuple[str, ...]
+    residual: FlexibleResidual
+    result: SearchResult
+
+    @property
+    def verdict(self) -> str:
+        """``nothing_missing``, ``explained``, ``partly_explained`` or ``unexplained``."""
+        return self.result.verdict
+
+    @property
+    def found(self) -> tuple[FoundChange, ...]:
+        """What the data support, in the order in which it was added."""
+        return self.result.found
+
+    @property
+    def structure(self) -> Structure:
+        """The robot with all that it might have."""
+        return self.residual.structure
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The robot with what was found."""
+        return self.structure.changed((*self.residual.nuisance, *self.result.after.changes), self.result.after.x)
+
+    def doubts(self) -> list[str]:
+        """What limits how sure this is, in sentences."""
+        out = []
+        after = self.result.after
+        if self.verdict in ("partly_explained", "unexplained"):
+            out.append(
+                f"A scatter of {100 * after.model_error:.2g} % is left, where the stated model error is "
+                f"{100 * self.residual.smallest_error:.2g} %: something is still wrong or missing in the model."
+            )
+        if len(self.structure.poses) == 1 and self.found:
+            out.append("One pose only: another cause may act alike there. A second pose would test what was found.")
+        per = self.residual.size / max(len(after.x), 1)
+        if len(after.x) and per < FEW_MODES:
+            out.append(f"{self.residual.size:.0f} independent numbers for {len(after.x)} parameters.")
+        distinct = self._distinct()
+        if self.found and distinct is not None and distinct < 0.7 * self.residual.size:
+            out.append(
+                f"The {self.residual.size:.0f} modes lie at {distinct} frequencies, apart by more than the scatter that is left: "
+                "a resonance and the antiresonances beside it share their error, and the chances given here take them as independent."
+            )
+        for found in self.found:
+            factor = float(np.exp(np.log(found.values) - found.change.usual).mean())
+            hinge = found.change.adds and any(
+                e.type_name() == found.change.type and e.virtual for e in self.source.effects
+            )
+            if hinge and not 1 / UNUSUAL < factor < UNUSUAL:
+                size = f"{1 / factor:.0f} times softer" if factor < 1 else f"{factor:.0f} times stiffer"
+                out.append(
+                    f"The {found.change.words} comes out {size} than the declared ones of its kind. A frequency tells a "
+                    "stiffness over an inertia only: it is off by as much as the inertia behind the hinge."
+                )
+            if found.alternatives:
+                others = ", ".join(t.change.words for t in found.alternatives)
+                out.append(f"Instead of {found.change.words} the data allow: {others}.")
+        return out
+
+    def _distinct(self) -> int | None:
+        """How many groups of modes the data hold, apart by more than the scatter; None where it is no list of modes."""
+        return None
+
+    def separation(self, found: FoundChange, other: LikelihoodTrial) -> str:
+        """What would tell a found change from an alternative, in a sentence; empty where that is not known."""
+        return ""
+
+    @abstractmethod
+    def as_json(self) -> dict[str, Any]:
+        """The content of ``closed_loop.json``."""
+
+    def json_of_all(self, residual: str) -> dict[str, Any]:
+        """What that says whatever the data."""
+        return {
+            "schema": SCHEMA,
+            "residual": residual,
+            "robot": self.source.name,
+            "joints": list(self.joints),
+            **self.result.as_json(),
+            "doubts": self.doubts(),
+        }
