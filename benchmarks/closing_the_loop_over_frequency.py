@@ -35,9 +35,9 @@ from hidden_effects.counting import DEVIATIONS, NEAR_FLOOR, Case, command, hidde
 from modal_generator import Truth, carrying, heavier, measured_response, truth_of, without_springs
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.close_flexible import ResponseLoop, close_response
-from rx90b_flex.diagnose.flexible import FoundChange, Structure
-from rx90b_flex.diagnose.response import ResponseResidual, thinned
+from rx90b_flex.diagnose.flexible import Structure
+from rx90b_flex.diagnose.likelihood import FoundChange
+from rx90b_flex.diagnose.response import ResponseLoop, ResponseResidual, close_response, thinned
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.robot import Robot

@@ -13,8 +13,15 @@ import argparse
 import dataclasses
 import time
 
-from rx90b_flex.diagnose.close_flexible import ModalLoop, alone, change_words, close_modal, error_rms, in_order_rms
-from rx90b_flex.diagnose.modal import ModalTable, load_modal_table
+from rx90b_flex.diagnose.modal import (
+    ModalLoop,
+    ModalTable,
+    alone,
+    close_modal,
+    error_rms,
+    in_order_rms,
+    load_modal_table,
+)
 from rx90b_flex.export import with_link_parameters
 from rx90b_flex.robot import Robot, load_robot, robots_folder
 from rx90b_flex.view.modal_plots import ladder
@@ -30,7 +37,7 @@ def show(title: str, loop: ModalLoop, seconds: float) -> None:
     print(f"\n{title} ({seconds:.0f} s): {loop.verdict}")
     for found in loop.found:
         others = ", ".join(t.change.label for t in found.alternatives)
-        print(f"  {change_words(found)}; p {found.p_value:.1g}" + (f"; or {others}" if others else ""))
+        print(f"  {found.words}; p {found.p_value:.1g}" + (f"; or {others}" if others else ""))
     for name, compared, left in (
         ("before", loop.before, loop.left_out_before),
         ("after", loop.after, loop.left_out_after),

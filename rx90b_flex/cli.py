@@ -198,7 +198,7 @@ def _print_checked(checked: object) -> None:
 def _close_over_frequency(
     source: Path, out: Path, robot: str | None, model_error: float | None, overwrite: bool
 ) -> None:
-    from rx90b_flex.diagnose.close_flexible import change_words, close_over_frequency, write_loop
+    from rx90b_flex.diagnose.close_flexible import close_over_frequency, write_loop
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
     from rx90b_flex.view.flexible_report import headline, write_flexible_report
 
@@ -208,7 +208,7 @@ def _close_over_frequency(
         tell("writing the report", 0.98)
         write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")], overwrite)
     say(f"{loop.source.name}: {loop.verdict.replace('_', ' ')}")
-    for text in (*(change_words(f) for f in loop.found), headline(loop), *loop.doubts()):
+    for text in (*(f.words for f in loop.found), headline(loop), *loop.doubts()):
         say(text)
     say(f"Report: {out / 'report.html'}")
 
@@ -232,11 +232,7 @@ def demo(
     from rx90b_flex.demo import check_hidden, make_demonstration
 
     check_hidden(hidden)
-    from rx90b_flex.diagnose.close import close_loop
-    from rx90b_flex.diagnose.motion import motion_errors
-    from rx90b_flex.diagnose.output import write_result
-    from rx90b_flex.diagnose.refused import RefusedLoop
-    from rx90b_flex.view.report import write_report
+    from rx90b_flex.closing import Closed, LoopOptions, close_campaign
 
     with progress() as tell:
         tell("making recordings", 0.0)
@@ -244,17 +240,12 @@ def demo(
 
         def fill(folder: Path) -> None:
             # the loop reads the campaign from disk, as it would read anyone's: it is not told what is hidden
-            result = close_loop(demonstration.write(folder), progress=tell)
-            if isinstance(result, RefusedLoop):
-                raise ValueError(f"the demonstration's own data: {result.checked.verdict}")
-            tell("writing the report", 0.98)
-            motion = motion_errors(result)
-            write_result(result, folder, [lambda r, at: write_report(r, at / "report.html", motion)])
-            results.append(result)
+            loops.append(close_campaign(demonstration.write(folder), LoopOptions(), tell))
+            loops[0].write(folder)
 
-        results: list[object] = []
+        loops: list[Closed] = []
         fill_folder(out, fill, DEMONSTRATION, overwrite)
-    _print_result(results[0])
+    _print_result(loops[0].result)
     what = "nothing" if demonstration.hidden is None else _describe(demonstration.hidden)
     say(f"What had been hidden: {what}")
     say(f"Recordings, model and report: {out}")
@@ -588,11 +579,9 @@ def identify_command(
     say(f"Report: {out / 'report.html'}")
 
 
-def _print_result(result: object) -> None:
-    from rx90b_flex.diagnose.close import ClosedLoop
+def _print_result(result: Any) -> None:
     from rx90b_flex.view.check_report import basics_offer
 
-    assert isinstance(result, ClosedLoop)
     rows = []
     for e in result.effects:
         values = ", ".join(_value(p.name, p.value, p.std, p.unit) for p in e.parameters)

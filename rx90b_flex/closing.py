@@ -35,22 +35,10 @@ class Closed:
     def write(self, out: Path, overwrite: bool = False) -> None:
         """Write the folder with its report; all of it or nothing."""
         from rx90b_flex.diagnose.output import write_result
-        from rx90b_flex.diagnose.refused import RefusedLoop, write_refused
-        from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
-        from rx90b_flex.view.check_report import write_check_page
         from rx90b_flex.view.report import write_report
 
-        result, motion = self.result, self.motion
-        if isinstance(result, RefusedLoop):
-
-            def fill(folder: Path) -> None:
-                write_refused(result, folder)
-                write_check_page(result.checked, folder / "report.html")
-
-            fill_folder(out, fill, CLOSED_LOOP, overwrite)
-            return
-        report = [lambda r, folder: write_report(r, folder / "report.html", motion)]
-        write_result(result, out, report, motion, overwrite)
+        report = [lambda r, folder: write_report(r, folder / "report.html", self.motion)]
+        write_result(self.result, out, report, self.motion, overwrite)
 
 
 def declared_robot(campaign: Campaign, basics: bool) -> Robot:
@@ -79,12 +67,8 @@ def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float]
     read = read_campaign(path)
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.motion import motion_errors
-    from rx90b_flex.diagnose.refused import RefusedLoop
 
     robot = declared_robot(read, options.basics)
     result = close_loop(read, robot=robot, seed=options.seed, progress=tell, despite_faults=options.despite_faults)
-    if isinstance(result, RefusedLoop):
-        told("writing the report", 1.0)
-        return Closed(result, None)
     told("simulating the closed loop and writing the report", 1.0)
     return Closed(result, motion_errors(result))

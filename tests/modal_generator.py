@@ -10,7 +10,7 @@ import numpy as np
 from mujoco_engine import Engine
 from scipy.linalg import eigh
 
-from rx90b_flex.diagnose.close_flexible import FlexibleLoop
+from rx90b_flex.diagnose.flexible import FlexibleLoop
 from rx90b_flex.diagnose.modal import ModalPose, ModalTable, ModeList
 from rx90b_flex.effects.coupling import JointCoupling
 from rx90b_flex.effects.flexibility import BaseFlexibility

@@ -18,7 +18,7 @@ from scipy import signal
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.output import closed_loop_json, write_result
-from rx90b_flex.diagnose.trial import Trial
+from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import catalogue
 
 RATE_HZ, CUTOFF_HZ, PERIOD_S = 100.0, 15.0, 8.0
@@ -287,7 +287,7 @@ def test_the_json_has_exactly_the_form_of_the_interface(written):
 
 def test_what_was_refused_though_it_would_explain_much_is_said_with_its_reason(nothing):
     """A trial of known numbers each: it explains a tenth but chance would do as well; it explains too little to be told of."""
-    likely = Trial(catalogue()["torque_offset"](joint=JOINTS[2]), 5.0, np.ones(6), 0.5, 1, 0.1, True)
+    likely = TorqueTrial(catalogue()["torque_offset"](joint=JOINTS[2]), 5.0, np.ones(6), 0.5, 1, 0.1, True)
     little = dataclasses.replace(likely, share=0.03)
     forbidden = dataclasses.replace(
         likely, effect=catalogue()["viscous_friction"](joint=JOINTS[1]), lawful=False, objection="wrong sign"

@@ -10,7 +10,7 @@ import pytest
 from modal_generator import MEASURED, PLAIN, STRETCHED, measured, measured_response, truth_of
 
 from rx90b_flex import cli
-from rx90b_flex.diagnose.close_flexible import close_modal
+from rx90b_flex.diagnose.modal import close_modal
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import load_robot
 from rx90b_flex.view import modal_plots

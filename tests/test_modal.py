@@ -29,7 +29,7 @@ from modal_generator import (
 )
 from scipy import stats
 
-from rx90b_flex.diagnose.close_flexible import close_modal, in_order_rms, write_loop
+from rx90b_flex.diagnose.close_flexible import write_loop
 from rx90b_flex.diagnose.flexible import Structure
 from rx90b_flex.diagnose.modal import (
     MISSED,
@@ -37,6 +37,8 @@ from rx90b_flex.diagnose.modal import (
     ModalPose,
     ModalResidual,
     ModeList,
+    close_modal,
+    in_order_rms,
     load_modal_table,
     modes_of,
     pair,

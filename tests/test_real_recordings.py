@@ -8,10 +8,10 @@ import pytest
 from data_folder import data_folder
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.close import predict
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques
+from rx90b_flex.diagnose.torque import predict
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects.reversal import SHARP
 from rx90b_flex.export import save_robot

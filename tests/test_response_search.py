@@ -21,9 +21,16 @@ from modal_generator import (
     truth_of,
 )
 
-from rx90b_flex.diagnose.close_flexible import close_response, write_loop
-from rx90b_flex.diagnose.flexible import CLOSE, FIRST_ERROR, Structure
-from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_responses, response_of, thinned
+from rx90b_flex.diagnose.close_flexible import write_loop
+from rx90b_flex.diagnose.flexible import Structure
+from rx90b_flex.diagnose.likelihood import CLOSE, FIRST_ERROR
+from rx90b_flex.diagnose.response import (
+    ResponseResidual,
+    close_response,
+    load_frequency_responses,
+    response_of,
+    thinned,
+)
 from rx90b_flex.effects.coupling import JointCoupling
 from rx90b_flex.robot import load_robot
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rx90b_flex.diagnose.reversals import trust
-from rx90b_flex.diagnose.trial import Trial
+from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects.friction import CoulombFriction, ViscousFriction
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression
@@ -82,9 +82,9 @@ def test_a_model_without_a_step_doubts_no_row(robot: Robot) -> None:
 # ---- gains from block to block --------------------------------------------------------------------------------------
 
 
-def trial(gains: list[float], colour: float = 1.0) -> Trial:
+def trial(gains: list[float], colour: float = 1.0) -> TorqueTrial:
     block_gains = np.array(gains)
-    return Trial(
+    return TorqueTrial(
         CoulombFriction(joint="a", torque=1.0), float(block_gains.sum()), block_gains, 1e-9, 1, 0.5, True, colour
     )
 

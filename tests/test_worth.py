@@ -12,7 +12,7 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.trial import Trial
+from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Sites
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression
@@ -37,7 +37,7 @@ def logs(folder: Path, noise: Sequence[float], late_s: float = 0.0, more: Sequen
     return ind.write_files(folder, arm, DECLARED, runs)
 
 
-def best(campaign: Path, kind: str) -> Trial:
+def best(campaign: Path, kind: str) -> TorqueTrial:
     """The largest gain of one type, in all its places, beside the declared model."""
     read = load_campaign(campaign)
     robot = rf.load_robot(read.robot_source)

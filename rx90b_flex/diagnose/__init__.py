@@ -7,17 +7,34 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.close import close_loop
-    from rx90b_flex.diagnose.close_flexible import close_modal, close_response
-    from rx90b_flex.diagnose.modal import load_modal_table
+    from rx90b_flex.diagnose.likelihood import Change, LikelihoodResidual, State, close_residual
+    from rx90b_flex.diagnose.modal import close_modal, load_modal_table
+    from rx90b_flex.diagnose.response import close_response
+    from rx90b_flex.diagnose.table import TableResidual
 
-__all__ = ["close_loop", "close_modal", "close_response", "load_modal_table"]
+__all__ = [
+    "Change",
+    "LikelihoodResidual",
+    "State",
+    "TableResidual",
+    "close_loop",
+    "close_modal",
+    "close_residual",
+    "close_response",
+    "load_modal_table",
+]
 
 # loaded when they are asked for, so that one name does not cost the libraries of all
 _HOME = {
+    "Change": "rx90b_flex.diagnose.likelihood",
+    "LikelihoodResidual": "rx90b_flex.diagnose.likelihood",
+    "State": "rx90b_flex.diagnose.likelihood",
+    "TableResidual": "rx90b_flex.diagnose.table",
     "close_loop": "rx90b_flex.diagnose.close",
-    "close_modal": "rx90b_flex.diagnose.close_flexible",
-    "close_response": "rx90b_flex.diagnose.close_flexible",
+    "close_modal": "rx90b_flex.diagnose.modal",
+    "close_response": "rx90b_flex.diagnose.response",
     "load_modal_table": "rx90b_flex.diagnose.modal",
+    "close_residual": "rx90b_flex.diagnose.likelihood",
 }
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rx90b_flex.diagnose.base import Base
+from rx90b_flex.diagnose.experiments import RATE_HZ, SECONDS, experiments
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.trial import JUST_AS_GOOD, Trial
+from rx90b_flex.diagnose.trial import JUST_AS_GOOD, TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.identify.coloured import scatter
@@ -17,11 +18,6 @@ from rx90b_flex.identify.least_squares import solve_weighted
 
 MOST_OF_IT = 0.5  # of the named effect's gain that a look-alike explains at the least
 APART = 2.0  # standard errors between two explanations above which the data has decided
-SECONDS, RATE_HZ = 20.0, 50.0  # of an experiment that is thought through
-SLOW, MEDIUM = 0.03, 0.3  # of the fastest speed in the data
-SMALL_RAD = 0.01
-LATER_S = 300.0  # between the parts of the experiment that repeats
-WIDER = 1.3  # range of a joint over the data's, from which it is worth asking for
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +58,7 @@ class Alternative:
         return f"{self.experiment}: {SECONDS:g} s of that set the two {self.apart:.1f} standard errors apart."
 
 
-def worth_comparing(search: Search, named: Effect, winner: Trial, rivals: Sequence[Trial]) -> list[Effect]:
+def worth_comparing(search: Search, named: Effect, winner: TorqueTrial, rivals: Sequence[TorqueTrial]) -> list[Effect]:
     """Rivals of a round that touch what the named effect touches, explained much of it, and are not in the model by now."""
     present = [(type(e), e.place) for e in search.model.effects]
     others = [e for e in search.model.effects if e is not named and e.place]
@@ -86,7 +82,7 @@ class Comparison:
 
     Attributes
     ----------
-    named, rival : Trial
+    named, rival : TorqueTrial
         Both beside the model without either.
     behind : float
         Held-out error with the rival less that with the named effect, over its standard error: the larger of the one from
@@ -95,8 +91,8 @@ class Comparison:
         Variance of the difference of the two explanations over what white noise would give.
     """
 
-    named: Trial
-    rival: Trial
+    named: TorqueTrial
+    rival: TorqueTrial
     behind: float
     noise_over_white: float
 
@@ -133,7 +129,7 @@ def compare(search: Search, named: Effect, rival: Effect) -> Comparison:
     return Comparison(first, second, float(difference.sum() / error), coloured / white if white > 0 else 1.0)
 
 
-def compared(search: Search, named: Effect, winner: Trial, rivals: Sequence[Trial]) -> list[Comparison]:
+def compared(search: Search, named: Effect, winner: TorqueTrial, rivals: Sequence[TorqueTrial]) -> list[Comparison]:
     """The named effect of the final model against each rival of its round that is worth it."""
     return [compare(search, named, r) for r in worth_comparing(search, named, winner, rivals)]
 
@@ -257,86 +253,6 @@ def _joined(columns: Sequence[Array], rival: Effect) -> Array:
     own = columns[len(columns) - 1 - s]
     slopes = [(columns[len(columns) - s + i] - own) @ rival.known_coefficients() / steps[i] for i in range(s)]
     return np.concatenate([*columns[: len(columns) - s], *(x[:, :, None] for x in slopes)], axis=2)
-
-
-def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
-    """Motions of one joint, each as a sentence and as samples; the others rest where they were on average.
-
-    Positions and speeds stay within those of the data, but for the last, which says so.
-    """
-    regression = search.regression
-    robot, column = regression.robot, regression.robot.layout.index(joint)
-    assert column is not None
-    q = np.concatenate([s.sampled.q for s in regression.stretches])
-    fastest = float(np.abs(np.concatenate([s.sampled.v for s in regression.stretches])[:, column]).max())
-    low, high = float(q[:, column].min()), float(q[:, column].max())
-    rest = np.median(q, axis=0)
-    time = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
-
-    def motion(x: Array, others: Array = rest, at: Array = time) -> Motion:
-        """Of the joint's angle as a function of time; the others as given, (n,) or (N, n)."""
-        places = np.broadcast_to(others, (len(x), len(rest))).copy()
-        places[:, column] = x
-        v, a = np.zeros_like(places), np.zeros_like(places)
-        v[:, column] = np.gradient(x, 1 / RATE_HZ)
-        a[:, column] = np.gradient(v[:, column], 1 / RATE_HZ)
-        moved = robot.motion(places, v, a, at)
-        return robot.on_links(moved, search.model.link_parameters, effects=search.model.effects)
-
-    def to_and_fro(speed: float, bottom: float = low, top: float = high) -> Array:
-        """At one speed, with rounded turns."""
-        way = max(top - bottom, 1e-6)
-        half = way / speed
-        x = np.interp((time / half) % 2.0, [0.0, 1.0, 2.0], [bottom, top, bottom])
-        kernel = np.hanning(7) / np.hanning(7).sum()
-        return np.convolve(np.pad(x, 3, mode="edge"), kernel, mode="valid")
-
-    slow, medium = SLOW * fastest, MEDIUM * fastest
-    yield (
-        f"Turn {joint} slowly, at {slow:.2g} rad/s, to and fro with the other joints at rest",
-        motion(to_and_fro(slow)),
-    )
-    part = len(time) // 5
-    steps = [to_and_fro(s)[:part] for s in np.geomspace(slow, fastest, 5)]
-    yield (
-        f"Run {joint} to and fro at five constant speeds from {slow:.2g} to {fastest:.2g} rad/s, the other joints at rest",
-        motion(np.concatenate(steps)),
-    )
-    yield (
-        f"Let {joint} swing by {SMALL_RAD:g} rad twice a second, the other joints at rest: all of it is reversal",
-        motion(rest[column] + SMALL_RAD * np.sin(4 * np.pi * time)),
-    )
-    size = min(0.5 * (high - low), medium / (2 * np.pi * 0.2))
-    hz = np.repeat([0.2, 0.5, 1.0, 2.0], len(time) // 4)
-    swing = (low + high) / 2 + size * 0.2 / hz * np.sin(2 * np.pi * hz * time[: len(hz)])
-    yield (
-        f"Swing {joint} at 0.2, 0.5, 1 and 2 Hz with the same largest speed, {2 * np.pi * 0.2 * size:.2g} rad/s, the other "
-        "joints at rest: speed stays, acceleration changes",
-        motion(swing, at=time[: len(hz)]),
-    )
-    load = np.concatenate([np.abs(s.motion.on_tree.load()[:, column]) for s in regression.stretches])
-    placed = np.concatenate([s.motion.q for s in regression.stretches])
-    poses = np.where((time < SECONDS / 2)[:, None], placed[load.argmin()], placed[load.argmax()])
-    yield (
-        f"Run {joint} to and fro at {medium:.2g} rad/s twice, once with the other joints where it carries the least and once "
-        "where it carries the most: speed stays, load changes",
-        motion(to_and_fro(medium), poses),
-    )
-    yield (
-        f"Repeat one motion of {joint} from a cold start for ten minutes: motion stays, temperature changes",
-        motion(to_and_fro(medium), at=time + LATER_S * np.floor(3 * time / SECONDS)),
-    )
-    bottom, top = (float(x[column]) for x in (robot.model.lowerPositionLimit, robot.model.upperPositionLimit))
-    if np.isfinite(top - bottom) and 0.9 * (top - bottom) > WIDER * (high - low):
-        middle, reach = (bottom + top) / 2, 0.45 * (top - bottom)
-        # there and back once, unless the joint is not that fast
-        limit = 0.5 * float(robot.model.velocityLimit[column])
-        speed = max(medium, min(4 * reach / SECONDS, limit if limit > 0 else np.inf))
-        yield (
-            f"Turn {joint} at {speed:.2g} rad/s through more of its range than so far, {middle - reach:.2f} to "
-            f"{middle + reach:.2f} rad if nothing is in the way, the other joints at rest",
-            motion(to_and_fro(speed, middle - reach, middle + reach)),
-        )
 
 
 def swapped(effects: Sequence[Effect], named: Effect, comparison: Comparison, search: Search) -> list[Effect]:

@@ -12,7 +12,7 @@ from scipy import stats
 
 from rx90b_flex.diagnose.residual import ReplayedTorques
 from rx90b_flex.diagnose.spring_look import spring_words
-from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
+from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.flexibility import DAMPING_TIME, DriveFlexibility
 from rx90b_flex.effects.motion import Array
@@ -86,7 +86,7 @@ class GearDeflection:
         Each recording by itself.
     agreement : float
         Probability that recordings differ in compliance as much as these or more.
-    trial : Trial or None
+    trial : TorqueTrial or None
         The load's part, held-out blocks of all recordings.
     comparisons : tuple of GearComparison
     effect : Effect or None
@@ -101,7 +101,7 @@ class GearDeflection:
     errors: dict[str, GearErrors] | None = None
     compliances: tuple[RecordedCompliance, ...] = ()
     agreement: float = np.nan
-    trial: Trial | None = None
+    trial: TorqueTrial | None = None
     comparisons: tuple[GearComparison, ...] = ()
     effect: Effect | None = None
     parameters: tuple[Estimate, ...] = ()
@@ -206,7 +206,7 @@ def _judged(data: gears.GearData, tests: int, present: Sequence[Effect]) -> Gear
     return GearDeflection(data.joint, words, fit, errors, each, agree, trial, comparisons, effect, parameters)
 
 
-def _trial(data: gears.GearData, fit: gears.GearFit, tests: int) -> Trial:
+def _trial(data: gears.GearData, fit: gears.GearFit, tests: int) -> TorqueTrial:
     """The load's part against lag, direction and position errors alone, as a trial of the flexibility."""
     names = (*gears.LOAD, *gears.BASE)
     less, more = data.stacked(gears.BASE), data.stacked(names)
@@ -216,7 +216,7 @@ def _trial(data: gears.GearData, fit: gears.GearFit, tests: int) -> Trial:
     theta, covariance = plain.theta[load], plain.covariance[np.ix_(load, load)]
     p_value = float(stats.chi2.sf(theta @ np.linalg.pinv(covariance) @ theta, len(load)))
     variance = max(fit.rms**2, 1e-300)
-    return Trial(
+    return TorqueTrial(
         DriveFlexibility(joint=data.joint),
         float(gains.sum() / variance),
         gains / variance,

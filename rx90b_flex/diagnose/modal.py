@@ -17,23 +17,35 @@ zero of its own transfer function: a frequency with its drive locked (section 5.
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import linalg, stats
 
-from rx90b_flex.diagnose.flexible import Change, FlexibleFit, Residual, State, Structure
+from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleLoop, FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import (
+    MOST_CHANGES,
+    Change,
+    FoundChange,
+    LikelihoodFit,
+    LikelihoodTrial,
+    State,
+    close_residual,
+)
+from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.files.toml import read_toml
-from rx90b_flex.robot import Robot
+from rx90b_flex.robot import Robot, load_robot
 
 MODEL_ERROR = 0.005  # of a frequency: what separates a robot that moves from its model at rest
+SEPARATING_DEG = (-60.0, 0.0, 60.0, 120.0)  # angles of the second and third moving joint that are looked at
 SPURIOUS = 0.05  # of measured modes: chance of one that is none of the robot's (mains, a double pole of a fit)
 MISSED = 0.1  # chance that a mode inside the band is not seen
 ERRORS = np.geomspace(1e-5, 1.0, 61)  # model errors that are weighed
@@ -348,7 +360,7 @@ class _Paired:
     slopes: Array  # (pairs, p)
 
 
-class ModalResidual(Residual):
+class ModalResidual(FlexibleResidual):
     """Logarithms of measured over model frequencies.
 
     Parameters
@@ -368,6 +380,15 @@ class ModalResidual(Residual):
         self.poses = tuple(poses)
         self.band_hz = band_hz
         self.smallest_error = model_error
+
+    @staticmethod
+    def of(
+        robot: Robot, table: ModalTable, poses: Sequence[ModalPose], model_error: float, new_std: float = NEW_STD
+    ) -> ModalResidual:
+        """Of some poses of a table."""
+        angles = [p.drive_angles(robot) for p in poses]
+        structure = Structure.of(robot, table.joints, angles, table.band_hz, new_std)
+        return ModalResidual(structure, poses, table.band_hz, model_error)
 
     @cached_property
     def _lists(self) -> list[tuple[int, ModeList]]:
@@ -404,10 +425,10 @@ class ModalResidual(Residual):
         total = variance[:, None] + errors**2
         return float(errors[np.argmin((np.log(total) + residual[:, None] ** 2 / total).sum(axis=0))])
 
-    def _of(self, fit: FlexibleFit) -> list[_Paired]:
+    def _of(self, fit: LikelihoodFit) -> list[_Paired]:
         return self._paired(fit.changes, fit.x, max(fit.model_error, self.smallest_error))
 
-    def chance(self, fit: FlexibleFit) -> float:
+    def chance(self, fit: LikelihoodFit) -> float:
         """By chi-squared of all pairs at the stated errors; a measured mode without a partner counts as four standard deviations."""
         total, count = 0.0, 0
         for p in self._of(fit):
@@ -416,11 +437,11 @@ class ModalResidual(Residual):
             count += len(p.measured.hz)
         return float(stats.chi2.sf(total, max(count - len(fit.x), 1)))
 
-    def compare(self, fit: FlexibleFit) -> tuple[Compared, ...]:
+    def compare(self, fit: LikelihoodFit) -> tuple[Compared, ...]:
         """Every list of the table beside a fitted model's modes."""
         return tuple(Compared(p.pose, p.measured, np.exp(p.model), p.pairing) for p in self._of(fit))
 
-    def left_out(self, fit: FlexibleFit) -> float:
+    def left_out(self, fit: LikelihoodFit) -> float:
         """Root mean square of the errors with which each measured mode is predicted by a fit to the others.
 
         To first order: an error over ``1 - h``, h its leverage in the fit.
@@ -436,3 +457,223 @@ class ModalResidual(Residual):
 def rms(values: Array) -> float:
     """Root mean square; NaN of nothing."""
     return float(np.sqrt(np.mean(np.asarray(values) ** 2))) if len(values) else float("nan")
+
+
+# ---- the loop --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Separation:
+    """An experiment that tells two explanations apart.
+
+    Attributes
+    ----------
+    angles : mapping of joint to angle, rad
+    measured : str
+        Which list of modes.
+    with_found, with_alternative : float
+        Frequency of the mode that differs most, Hz.
+    """
+
+    angles: Mapping[str, float]
+    measured: str
+    with_found: float
+    with_alternative: float
+
+    @property
+    def words(self) -> str:
+        """In a sentence."""
+        pose = ", ".join(f"{j.replace('_', ' ')} at {np.rad2deg(a):.0f}°" for j, a in self.angles.items())
+        both = f"{self.with_found:.1f} Hz against {self.with_alternative:.1f} Hz"
+        return f"{pose}: one of the {self.measured.replace('_', ' ')} is at {both}"
+
+
+@dataclass(frozen=True, eq=False)
+class ModalLoop(FlexibleLoop):
+    """The loop closed on a modal table.
+
+    Attributes
+    ----------
+    table : ModalTable
+    before, after : tuple of Compared
+        Every list of the identification poses.
+    validation_before, validation_after : tuple of Compared
+        Of the validation poses, which were not fitted.
+    left_out_before, left_out_after : float
+        Root mean square error of the logarithms with each mode predicted from the others.
+    separations : mapping of (found, alternative) labels to Separation
+    """
+
+    kind: ClassVar[str] = "modes"
+
+    table: ModalTable
+    before: tuple[Compared, ...]
+    after: tuple[Compared, ...]
+    validation_before: tuple[Compared, ...]
+    validation_after: tuple[Compared, ...]
+    left_out_before: float
+    left_out_after: float
+    separations: Mapping[tuple[str, str], Separation]
+
+    def _distinct(self) -> int | None:
+        groups = 0
+        for pose in {c.pose for c in self.after}:
+            logs = np.sort(np.concatenate([c.measured.log for c in self.after if c.pose == pose]))
+            groups += 1 + int((np.diff(logs) > self.result.after.model_error).sum())
+        return groups
+
+    def separation(self, found: FoundChange, other: LikelihoodTrial) -> str:
+        known = self.separations.get((found.change.label, other.change.label))
+        return known.words if known else ""
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            **self.json_of_all("modes"),
+            "before": _errors_json(self.before, self.left_out_before, self.result.before, self.result.chance_before),
+            "after": _errors_json(self.after, self.left_out_after, self.result.after, self.result.chance_after),
+            "validation": None
+            if not self.validation_before
+            else {
+                "before": {"log_frequency_rms": _number(error_rms(self.validation_before))},
+                "after": {"log_frequency_rms": _number(error_rms(self.validation_after))},
+            },
+            "modes": [
+                {
+                    "pose": b.pose,
+                    "list": b.measured.name,
+                    "measured_hz": b.measured.hz.tolist(),
+                    "std_hz": b.measured.std_hz.tolist(),
+                    "before_hz": _partners(b),
+                    "after_hz": _partners(a),
+                }
+                for b, a in zip(self.before, self.after, strict=True)
+            ],
+            "separate_by": [
+                {"found": found, "alternative": other, "angles_deg": {j: float(np.rad2deg(a)) for j, a in s.angles.items()},
+                 "list": s.measured, "hz_with_found": s.with_found, "hz_with_alternative": s.with_alternative}
+                for (found, other), s in self.separations.items()
+            ],
+        }  # fmt: skip
+
+
+def close_modal(
+    table: ModalTable | str | os.PathLike[str],
+    robot: Robot | str | None = None,
+    *,
+    model_error: float = MODEL_ERROR,
+    new_std: float = NEW_STD,
+    only: Sequence[str] = (),
+    most: int = MOST_CHANGES,
+    progress: Progress | None = None,
+) -> ModalLoop:
+    """Find what a robot lacks to have the modes of a table.
+
+    Parameters
+    ----------
+    table : ModalTable or path
+    robot : Robot or what `load_robot` takes; the table's own where not given.
+    model_error : float
+        Relative error of every frequency that is allowed for beside the stated standard deviations.
+    new_std : float
+        Prior standard deviation of the logarithm of a new stiffness about those declared of its kind.
+    only : sequence of str
+        Labels of changes to try (``base.base_flexibility``, ``joint_2.drive_stiffness``); all where empty.
+    most : int
+        Changes at the most.
+    progress : callable, optional
+
+    Raises
+    ------
+    ValueError
+        A table that cannot be read, without a robot, or with joints that the robot does not have.
+    """
+    read = table if isinstance(table, ModalTable) else load_modal_table(table)
+    if robot is None and read.robot is None:
+        raise ValueError(f"{read.name}: robot is missing; name it in the table or give one")
+    if not model_error > 0:
+        raise ValueError(f"model_error is {model_error:g}; expected a relative error above 0, as {MODEL_ERROR:g}")
+    source = robot if isinstance(robot, Robot) else load_robot(robot or str(read.robot))
+    fitted, held_out = read.role("identification"), read.role("validation")
+    data = ModalResidual.of(source, read, fitted, model_error, new_std)
+    if only:
+        data.structure = data.structure.restricted(only)
+    result = close_residual(data, progress, most)
+    other = ModalResidual.of(source, read, held_out, model_error, new_std) if held_out else None
+    separations = {
+        (found.change.label, trial.change.label): separation
+        for found in result.found
+        for trial in found.alternatives
+        if (separation := _separation(source, read, fitted[0], result.after, trial)) is not None
+    }
+    return ModalLoop(
+        source, read.joints, data, result, read, data.compare(result.before), data.compare(result.after),
+        other.compare(result.before) if other else (), other.compare(result.after) if other else (),
+        data.left_out(result.before), data.left_out(result.after), separations,
+    )  # fmt: skip
+
+
+def _separation(
+    robot: Robot, table: ModalTable, pose: ModalPose, found: LikelihoodFit, trial: LikelihoodTrial
+) -> Separation | None:
+    """The pose, of a few, where two explanations differ most in a mode of the band."""
+    tree, turned = robot.tree, table.joints[1:3]
+    reach = {}
+    for joint in turned:
+        i = tree.joints[tree.getJointId(joint)].idx_q
+        low, high = tree.lowerPositionLimit[i], tree.upperPositionLimit[i]
+        reach[joint] = [a for a in np.deg2rad(SEPARATING_DEG) if low <= a <= high]
+    poses = [{**pose.angles, **dict(zip(turned, a, strict=True))} for a in itertools.product(*reach.values())]
+    structure = Structure.of(robot, table.joints, [ModalPose(p, ()).drive_angles(robot) for p in poses], table.band_hz)
+    best: tuple[float, Separation] | None = None
+    for k, angles in enumerate(poses):
+        both = [structure.matrices(k, f.changes, f.x) for f in (found, trial.fit)]
+        for locked in (None, *table.joints):
+            a, b = (modes_of(structure, f.changes, m, locked)[0] for f, m in zip((found, trial.fit), both, strict=True))
+            count = min(len(a), len(b))
+            inside = a[:count] <= np.log(table.band_hz[1])
+            if not inside.any():
+                continue
+            gap = np.where(inside, np.abs(a[:count] - b[:count]), 0.0)
+            at = int(np.argmax(gap))
+            if best is None or gap[at] > best[0]:
+                name = "resonances" if locked is None else f"antiresonances of {locked}"
+                best = float(gap[at]), Separation(angles, name, float(np.exp(a[at])), float(np.exp(b[at])))
+    return best[1] if best else None
+
+
+def error_rms(compared: Iterable[Compared]) -> float:
+    """Root mean square of the errors of all pairs, of the logarithm of frequency."""
+    return rms(np.concatenate([*(c.errors for c in compared), np.zeros(0)]))
+
+
+def in_order_rms(compared: Iterable[Compared]) -> float:
+    """The same where the n-th measured mode is the model's n-th: no mode is left out, none is taken for another."""
+    return rms(np.concatenate([*(c.in_order for c in compared), np.zeros(0)]))
+
+
+def alone(compared: Iterable[Compared]) -> int:
+    """Measured modes that the model has none for."""
+    return sum(len(c.measured.hz) - len(c.pairing.measured) for c in compared)
+
+
+def _errors_json(compared: tuple[Compared, ...], left_out: float, fit: LikelihoodFit, chance: float) -> dict[str, Any]:
+    return {
+        "log_frequency_rms": _number(error_rms(compared)),
+        "log_frequency_rms_in_order": _number(in_order_rms(compared)),
+        "log_frequency_rms_left_out": _number(left_out),
+        "measured_without_partner": alone(compared),
+        "model_modes_unseen": sum(c.pairing.unseen for c in compared),
+        "model_error": fit.model_error,
+        "p_value": chance,
+    }
+
+
+def _partners(compared: Compared) -> list[float | None]:
+    out: list[float | None] = [None] * len(compared.measured.hz)
+    for i, j in zip(compared.pairing.measured, compared.pairing.model, strict=True):
+        out[i] = float(compared.model_hz[j])
+    return out
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

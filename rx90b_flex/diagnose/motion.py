@@ -9,6 +9,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.close import ClosedLoop
 from rx90b_flex.diagnose.identified import identified_robot
+from rx90b_flex.diagnose.refused import RefusedLoop
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
@@ -70,12 +71,14 @@ class MotionErrors:
         }
 
 
-def motion_errors(result: ClosedLoop) -> MotionErrors | str:
-    """Simulate the closed loop before and after; a sentence that says why where it cannot be done.
+def motion_errors(result: ClosedLoop | RefusedLoop) -> MotionErrors | str | None:
+    """Simulate the closed loop before and after; a sentence that says why where it cannot be done, None where nothing was fitted.
 
     The robot before is the declared one with its identified values, the robot after has the effects added; both with the
     flexibilities as declared. The references are those of the log, the controller is the CS8 of the RX90B.
     """
+    if isinstance(result, RefusedLoop):
+        return None
     recording = next((r for r in result.campaign.validation if r.reference_position is not None), None)
     if recording is None or recording.reference_velocity is None:
         return "The validation recordings hold no references, so the closed loop cannot be simulated against them."

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from rx90b_flex.diagnose.check import faults_json
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction
 from rx90b_flex.diagnose.deflection import deflection_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
+from rx90b_flex.diagnose.refused import RefusedLoop, refused_json
 from rx90b_flex.diagnose.residual import RoleErrors
-from rx90b_flex.diagnose.trial import Trial
+from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Estimate
@@ -26,11 +27,14 @@ from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.motion import MotionErrors
 
+Loop = TypeVar("Loop", bound=ClosedLoop | RefusedLoop)
 REFUSED_SHARE = 0.05  # of its joints' squared error that a refused candidate would explain, to be told of
 
 
-def closed_loop_json(result: ClosedLoop) -> dict[str, Any]:
+def closed_loop_json(result: ClosedLoop | RefusedLoop) -> dict[str, Any]:
     """The content of ``closed_loop.json``, schema 1."""
+    if isinstance(result, RefusedLoop):
+        return refused_json(result)
     return {
         "schema": SCHEMA,
         "robot": result.robot,
@@ -96,12 +100,12 @@ def _effect(found: FoundEffect) -> dict[str, Any]:
     }
 
 
-def _large(trial: Trial) -> bool:
+def _large(trial: TorqueTrial) -> bool:
     """Whether a refused candidate would explain much."""
     return bool(trial.refusal) and trial.share > REFUSED_SHARE
 
 
-def _refused(trial: Trial) -> dict[str, Any]:
+def _refused(trial: TorqueTrial) -> dict[str, Any]:
     """A candidate of the last round that would explain much, and why it is not believed; of a family all its joints."""
     named = _named(trial.effect)
     if trial.members:
@@ -159,9 +163,9 @@ def _quoted(name: str) -> str:
 
 
 def write_result(
-    result: ClosedLoop,
+    result: Loop,
     folder: str | os.PathLike[str],
-    extra: Iterable[Callable[[ClosedLoop, Path], None]] = (),
+    extra: Iterable[Callable[[Loop, Path], None]] = (),
     motion: MotionErrors | str | None = None,
     overwrite: bool = False,
 ) -> Path:
@@ -169,7 +173,7 @@ def write_result(
 
     Parameters
     ----------
-    result : ClosedLoop
+    result : ClosedLoop or RefusedLoop
     folder : path
         Made if it does not exist; the result of an earlier run in it is replaced as a whole.
     extra : iterable of callable
@@ -187,13 +191,19 @@ def write_result(
             contents["motion.json"] = motion_json(motion)
         for name, content in contents.items():
             (at / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        for prediction in result.predictions:
-            name = f"prediction_{prediction.recording.name}.csv"
-            (at / name).write_text(prediction_table(prediction), encoding="utf-8")
-        # known links are written as they were given, even if no body could have them
-        save_robot(closed_loop_robot(result), at, allow_inconsistent=not result.model.links_fitted)
+        if isinstance(result, ClosedLoop):
+            _write_model(result, at)
         for write in extra:
             write(result, at)
 
     fill_folder(folder, fill, CLOSED_LOOP, overwrite)
     return folder
+
+
+def _write_model(result: ClosedLoop, folder: Path) -> None:
+    """The robot and its predictions."""
+    for prediction in result.predictions:
+        name = f"prediction_{prediction.recording.name}.csv"
+        (folder / name).write_text(prediction_table(prediction), encoding="utf-8")
+    # known links are written as they were given, even if no body could have them
+    save_robot(closed_loop_robot(result), folder, allow_inconsistent=not result.model.links_fitted)

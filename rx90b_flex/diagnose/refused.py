@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from rx90b_flex.diagnose.check import Checked, faults_json
@@ -75,12 +73,6 @@ def refused_json(result: RefusedLoop) -> dict[str, Any]:
         "moving": None,
         "unexplained": None,
     }
-
-
-def write_refused(result: RefusedLoop, folder: Path) -> None:
-    """Write ``closed_loop.json`` into a folder that exists."""
-    text = json.dumps(refused_json(result), indent=2, allow_nan=False)
-    (folder / "closed_loop.json").write_text(text + "\n", encoding="utf-8")
 
 
 def verdict_despite(verdict: str, checked: Checked, scaled: Collection[str]) -> str:

@@ -1,4 +1,4 @@
-"""Frequency responses held against a flexible robot: the residual of the search in `rx90b_flex.diagnose.flexible`.
+"""Frequency responses held against a flexible robot: a residual of the loop in `rx90b_flex.diagnose.loop`.
 
 The response of ``(s^2 M + s D + K) q = B tau`` is ``P = s^2 B^T Z^-1 B`` (5.36); its slope by a parameter is
 ``-s^2 (B^T Z^-1) dZ (Z^-1 B)``. Friction enters as one viscous slope a joint, and all dampings share a factor: both are fitted with
@@ -10,17 +10,21 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import ndimage, stats
 
-from rx90b_flex.diagnose.flexible import Change, FlexibleFit, Residual, State, Structure
+from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleLoop, FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import MOST_CHANGES, Change, LikelihoodFit, State, close_residual
+from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_box import REACH_HZ, smoothed_covariance
+from rx90b_flex.robot import Robot, load_robot
 
 MODEL_ERROR = (
     0.03  # of |P| about a line: what parts a simulated campaign of section 6.6.2 from the right model at its mean pose
@@ -61,7 +65,7 @@ def _response(
     return response, out
 
 
-class ResponseResidual(Residual):
+class ResponseResidual(FlexibleResidual):
     """Complex errors of frequency responses, each line with its own covariance.
 
     The model error of a line is alike to that of its neighbours within `REACH_HZ`, so that so many lines count as one.
@@ -158,7 +162,7 @@ class ResponseResidual(Residual):
     def _errors(self) -> Array:
         return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
 
-    def chance(self, fit: FlexibleFit) -> float:
+    def chance(self, fit: LikelihoodFit) -> float:
         total, count = 0.0, 0.0
         for k, (r, (whitener, _), many) in enumerate(
             zip(self.responses, self._whiteners(self.smallest_error), self._together, strict=True)
@@ -168,7 +172,7 @@ class ResponseResidual(Residual):
             count += 2.0 * r.value.size / many
         return float(stats.chi2.sf(total, max(count - len(fit.x), 1.0)))
 
-    def errors(self, fit: FlexibleFit) -> list[tuple[float, float]]:
+    def errors(self, fit: LikelihoodFit) -> list[tuple[float, float]]:
         """Of each response, root mean square error over |P| about each line, and over the stated errors."""
         out = []
         for k, (r, (whitener, _), size) in enumerate(
@@ -180,10 +184,10 @@ class ResponseResidual(Residual):
             out.append((next(both), next(both)))
         return out
 
-    def _predicted(self, pose: int, fit: FlexibleFit, hz: Array) -> ComplexArray:
+    def _predicted(self, pose: int, fit: LikelihoodFit, hz: Array) -> ComplexArray:
         return response_of(self.structure, pose, (*self.nuisance, *fit.changes), fit.x, hz)
 
-    def predict(self, fit: FlexibleFit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
+    def predict(self, fit: LikelihoodFit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
         """Responses of a fitted model, at the data's lines or others."""
         lines = [r.hz for r in self.responses] if hz is None else hz
         return tuple(self._predicted(k, fit, h) for k, h in enumerate(lines))
@@ -197,13 +201,13 @@ def _nuisances(structure: Structure) -> tuple[Change, ...]:
         if c.effect < 0:
             joint = structure.joints[c.column]
             out.append(
-                Change("viscous_friction", joint, False, ("friction_slope",), ("N m s/rad",), ((i,),), (), one, zero, NUISANCE_STD)
+                Change("viscous_friction", joint, False, ("friction_slope",), ("N m s/rad",), one, zero, NUISANCE_STD, ((i,),))
             )  # fmt: skip
         elif structure.full.effects[c.effect].virtual and c.column >= len(structure.full.effects[c.effect].virtual):
             dampings.append(i)
     if dampings:
         out.append(
-            Change("damping", "all", False, ("damping",), ("N m s/rad",), (tuple(dampings),), (), one, zero, NUISANCE_STD)
+            Change("damping", "all", False, ("damping",), ("N m s/rad",), one, zero, NUISANCE_STD, (tuple(dampings),))
         )  # fmt: skip
     return tuple(out)
 
@@ -221,6 +225,163 @@ def _lines(response: FrequencyResponse, kept: Any) -> FrequencyResponse:
         response.hz[kept], response.value[kept], covariance[kept], response.joints, response.pose,
         degrees_of_freedom=freedom,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseErrors:
+    """Errors of one model on lines of one response.
+
+    Attributes
+    ----------
+    relative : float
+        Root mean square error over that of P about each line and entry.
+    weighted : float
+        Root mean square error over the stated errors; 1 where these are all that there is.
+    """
+
+    relative: float
+    weighted: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseLoop(FlexibleLoop):
+    """The loop closed on frequency responses.
+
+    Attributes
+    ----------
+    responses : tuple of FrequencyResponse
+        As given; those that were not fitted last.
+    fitted : int
+        How many of them were fitted (at a part of their lines).
+    before, after : tuple of complex array
+        The model's responses at all lines of each.
+    errors_before, errors_after : tuple of ResponseErrors
+        On the fitted lines of each fitted response.
+    held_out_before, held_out_after : tuple of ResponseErrors
+        On what was not fitted: the lines between, and other responses.
+    """
+
+    kind: ClassVar[str] = "frequency responses"
+
+    responses: tuple[FrequencyResponse, ...]
+    fitted: int
+    before: tuple[ComplexArray, ...]
+    after: tuple[ComplexArray, ...]
+    errors_before: tuple[ResponseErrors, ...]
+    errors_after: tuple[ResponseErrors, ...]
+    held_out_before: tuple[ResponseErrors, ...]
+    held_out_after: tuple[ResponseErrors, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        result = self.result
+        return {
+            **self.json_of_all("frequency_response"),
+            "before": _errors_json(self.errors_before, self.held_out_before, result.before, result.chance_before),
+            "after": _errors_json(self.errors_after, self.held_out_after, result.after, result.chance_after),
+            "responses": [
+                {
+                    "pose_rad": r.pose.tolist(),
+                    "fitted": k < self.fitted,
+                    "hz": r.hz.tolist(),
+                    **{f"{name}_{part}": getattr(value, part).tolist() for name, value in
+                       (("measured", r.value), ("before", self.before[k]), ("after", self.after[k])) for part in ("real", "imag")},
+                }
+                for k, r in enumerate(self.responses)
+            ],
+        }  # fmt: skip
+
+
+def _errors_json(
+    fitted: tuple[ResponseErrors, ...], held_out: tuple[ResponseErrors, ...], fit: LikelihoodFit, chance: float
+) -> dict[str, Any]:
+    lists = {"identification": fitted, "validation": held_out}
+    return {
+        **{
+            role: [{"relative_error": e.relative, "weighted_error": e.weighted} for e in x] for role, x in lists.items()
+        },
+        "model_error": fit.model_error,
+        "p_value": chance,
+    }
+
+
+def close_response(
+    responses: FrequencyResponse | Sequence[FrequencyResponse],
+    robot: Robot | str,
+    *,
+    held_out: Sequence[FrequencyResponse] = (),
+    band_hz: tuple[float, float] = (8.0, 80.0),
+    model_error: float = MODEL_ERROR,
+    new_std: float = NEW_STD,
+    most: int = MOST_CHANGES,
+    progress: Progress | None = None,
+) -> ResponseLoop:
+    """Find what a robot lacks to have measured frequency responses.
+
+    Friction is one viscous slope a joint, and all dampings share a factor; both are fitted with every model. Each response is held
+    against the robot at its mean pose: what a motion through several poses does to it is part of the model error.
+
+    Parameters
+    ----------
+    responses : FrequencyResponse or sequence of them
+        Of the same joints, each with its pose.
+    robot : Robot or what `load_robot` takes
+    held_out : sequence of FrequencyResponse
+        At other poses or of other experiments: predicted, not fitted.
+    band_hz : (low, high)
+        Lines used.
+    model_error : float
+        Part of |P| about a line that is allowed for beside the covariance.
+    new_std, most, progress
+        As for `close_modal`.
+
+    Raises
+    ------
+    ValueError
+        Responses of other joints or without a pose; fewer than two lines in the band.
+    """
+    given = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
+    source = robot if isinstance(robot, Robot) else load_robot(robot)
+    if not model_error > 0:
+        raise ValueError(f"model_error is {model_error:g}; expected a relative error above 0, as {MODEL_ERROR:g}")
+    everything = _in_band(given, held_out, band_hz)
+    split = [thinned(r) for r in everything[: len(given)]]
+    between = [(k, rest) for k, (_, rest) in enumerate(split) if rest is not None]
+    others = [*between, *enumerate(everything[len(given) :], start=len(given))]
+
+    def residual(parts: Sequence[FrequencyResponse]) -> ResponseResidual:
+        structure = Structure.of(source, given[0].joints, [r.pose for r in parts], band_hz, new_std)
+        return ResponseResidual(structure, parts, model_error)
+
+    data = residual([used for used, _ in split])
+    result = close_residual(data, progress, most)
+    whole = residual(everything)
+    rest = residual([r for _, r in others]) if others else None
+    fits = (result.before, result.after)
+    before, after = (whole.predict(f) for f in fits)
+    errors = [_response_errors(data, f) for f in fits]
+    left = [_response_errors(rest, f) if rest else () for f in fits]
+    return ResponseLoop(
+        source, given[0].joints, data, result, tuple(everything), len(given), before, after, *errors, *left
+    )
+
+
+def _in_band(
+    given: Sequence[FrequencyResponse], held_out: Sequence[FrequencyResponse], band_hz: tuple[float, float]
+) -> list[FrequencyResponse]:
+    """All responses within the band, of the same joints."""
+    if not given:
+        raise ValueError("no frequency response to hold the robot against")
+    everything = [r.band(*band_hz) for r in (*given, *held_out)]
+    for r in everything:
+        if r.joints != given[0].joints:
+            raise ValueError(f"responses of joints {given[0].joints} and {r.joints}; expected the same joints")
+        if len(r.hz) < 2:
+            raise ValueError(f"{len(r.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz; expected 2 or more")
+    return everything
+
+
+def _response_errors(residual: ResponseResidual, fit: LikelihoodFit) -> tuple[ResponseErrors, ...]:
+    return tuple(ResponseErrors(*pair) for pair in residual.errors(fit))
 
 
 def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[FrequencyResponse, ...], str]:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
-from rx90b_flex.diagnose.trial import AS_GOOD, Trial, family
+from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
@@ -173,12 +173,12 @@ class Search:
         shape[self.free(effect) if free is None else free] = values
         return effect.with_shape(shape)
 
-    def run(self, progress: Callable[[float], None] | None = None) -> list[Trial]:
+    def run(self, progress: Callable[[float], None] | None = None) -> list[TorqueTrial]:
         """Try all candidates.
 
         Returns
         -------
-        list of Trial
+        list of TorqueTrial
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
         candidates = self.candidates
@@ -198,7 +198,7 @@ class Search:
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
         rough.sort(key=lambda item: -item[0])
-        trials: list[Trial] = []
+        trials: list[TorqueTrial] = []
         for first_look, effect, base in rough[:REFINED]:
             sure = max((t.sure_gain for t in trials if t.accepted), default=0.0)
             if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
@@ -208,8 +208,8 @@ class Search:
         return sorted(trials, key=lambda t: -t.gain)
 
     def _families(
-        self, rough: Sequence[tuple[float, Effect, Base]], known: Sequence[Trial], present: Base
-    ) -> list[Trial]:
+        self, rough: Sequence[tuple[float, Effect, Base]], known: Sequence[TorqueTrial], present: Base
+    ) -> list[TorqueTrial]:
         """One law on several joints, for the types that a first look at all joints together likes best."""
         kinds: dict[type[Effect], list[tuple[float, Effect, Base]]] = {}
         for item in rough:
@@ -248,7 +248,7 @@ class Search:
         looks = max(self._over_shapes(effect, self._starts(effect), base), key=lambda pair: pair[0])
         return self._refined(looks[1], base)
 
-    def without(self, effect: Effect) -> Trial:
+    def without(self, effect: Effect) -> TorqueTrial:
         """What an effect of the present model is worth: the trial of adding it to the model without it, what it replaces restored."""
         base = self.base(effect)
         restored = self.restored(effect)
@@ -375,7 +375,7 @@ class Search:
                 break
         return best.gain, self._shaped(effect, np.clip(back(x), low, high), free)
 
-    def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> Trial:
+    def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> TorqueTrial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
         effect = self._refined(effect, base)
         k, s = len(effect.coefficients), len(self.free(effect))
@@ -383,7 +383,7 @@ class Search:
         columns = beside[:, :, :k]
         size = k + s - (present.size - base.size)
         if len(rows) == 0:
-            return Trial(effect, 0.0, np.zeros(len(self.blocks)), 1.0, size, 0.0, False)
+            return TorqueTrial(effect, 0.0, np.zeros(len(self.blocks)), 1.0, size, 0.0, False)
         per_block = [base.products(rows, columns, block) for block in self.blocks]
         b, y, d = (np.array(part) for part in zip(*per_block, strict=True))
         theta, inverse = base.whole
@@ -400,7 +400,7 @@ class Search:
             objection = "its values do not go together with what its torque assumes"
         touched = present.squares[rows].sum()
         gain = float(block_gains.sum())
-        return Trial(
+        return TorqueTrial(
             found,
             gain,
             block_gains,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,9 +26,30 @@ PHASE_CARRIED = (
 )
 
 
+class Trial(ABC):
+    """A candidate that was tried beside a model; a residual's own kind says by what it is judged."""
+
+    members: tuple[Trial, ...] = ()  # of candidates that are one hypothesis together
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """The candidate's name."""
+
+    @property
+    @abstractmethod
+    def refusal(self) -> str:
+        """Why it is not accepted, in words; empty where it is."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it may be added."""
+        return not self.refusal
+
+
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """One effect, tried in one place.
+class TorqueTrial(Trial):
+    """One effect, tried in one place on torques over time, judged by what was held out.
 
     Attributes
     ----------
@@ -54,7 +76,7 @@ class Trial:
         Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
     carried : float
         Part of the gain on held-out blocks that is left where whole recordings are held out.
-    members : tuple of Trial
+    members : tuple of TorqueTrial
         Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
     """
 
@@ -69,8 +91,12 @@ class Trial:
     objection: str = ""
     worst: float = 0.0
     carried: float = 1.0
-    members: tuple[Trial, ...] = ()
+    members: tuple[TorqueTrial, ...] = ()
     small: str = ""
+
+    @property
+    def label(self) -> str:
+        return self.effect.label
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -111,13 +137,8 @@ class Trial:
         return max(sure, 0.0) if self.replicated else sure
 
     @property
-    def accepted(self) -> bool:
-        """Whether it is significant, holds on data it was not fitted to, is lawful and worth a name."""
-        return not self.refusal
-
-    @property
     def refusal(self) -> str:
-        """Why it is not accepted, in words; empty where it is."""
+        """Why it is not significant, does not hold on data it was not fitted to, is not lawful or not worth a name."""
         if not self.lawful:
             return self.objection or "its values are not such as it can have"
         if self.p_value >= SIGNIFICANCE:
@@ -145,7 +166,7 @@ class Trial:
             and self.worst <= 1.0
         )
 
-    def no_better_than(self, other: Trial) -> bool:
+    def no_better_than(self, other: TorqueTrial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
         if other.gain >= JUST_AS_GOOD * self.gain:
             return True
@@ -154,7 +175,7 @@ class Trial:
         return bool(other.gain >= AS_GOOD * self.gain and difference.sum() <= GAIN_T * spread)
 
 
-def family(members: Sequence[Trial], kinds: int) -> Trial:
+def family(members: Sequence[TorqueTrial], kinds: int) -> TorqueTrial:
     """Several trials as one: gains add up, and Fisher's method puts their p-values together; `kinds` families were tried."""
     chance = -2.0 * float(np.log(np.maximum([m.p_value for m in members], 1e-300)).sum())
     gain = float(sum(m.gain for m in members))
@@ -173,7 +194,7 @@ def family(members: Sequence[Trial], kinds: int) -> Trial:
     )
 
 
-def choose(trials: Sequence[Trial]) -> Trial | None:
+def choose(trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
     """The trial to add: the largest sure held-out gain, or a simpler one that the data cannot tell from it."""
     accepted = [t for t in trials if t.accepted]
     if not accepted:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.evidence import Dependence
 from rx90b_flex.diagnose.free_form import NO_FORM
+from rx90b_flex.diagnose.loop import verdict
 from rx90b_flex.diagnose.residual import RoleErrors
 from rx90b_flex.diagnose.yardstick import Explainable
 from rx90b_flex.effects.motion import Array, Mask
@@ -57,11 +58,9 @@ class Remains:
     @property
     def verdict(self) -> str:
         """``nothing_missing``, ``explained``, ``partly_explained`` or ``unexplained``."""
-        if not self.found:
-            return "unexplained" if self.left else "nothing_missing"
         # what helps on the fitted recordings alone explains nothing for certain
         carried = self.after.validation.relative_error < self.before.validation.relative_error
-        return "explained" if carried and not (self.left or self.doubtful) else "partly_explained"
+        return verdict(self.found, self.left, carried and not self.doubtful)
 
     @property
     def left(self) -> bool:

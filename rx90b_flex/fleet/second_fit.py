@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.diagnose.base import DETERMINED, Base
-from rx90b_flex.diagnose.close import trusting
 from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.torque import trusting
 from rx90b_flex.diagnose.trial import added
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array, Indices

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from functools import singledispatch
 from pathlib import Path
 
 import numpy as np
 
-from rx90b_flex.diagnose.close_flexible import (
-    FlexibleLoop,
-    ModalLoop,
-    ResponseLoop,
-    alone,
-    change_words,
-    error_rms,
-    in_order_rms,
-)
+from rx90b_flex.diagnose.flexible import FlexibleLoop
+from rx90b_flex.diagnose.modal import ModalLoop, alone, error_rms, in_order_rms
+from rx90b_flex.diagnose.response import ResponseLoop
 from rx90b_flex.view import frf_plots, modal_plots
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.report import number, p_value, percent, unit_text
@@ -28,27 +23,42 @@ VERDICTS = {
 SHOWN = 8  # refused changes; the best
 
 
-def write_flexible_report(loop: ModalLoop | ResponseLoop, path: Path) -> None:
+def write_flexible_report(loop: FlexibleLoop, path: Path) -> None:
     """Write the report; it appears whole or not at all."""
-    data = _modes(loop) if isinstance(loop, ModalLoop) else _responses(loop)
-    sections = [_found(loop), _sure(loop), data, _alternatives(loop), _refused(loop), _how(loop)]
-    kind = "modes" if isinstance(loop, ModalLoop) else "frequency responses"
-    write_page(path, f"{loop.source.name}: what its {kind} say", _lead(loop), [s for s in sections if s is not None])
+    sections = [_found(loop), _sure(loop), _data(loop), _alternatives(loop), _refused(loop), _how(loop)]
+    write_page(
+        path, f"{loop.source.name}: what its {loop.kind} say", _lead(loop), [s for s in sections if s is not None]
+    )
 
 
-def headline(loop: ModalLoop | ResponseLoop) -> str:
+@singledispatch
+def headline(loop: FlexibleLoop) -> str:
     """Errors before and after, in a sentence."""
-    if isinstance(loop, ModalLoop):
-        before, after = (_share(error_rms(c)) for c in (loop.before, loop.after))
-        left = alone(loop.before), alone(loop.after)
-        said = (
-            f"Root mean square error of the frequencies: {before} before, {after} after; measured modes without a "
-            f"partner: {left[0]} before, {left[1]} after."
-        )
-        if loop.validation_before:
-            old, new = (_share(error_rms(c)) for c in (loop.validation_before, loop.validation_after))
-            said += f" At poses that were not fitted: {old} before, {new} after."
-        return said
+    raise TypeError(f"no headline for {type(loop).__name__}")
+
+
+@singledispatch
+def _data(loop: FlexibleLoop) -> Section:
+    """The data beside both models."""
+    raise TypeError(f"no section for {type(loop).__name__}")
+
+
+@headline.register
+def _(loop: ModalLoop) -> str:
+    before, after = (_share(error_rms(c)) for c in (loop.before, loop.after))
+    left = alone(loop.before), alone(loop.after)
+    said = (
+        f"Root mean square error of the frequencies: {before} before, {after} after; measured modes without a "
+        f"partner: {left[0]} before, {left[1]} after."
+    )
+    if loop.validation_before:
+        old, new = (_share(error_rms(c)) for c in (loop.validation_before, loop.validation_after))
+        said += f" At poses that were not fitted: {old} before, {new} after."
+    return said
+
+
+@headline.register
+def _(loop: ResponseLoop) -> str:
     pairs = zip(loop.held_out_before or loop.errors_before, loop.held_out_after or loop.errors_after, strict=True)
     held = "what was not fitted" if loop.held_out_before else "the fitted lines"
     both = ", ".join(f"{percent(b.relative)} before, {percent(a.relative)} after" for b, a in pairs)
@@ -59,8 +69,8 @@ def _share(value: float) -> str:
     return percent(value) if np.isfinite(value) else "no pair"
 
 
-def _lead(loop: ModalLoop | ResponseLoop) -> list[str]:
-    return [VERDICTS[loop.verdict], *(f"Found: {change_words(f)}." for f in loop.found), headline(loop)]
+def _lead(loop: FlexibleLoop) -> list[str]:
+    return [VERDICTS[loop.verdict], *(f"Found: {f.words}." for f in loop.found), headline(loop)]
 
 
 def _found(loop: FlexibleLoop) -> Section:
@@ -91,7 +101,8 @@ def _sure(loop: FlexibleLoop) -> Section:
     return Section("How sure", (*doubts, chance))
 
 
-def _modes(loop: ModalLoop) -> Section:
+@_data.register
+def _(loop: ModalLoop) -> Section:
     rows = []
     for b, a in zip(loop.before, loop.after, strict=True):
         partners = [dict(zip(c.pairing.measured, c.model_hz[c.pairing.model], strict=True)) for c in (b, a)]
@@ -139,7 +150,8 @@ def _modes(loop: ModalLoop) -> Section:
     )
 
 
-def _responses(loop: ResponseLoop) -> Section:
+@_data.register
+def _(loop: ResponseLoop) -> Section:
     figures = []
     for k, response in enumerate(loop.responses):
         pose = ", ".join(f"{np.rad2deg(a):.0f}°" for a in response.pose)
@@ -168,9 +180,7 @@ def _alternatives(loop: FlexibleLoop) -> Section | None:
     rows = []
     for found in loop.found:
         for t in found.alternatives:
-            apart = ""
-            if isinstance(loop, ModalLoop) and (found.change.label, t.change.label) in loop.separations:
-                apart = loop.separations[found.change.label, t.change.label].words
+            apart = loop.separation(found, t)
             rows.append((found.change.words, t.change.words, f"{t.criterion - found.criterion:.1f}", apart))
     if not rows:
         return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from rx90b_flex.diagnose import evidence
 from rx90b_flex.diagnose.close import ClosedLoop, FoundEffect
 from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.motion import MotionErrors
-from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Trial
+from rx90b_flex.diagnose.refused import RefusedLoop
+from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, TorqueTrial
 from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import SMALLEST_PART
@@ -32,7 +34,7 @@ from rx90b_flex.view.advice import (
     place_words,
     standstill,
 )
-from rx90b_flex.view.check_report import check_section
+from rx90b_flex.view.check_report import check_section, write_check_page
 from rx90b_flex.view.deflection_section import gear_section
 from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
 from rx90b_flex.view.zoom import script, script_hash
@@ -49,19 +51,31 @@ VERDICTS = {
 }
 
 
-def write_report(result: ClosedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
+@singledispatch
+def write_report(result: ClosedLoop | RefusedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
     """Write the report of a result as one HTML file; it appears whole or not at all.
 
     Parameters
     ----------
-    result : ClosedLoop
+    result : ClosedLoop or RefusedLoop
+        Of the latter the look at the data is the report.
     path : Path
         The file; its folder exists.
     motion : MotionErrors or str, optional
         What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
     """
+    raise TypeError(f"no report of {type(result).__name__}")
+
+
+@write_report.register
+def _(result: ClosedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
     html = report_html(result, motion)
     write_whole(Path(path), lambda temporary: write_text(temporary, html))
+
+
+@write_report.register
+def _(result: RefusedLoop, path: Path, motion: None = None) -> None:
+    write_check_page(result.checked, path)
 
 
 def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) -> str:
@@ -324,7 +338,7 @@ def _roles(result: ClosedLoop) -> list[RoleTable]:
 class TrialRow:
     """One effect that was tried in a round."""
 
-    trial: Trial
+    trial: TorqueTrial
     share: float | None
     outcome: str
     won: bool
@@ -358,7 +372,7 @@ def _rounds(result: ClosedLoop) -> list[Round]:
     return out
 
 
-def _outcome(trial: Trial, effects: Sequence[FoundEffect], at: int) -> str:
+def _outcome(trial: TorqueTrial, effects: Sequence[FoundEffect], at: int) -> str:
     for i, later in enumerate(effects):
         if i > at and type(later.effect) is type(trial.effect) and later.effect.place == trial.effect.place:
             return f"added later, as no. {i + 1}"

@@ -1,0 +1,316 @@
+"""Closing the loop, whatever was measured: add what explains most, fit again, take out what that made needless, and go round.
+
+A `Residual` is one kind of data: it fits models to them, tries what may be missing, and says what each trial is worth. The loop
+before it decides what is added, alone or in pairs, what goes again, and what takes another's place; no model is visited twice.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Generic, TypeVar
+
+from rx90b_flex.diagnose.trial import Trial
+from rx90b_flex.effects import Effect
+
+TRIES = 3  # candidates of a round that are added for a trial at the most
+
+Progress = Callable[[str, float], None]
+ModelT = TypeVar("ModelT")
+TrialT = TypeVar("TrialT", bound=Trial)
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Candidates of a round that are tried together; those of the next only where none of them is added.
+
+    Attributes
+    ----------
+    kinds : callable
+        Which types of effect are tried.
+    in_pairs : bool
+        Whether two of which none is sure alone are tried together.
+    told : bool
+        Whether what it refused is kept.
+    """
+
+    kinds: Callable[[type[Effect]], bool] = lambda kind: True
+    in_pairs: bool = True
+    told: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Addition(Generic[TrialT]):
+    """One addition: the trial that won, what it beat, and the errors before and after it (`Residual.errors_of`)."""
+
+    trial: TrialT
+    rivals: tuple[TrialT, ...]
+    before: Any
+    after: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Standing(Generic[ModelT, TrialT]):
+    """Where the loop stands: a model, what was added to it, and what a round that added nothing refused."""
+
+    model: ModelT
+    steps: tuple[Addition[TrialT], ...] = ()
+    refused: tuple[TrialT, ...] = ()
+
+
+class Residual(ABC, Generic[ModelT, TrialT]):
+    """One kind of data that models are held against.
+
+    A model is whatever its `declared` and `joined` return; the loop does not look into it.
+    """
+
+    @abstractmethod
+    def declared(self) -> ModelT:
+        """The model with nothing added, fitted."""
+
+    @abstractmethod
+    def signature(self, model: ModelT, trial: TrialT | None = None) -> Hashable:
+        """What tells a model, or one with a trial's candidate beside it, from others."""
+
+    @abstractmethod
+    def candidates(self, standing: Standing[ModelT, TrialT]) -> Sequence[Candidates]:
+        """What a round tries, one after the other; none where nothing is left to look for."""
+
+    @abstractmethod
+    def trials(self, model: ModelT, some: Candidates, told: Callable[[float], None]) -> list[TrialT]:
+        """Every one of some candidates, tried beside a model; best first."""
+
+    def choose(self, trials: Sequence[TrialT]) -> TrialT | None:
+        """Which one to add; None where none is accepted."""
+        return next((t for t in trials if t.accepted), None)
+
+    @abstractmethod
+    def joined(self, model: ModelT, trial: TrialT) -> ModelT:
+        """The model with a trial's candidate, all fitted again."""
+
+    def settled(self, model: ModelT) -> ModelT:
+        """A model that is kept, where its fit is then brought further than that of one which is only tried."""
+        return model
+
+    def refit(self, model: ModelT, trial: TrialT) -> tuple[ModelT | None, TrialT]:
+        """The settled model with a trial's candidate, None where that does not help; and the trial, which may fall with it."""
+        return self.settled(self.joined(model, trial)), trial
+
+    def errors_of(self, model: ModelT) -> Any:
+        """A model's errors, which are kept with every addition; the models themselves are too large for that."""
+        return None
+
+    def findings(self, trial: TrialT) -> list[TrialT]:
+        """What an added trial counts as: one addition, those of a family, or none."""
+        return [trial]
+
+    @abstractmethod
+    def holds(self, model: ModelT, trial: TrialT) -> bool:
+        """Whether what a trial added is still in a model."""
+
+    def spoils(self, new: ModelT, old: ModelT) -> bool:
+        """Whether a model does worse than the one that the round began with."""
+        return False
+
+    @abstractmethod
+    def hopeful(self, trials: Sequence[TrialT]) -> list[TrialT]:
+        """Trials that are not sure alone and worth company."""
+
+    @abstractmethod
+    def companion(self, half: ModelT, first: TrialT, beside: Sequence[TrialT]) -> TrialT | None:
+        """Of what was tried beside the first of two, the one with which both are sure."""
+
+    @abstractmethod
+    def worth(self, model: ModelT, trial: TrialT) -> TrialT:
+        """The trial of adding what a model holds to the same model without it."""
+
+    @abstractmethod
+    def needless(self, standing: Standing[ModelT, TrialT], latest: int) -> Addition[TrialT] | None:
+        """An addition that the model can do without, after the latest so many; None where there is none."""
+
+    @abstractmethod
+    def without(self, model: ModelT, trial: TrialT) -> tuple[ModelT, list[TrialT]]:
+        """The model without what a trial added, and the trials of what that stood in for, where it is a finding by itself."""
+
+    @abstractmethod
+    def instead(self, model: ModelT, step: Addition[TrialT]) -> tuple[TrialT, ModelT] | None:
+        """What explains more in an addition's place, now that everything else is in the model, and the model with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClosingLoop(Generic[ModelT, TrialT]):
+    """The loop before a residual.
+
+    Attributes
+    ----------
+    residual : Residual
+    tell : callable
+        Called with a message and a fraction.
+    most : int
+        Candidates that are added at the most.
+    """
+
+    residual: Residual[ModelT, TrialT]
+    tell: Progress
+    most: int
+    visited: set[Hashable] = dataclasses.field(default_factory=set)
+
+    @cached_property
+    def declared(self) -> ModelT:
+        """The model with nothing added."""
+        return self.residual.declared()
+
+    def run(self) -> Standing[ModelT, TrialT]:
+        """Add until nothing more passes, then give what was added its look-alikes' places where these explain more."""
+        standing: Standing[ModelT, TrialT] = Standing(self.declared)
+        self.visited.add(self.residual.signature(standing.model))
+        while len(standing.steps) < self.most and len(self.visited) < 2 * self.most:
+            before, standing = standing, self._round(standing)
+            if standing.model is before.model:
+                break
+            self.visited.add(self.residual.signature(standing.model))
+        swapped = self._swapped(standing)
+        return standing if swapped is standing else self._pruned(swapped, 0)
+
+    def _new(self, model: ModelT) -> bool:
+        return self.residual.signature(model) not in self.visited
+
+    def _round(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
+        """With one addition, or two that are sure together; else with what was refused."""
+        refused: list[TrialT] = []
+        done, number = _done(standing), len(standing.steps) + 1
+        for some in self.residual.candidates(standing):
+            trials = self.residual.trials(standing.model, some, partial(self._tell_part, number, done))
+            more = self._one_more(standing, trials)
+            if more is None and some.in_pairs:
+                more = self._two_together(standing, trials, some)
+            if more is not None:
+                return more
+            refused += trials if some.told else []
+        return dataclasses.replace(standing, refused=tuple(refused))
+
+    def _tell_part(self, number: int, done: float, fraction: float) -> None:
+        self.tell(f"trying what may be missing, round {number}", done + 0.15 * (0.9 - done) * fraction)
+
+    def _one_more(self, standing: Standing[ModelT, TrialT], trials: list[TrialT]) -> Standing[ModelT, TrialT] | None:
+        """With the best addition that still helps once everything is fitted again; None where none does.
+
+        One that falls with the fit stays among the `trials`, with that as its objection.
+        """
+        left = list(trials)
+        for _ in range(TRIES):
+            best = self.residual.choose(left)
+            if best is None:
+                return None
+            left.remove(best)
+            if self.residual.signature(standing.model, best) in self.visited:
+                continue
+            alike = f" and {len(best.members) - 1} alike" if best.members else ""
+            self.tell(f"adding {best.label}{alike}", _done(standing))
+            model, trials[trials.index(best)] = self.residual.refit(standing.model, best)
+            if model is None:
+                continue
+            rivals = _others(trials, best)
+            errors = [self.residual.errors_of(m) for m in (standing.model, model)]
+            steps = [Addition(t, rivals, *errors) for t in self.residual.findings(best)]
+            more = self._added(standing, model, steps, len(steps))
+            if more is not None:
+                return more
+        return None
+
+    def _two_together(
+        self, standing: Standing[ModelT, TrialT], trials: Sequence[TrialT], some: Candidates
+    ) -> Standing[ModelT, TrialT] | None:
+        """Two additions of which none is sure alone, each in the other's residual; None where no two are sure together."""
+        residual = self.residual
+        for first in residual.hopeful(trials):
+            self.tell(f"trying what goes with {first.label}", _done(standing))
+            half = residual.joined(standing.model, first)
+            beside = residual.trials(half, some, lambda part: None)
+            second = residual.companion(half, first, beside)
+            if second is None:
+                continue
+            whole = residual.settled(residual.joined(half, second))
+            again = residual.worth(whole, first)
+            if not again.accepted:
+                continue
+            before, between, after = (residual.errors_of(m) for m in (standing.model, half, whole))
+            new = [
+                Addition(again, _others(trials, first), before, between),
+                Addition(second, _others(beside, second), between, after),
+            ]
+            more = self._added(standing, whole, new, latest=1)
+            if more is not None and all(residual.holds(more.model, s.trial) for s in new):
+                return more
+        return None
+
+    def _added(
+        self, standing: Standing[ModelT, TrialT], model: ModelT, new: Sequence[Addition[TrialT]], latest: int
+    ) -> Standing[ModelT, TrialT] | None:
+        """With new steps, less what they made needless or stand in for; None where that is no new model, or a worse one."""
+        kept = [s for s in standing.steps if self.residual.holds(model, s.trial)]
+        more = self._pruned(Standing(model, (*kept, *new)), latest)
+        return more if self._new(more.model) and not self.residual.spoils(more.model, standing.model) else None
+
+    def _pruned(self, standing: Standing[ModelT, TrialT], latest: int) -> Standing[ModelT, TrialT]:
+        """Take out what the latest additions made needless, and those of a family that turn out not to belong to it."""
+        step = self.residual.needless(standing, latest)
+        if step is None:
+            return standing
+        self.tell(f"taking out {step.trial.label}", _done(standing))
+        model, back = self.residual.without(standing.model, step.trial)
+        at = standing.steps.index(step)
+        restored = [dataclasses.replace(step, trial=t) for t in back]
+        kept = [*standing.steps[:at], *restored, *standing.steps[at + 1 :]]
+        if not kept:
+            return standing
+        kept[-1] = dataclasses.replace(kept[-1], after=self.residual.errors_of(model))
+        newest = at >= len(standing.steps) - latest
+        return self._pruned(Standing(model, tuple(kept)), max(1, latest - newest))
+
+    def _swapped(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
+        """Give an addition its look-alike's name where that explains more, now that everything else is in the model."""
+        for at, step in enumerate(standing.steps):
+            better = self.residual.instead(standing.model, step)
+            if better is None:
+                continue
+            rival, model = better
+            self.tell(f"{rival.label} in place of {step.trial.label}", 0.92)
+            # the loser is a rival from now on
+            rivals = (step.trial, *(t for t in step.rivals if t.label != rival.label))
+            steps = list(standing.steps)
+            steps[at] = dataclasses.replace(step, trial=rival, rivals=rivals)
+            steps[-1] = dataclasses.replace(steps[-1], after=self.residual.errors_of(model))
+            return self._swapped(Standing(model, tuple(steps), standing.refused))
+        return standing
+
+
+def _done(standing: Standing[ModelT, TrialT]) -> float:
+    """Part of the way: how many rounds there will be is not known before."""
+    return 0.1 + 0.8 * (1.0 - 0.8 ** len(standing.steps))
+
+
+def _others(trials: Sequence[TrialT], won: TrialT) -> tuple[TrialT, ...]:
+    """Single trials that lost to one, or to those of a family."""
+    parts = won.members or (won,)
+    return tuple(t for t in trials if not t.members and t not in parts)
+
+
+def verdict(found: bool, left: bool, carries: bool = True) -> str:
+    """``nothing_missing``, ``explained``, ``partly_explained`` or ``unexplained``.
+
+    Parameters
+    ----------
+    found : bool
+        Whether anything was added.
+    left : bool
+        Whether more is left than errors that are known of.
+    carries : bool
+        Whether what was added helps on data that were not fitted.
+    """
+    if not found:
+        return "unexplained" if left else "nothing_missing"
+    return "explained" if carries and not left else "partly_explained"

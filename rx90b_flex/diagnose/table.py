@@ -1,0 +1,75 @@
+"""Tables of numbers with independent normal errors: the residual that asks least of a new kind of data."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, LikelihoodResidual, State
+from rx90b_flex.effects.motion import Array
+
+ERRORS = np.geomspace(1e-5, 3.0, 61)  # model errors that are weighed
+
+
+class TableResidual(LikelihoodResidual):
+    """Measured numbers less those that a model predicts.
+
+    A kind of table gives `changes` and `predict`.
+
+    Parameters
+    ----------
+    measured, std : array, shape (m,)
+        The numbers and their standard deviations, in one unit or each in its own.
+    model_error : float
+        Part of each number that is always allowed for beside its standard deviation.
+
+    Raises
+    ------
+    ValueError
+        Arrays of other shapes, standard deviations or a model error not above 0.
+    """
+
+    def __init__(self, measured: Array, std: Array, model_error: float = 1e-3) -> None:
+        self.measured, self.std = np.asarray(measured, dtype=float), np.asarray(std, dtype=float)
+        if self.measured.ndim != 1 or self.std.shape != self.measured.shape:
+            raise ValueError(f"measured has shape {self.measured.shape}, std {self.std.shape}; expected (m,) of both")
+        if not (np.isfinite(self.measured).all() and (self.std > 0).all() and model_error > 0):
+            raise ValueError("expected finite numbers, standard deviations above 0 and a model_error above 0")
+        self.smallest_error = model_error
+
+    @abstractmethod
+    def predict(self, changes: tuple[Change, ...], x: Array) -> tuple[Array, Array]:
+        """What a model with changes gives, (m,), and its slopes by x, (m, p); x: logarithms of their parameters, in order."""
+
+    @property
+    def size(self) -> float:
+        return float(len(self.measured))
+
+    def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
+        predicted, slopes = self.predict(changes, x)
+        left, variance = self.measured - predicted, self._variance(max(model_error, self.smallest_error))
+        deviance = float((np.log(2.0 * np.pi * variance) + left**2 / variance).sum())
+        weighted = slopes / variance[:, None]
+        of_each = self._variances
+        likely = np.argmin((np.log(of_each) + left**2 / of_each).sum(axis=1))
+        return State(deviance, -weighted.T @ left, weighted.T @ slopes, float(self._errors[likely]))
+
+    def chance(self, fit: LikelihoodFit) -> float:
+        left = self.measured - self.predict((*self.nuisance, *fit.changes), fit.x)[0]
+        squares = float((left**2 / self._variance(self.smallest_error)).sum())
+        return float(stats.chi2.sf(squares, max(len(left) - len(fit.x), 1)))
+
+    def _variance(self, error: float) -> Array:
+        return self.std**2 + (error * self.measured) ** 2
+
+    @cached_property
+    def _errors(self) -> Array:
+        return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
+
+    @cached_property
+    def _variances(self) -> Array:
+        """At every model error, (E, m)."""
+        return np.stack([self._variance(e) for e in self._errors])

@@ -1,0 +1,329 @@
+"""Torques over time: the residual of a campaign's recordings, and how a model of them is fitted and judged."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.identified import with_possible_values
+from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
+from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
+from rx90b_flex.diagnose.reversals import trust
+from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
+from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
+from rx90b_flex.effects import Effect, Sites
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.least_squares import Identification, identify
+from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.robot import Robot
+from rx90b_flex.signals import Campaign, Recording
+
+MOST_EFFECTS = 24  # a loop that adds more than this explains noise
+AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
+WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
+MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
+PAIRS = 3  # such effects that are tried with company
+TRUST_ROUNDS = 2  # fits after which the trust in rows near reversals is kept until the next effect
+SAME_TRUST = 0.05  # a change of factors below this is not worth a fit
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueData:
+    """A campaign's recordings in the two forms that the loop needs: to fit, and to replay."""
+
+    regression: Regression
+    identification: tuple[ReplayedTorques, ...]
+    validation: tuple[ReplayedTorques, ...]
+
+    @staticmethod
+    def of(robot: Robot, campaign: Campaign) -> TorqueData:
+        regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz)
+
+        def replays(recordings: Sequence[Recording]) -> tuple[ReplayedTorques, ...]:
+            rigid = regression.robot
+            return tuple(ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings)
+
+        return TorqueData(regression, replays(campaign.identification), replays(campaign.validation))
+
+    def errors(self, model: Identification) -> RoleErrors:
+        """Of the robot that is written: with values that a robot can have."""
+        return self.fitted_errors(with_possible_values(model))
+
+    def fitted_errors(self, model: Identification) -> RoleErrors:
+        """With the values as they are."""
+        return RoleErrors(self._errors(self.validation, model), self._errors(self.identification, model))
+
+    def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
+        """Of the torque, from what a model leaves: what does not repeat with the motion, but with a clock, is no noise."""
+        repeating = [r for r in self.identification if r.recording.period_s is not None]
+        return noise_floor(repeating, [r.torque - predict(r, model) for r in repeating], campaign)
+
+    def _errors(self, replays: Sequence[ReplayedTorques], model: Identification) -> Errors:
+        return Errors.of([r.torque for r in replays], [predict(r, model) for r in replays])
+
+
+def predict(replay: ReplayedTorques, model: Identification) -> Array:
+    """Torque of an identified model on a recording, shape (N, joints), N m."""
+    return replay.predict(model.effects, model.link_parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueModel:
+    """An identified model, and its errors on all recordings."""
+
+    identified: Identification
+    data: TorqueData
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        return tuple(self.identified.effects)
+
+    @cached_property
+    def errors(self) -> RoleErrors:
+        """Of the robot that is written."""
+        return self.data.errors(self.identified)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
+    """Measured torques less those of an identified model.
+
+    Attributes
+    ----------
+    data : TorqueData
+    campaign : Campaign
+    sites : Sites
+        Where effects can be.
+    fit_links : bool
+        Whether the links' inertial parameters are fitted, too.
+    gains : frozenset of str
+        Joints whose torque has another gain, as the look at the data found.
+    """
+
+    data: TorqueData
+    campaign: Campaign
+    sites: Sites
+    fit_links: bool
+    gains: frozenset[str] = frozenset()
+
+    def declared(self) -> TorqueModel:
+        regression = self.data.regression
+        model = identify(regression, regression.robot.effects, fit_links=self.fit_links)
+        return TorqueModel(trusting(regression, model), self.data)
+
+    def signature(self, model: TorqueModel, trial: TorqueTrial | None = None) -> Hashable:
+        """Types and places; of effects that may stand twice in one place, the shapes too, to a tenth."""
+        return frozenset((e.type_name(), e.place, _rounded(e)) for e in _with(model, trial.effects if trial else ()))
+
+    def candidates(self, standing: Standing[TorqueModel, TorqueTrial]) -> Sequence[Candidates]:
+        if standing.steps and self._at_floor(standing.model):
+            return (Candidates(beside_motion, in_pairs=False, told=False),)
+        return Candidates(laws), Candidates(last_resorts, in_pairs=False)
+
+    def trials(self, model: TorqueModel, some: Candidates, told: Callable[[float], None]) -> list[TorqueTrial]:
+        return self.search(model, some.kinds).run(told)
+
+    def search(self, model: TorqueModel, kinds: Callable[[type[Effect]], bool] = laws) -> Search:
+        """Everything that could be missing from a model."""
+        return Search(model.identified, self.sites, kinds)
+
+    def choose(self, trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
+        # first the data: of torques with another gain only the ratio shows, and the look at the data says whose it is
+        gains = [t for t in trials if t.effect.multiplies and set(t.effect.joints) <= self.gains]
+        return choose(gains) or choose(trials)
+
+    def joined(self, model: TorqueModel, trial: TorqueTrial) -> TorqueModel:
+        return self._identified(_with(model, trial.effects), model, trial.effects)
+
+    def settled(self, model: TorqueModel) -> TorqueModel:
+        return TorqueModel(trusting(self.data.regression, model.identified), self.data)
+
+    def refit(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel | None, TorqueTrial]:
+        new = self.joined(model, trial)
+        helps = new.identified.relative_error < model.identified.relative_error or _weighted_better(new, model)
+        if not helps or not all(_physical(find(new, e)) for e in trial.effects):
+            return None, trial  # fitted with all the rest, it has values that it cannot have
+        new = self.settled(new)
+        ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
+        if ends:
+            return None, dataclasses.replace(trial, lawful=False, objection=ends[0])
+        if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
+            return None, trial  # it helps where rows count, and spoils more where they do not
+        return new, trial
+
+    def errors_of(self, model: TorqueModel) -> RoleErrors:
+        return model.errors
+
+    def findings(self, trial: TorqueTrial) -> list[TorqueTrial]:
+        """A family's members, of which was asked together what was asked of it; a declared effect that was left out for a while
+        is none.
+        """
+        told = [dataclasses.replace(t, p_value=min(t.p_value, trial.p_value)) for t in trial.members or (trial,)]
+        return [t for t in told if t.label not in self._declared]
+
+    def holds(self, model: TorqueModel, trial: TorqueTrial) -> bool:
+        return any(type(e) is type(trial.effect) and e.place == trial.effect.place for e in model.effects)
+
+    def spoils(self, new: TorqueModel, old: TorqueModel) -> bool:
+        """On the recordings that were fitted, every row counted, by more than chance would explain."""
+        after, before = (m.errors.identification.relative_error for m in (new, old))
+        return after > WORSE * before
+
+    def hopeful(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
+        """Where a lawful effect explains much, what keeps it from being sure is no noise."""
+        return [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
+
+    def companion(self, half: TorqueModel, first: TorqueTrial, beside: Sequence[TorqueTrial]) -> TorqueTrial | None:
+        second = choose(self._new(beside))
+        # as many pairs might have been tried as there are trials
+        if second is None or second.p_value * self.search(half).tests > SIGNIFICANCE:
+            return None
+        stands_in = len(added([first.effect], second.effect)) < 2
+        return None if stands_in else second
+
+    def worth(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial:
+        return self.search(model).without(find(model, trial.effect))
+
+    def needless(self, standing: Standing[TorqueModel, TorqueTrial], latest: int) -> Addition[TorqueTrial] | None:
+        """The first of those before the latest; of several latest also one that does not belong to their family.
+
+        A curve of no known law makes nothing needless that has a name.
+        """
+        steps = standing.steps
+        older = len(steps) - latest
+        if any(s.trial.effect.last_resort for s in steps[older:]):
+            return None
+        search = self.search(standing.model)
+        for i, step in enumerate(steps):
+            newest = i >= older
+            if newest and latest == 1:
+                continue
+            worth = search.without(find(standing.model, step.trial.effect))
+            if not (worth.accepted or (newest and worth.belongs(search.tests))):
+                return step
+        return None
+
+    def without(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel, list[TorqueTrial]]:
+        search, effect = self.search(model), find(model, trial.effect)
+        less = self._identified(search.present_without(effect), model)
+        names = {r.label for r in search.restored(effect)} - self._declared
+        back = []
+        for simpler in [e for e in less.effects if e.label in names]:
+            again = self.search(less).without(simpler)
+            if again.accepted:
+                back.append(again)
+            else:
+                less = self._identified([e for e in less.effects if e is not simpler], less)
+        return less, back
+
+    def instead(self, model: TorqueModel, step: Addition[TorqueTrial]) -> tuple[TorqueTrial, TorqueModel] | None:
+        better = [c for c in self.compared(model, step) if c.rival_wins]
+        if not better:
+            return None
+        best = min(better, key=lambda c: c.behind)
+        named = find(model, step.trial.effect)
+        effects = swapped(model.effects, named, best, self.search(model))
+        new = self._identified(effects, model, best.rival.effects)
+        return (best.rival, new) if _weighted_better(new, model) and not self.spoils(new, model) else None
+
+    def compared(self, model: TorqueModel, step: Addition[TorqueTrial]) -> list[Comparison]:
+        """An addition against each of its rivals that is worth it, in its place in a model."""
+        key = (model, step.trial)
+        if key not in self._comparisons:
+            named = find(model, step.trial.effect)
+            self._comparisons[key] = compared(self.search(model), named, step.trial, step.rivals)
+        return self._comparisons[key]
+
+    def alternatives(self, search: Search, model: TorqueModel, step: Addition[TorqueTrial]) -> tuple[Alternative, ...]:
+        """What the data cannot tell from an addition."""
+        return alternatives(search, find(model, step.trial.effect), self.compared(model, step))
+
+    @cached_property
+    def _comparisons(self) -> dict[tuple[TorqueModel, TorqueTrial], list[Comparison]]:
+        return {}
+
+    def _explains_nothing(self, effects: Sequence[Effect], new: RoleErrors, old: RoleErrors) -> bool:
+        """Whether every joint that effects touch does worse on the recordings that were fitted, every row counted."""
+        joints = self.campaign.joints
+        touched = {j for e in effects for j in e.joints} or set(joints)
+        pairs = zip(joints, new.identification.torque_rms, old.identification.torque_rms, strict=True)
+        return all(after > before for joint, after, before in pairs if joint in touched)
+
+    def _new(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
+        """Single effects that the robot does not declare."""
+        return [t for t in trials if not t.members and t.effect.label not in self._declared]
+
+    @property
+    def _declared(self) -> frozenset[str]:
+        return frozenset(e.label for e in self.data.regression.robot.effects)
+
+    def _identified(self, effects: Sequence[Effect], start: TorqueModel, new: Sequence[Effect] = ()) -> TorqueModel:
+        """With the rows weighted as they are in the model to compare with.
+
+        A declared effect that goes beyond what it can be beside `new` ones is not there: the shapes are fitted again without it.
+        """
+        regression = self.data.regression.trusting(start.identified.regression.trust)
+
+        def fitted(effects: Sequence[Effect], start: TorqueModel) -> TorqueModel:
+            model = identify(regression, effects, fit_links=self.fit_links, start=start.identified)
+            return TorqueModel(model, self.data)
+
+        model = fitted(effects, start)
+        gone = [e for e in model.identified.impossible() if e.label in self._declared - {n.label for n in new}]
+        if not gone:
+            return model
+        other = fitted([e for e in model.effects if e not in gone], model)
+        after, before = (m.errors.identification.relative_error for m in (other, model))
+        return other if after < before else model
+
+    def _at_floor(self, model: TorqueModel) -> bool:
+        floor = self.data.noise_floor(model.identified, self.campaign)
+        if floor is None:
+            return False
+        return bool((np.array(model.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
+
+
+def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:
+    effects = model.effects
+    for effect in new:
+        effects = added(effects, effect)
+    return effects
+
+
+def _rounded(effect: Effect) -> tuple[int, ...]:
+    """Logarithms of the shapes in tenths, where an effect may stand twice in one place."""
+    logs = np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)) if effect.repeats else np.zeros(0)
+    return tuple(logs.astype(int).tolist())
+
+
+def trusting(regression: Regression, model: Identification) -> Identification:
+    """The same model fitted with the trust that it has in each row, which its smaller residual may change once more."""
+    for _ in range(TRUST_ROUNDS):
+        known = trust(regression, model)
+        before = model.regression.trust
+        if np.abs(known - (1.0 if before is None else before)).max() < SAME_TRUST:
+            break
+        model = identify(regression.trusting(known), model.effects, fit_links=model.links_fitted, start=model)
+    return model
+
+
+def _weighted_better(new: TorqueModel, old: TorqueModel) -> bool:
+    """Whether the log-likelihood of white residuals grew: one joint may gain what another does not lose."""
+    return bool(np.log(new.identified.solution.sigma).sum() < np.log(old.identified.solution.sigma).sum() - 1e-6)
+
+
+def _physical(effect: Effect) -> bool:
+    """Whether every single value that a robot file would hold lies above its lower bound."""
+    values = ((getattr(effect, p.attribute), p.lower) for p in effect.parameters().values())
+    return all(x is None or bool((np.atleast_1d(x) >= low).all()) for x, low in values)
+
+
+def find(model: TorqueModel, like: Effect) -> Effect:
+    """The identified form of an effect that was added: same type and place, nearest shape."""
+    same = [e for e in model.effects if type(e) is type(like) and e.place == like.place]
+    return min(same, key=lambda e: float(np.abs(e.shape - like.shape).sum()) if len(e.shape) else 0.0)
