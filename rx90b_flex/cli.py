@@ -310,7 +310,7 @@ def frf(
         raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
     read = read_campaign(campaign)
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
-    from rx90b_flex.view.frf_report import bias_words, write_frf_report
+    from rx90b_flex.view.frf_report import bias_words, delay_words, write_frf_report
 
     options = FrfOptions(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
@@ -331,6 +331,8 @@ def frf(
         show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
         if best.bias_detected:
             say(f"Note: {bias_words(best)}")
+        for text in delay_words(best.torque_delay):
+            say(text)
     for remark in result.remarks:
         say(f"Note: {remark}")
     for left in result.left_out:

@@ -42,6 +42,7 @@ from rx90b_flex.diagnose.response import ResponseResidual, load_frequency_respon
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.grey_box import Delay
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
@@ -333,6 +334,12 @@ class ResponseLoop(FlexibleLoop):
     held_out_before: tuple[ResponseErrors, ...]
     held_out_after: tuple[ResponseErrors, ...]
 
+    @property
+    def torque_delay(self) -> Delay:
+        """By how much torques were logged late against angles; fitted with every model, and no finding."""
+        assert isinstance(self.residual, ResponseResidual)
+        return self.residual.torque_delay(self.result.after)
+
 
 def close_response(
     responses: FrequencyResponse | Sequence[FrequencyResponse],
@@ -347,7 +354,8 @@ def close_response(
 ) -> ResponseLoop:
     """Find what a robot lacks to have measured frequency responses.
 
-    Friction is one viscous slope a joint, and all dampings share a factor; both are fitted with every model. Each response is held
+    Friction is one viscous slope a joint, each declared hinge has a damping of its own beside its stiffness, and torques may be
+    logged late against angles: all three are fitted with every model. Each response is held
     against the robot at its mean pose: what a motion through several poses does to it is part of the model error.
 
     Parameters
@@ -540,6 +548,7 @@ def response_json(loop: ResponseLoop) -> dict[str, Any]:
         **_shared_json(loop),
         "before": errors(loop.errors_before, loop.held_out_before, result.before, result.chance_before),
         "after": errors(loop.errors_after, loop.held_out_after, result.after, result.chance_after),
+        "torque_delay": {**dataclasses.asdict(loop.torque_delay), "unit": "s"},
         "responses": [
             {
                 "pose_rad": r.pose.tolist(),

@@ -604,6 +604,9 @@ def _grey_json(result: MotorIdentification, grey: GreyBox) -> dict[str, Any]:
             }
             for e in grey.estimates
         },
+        "torque_delay": None
+        if grey.torque_delay is None
+        else _quantity(grey.torque_delay.value, grey.torque_delay.std, "s"),
         "vague_directions": [{"relative_std": d.relative_std, "parts": dict(d.parts)} for d in grey.directions],
         "cost": grey.cost,
         "expected_cost": grey.expected_cost,

@@ -27,7 +27,7 @@ from rx90b_flex.effects.friction import ViscousFriction, friction_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
-from rx90b_flex.identify.grey_box import SLOPE, GreyBox, Progress, grey_box, response_derivatives
+from rx90b_flex.identify.grey_box import SLOPE, GreyBox, Progress, grey_box, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
 from rx90b_flex.simulate import CS8, Trajectory
@@ -260,17 +260,26 @@ def grey_box_by_replay(
     for number in range(rounds):
         tell(f"replay {number + 1} of {rounds}", number / rounds)
         fitted = _with_friction(grey.robot, joints, friction)
-        simulated = _simulated([(r, fitted) for r in replays], jobs)
+        delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
+        # what was simulated is logged together: it is made as late as the measured torques are
+        shifts = [late(m.hz, delay) for m in measured]
+        together = _simulated([(r, fitted) for r in replays], jobs)
+        simulated = [s * x for s, x in zip(together, shifts, strict=True)]
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
-                by_friction = _friction_derivatives(replays, fitted, friction, simulated, jobs)
+                by_friction = _friction_derivatives(replays, fitted, friction, together, jobs)
             linear = [
-                response_derivatives(fitted, joints, q, slopes, m.hz) for q, m in zip(poses, measured, strict=True)
+                _linear_changes(fitted, joints, q, slopes, m.hz) * x
+                for q, m, x in zip(poses, measured, shifts, strict=True)
             ]
-            step, std = _friction_step(measured, simulated, by_friction, linear)
-            simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, by_friction, strict=True)]
+            changes = [by * x for by, x in zip(by_friction, shifts, strict=True)]
+            step, std = _friction_step(measured, simulated, changes, linear)
+            simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
             friction, std = friction * (1.0 + step), friction * std
-        lines = [linear_response(fitted, joints, q, slopes, m.hz) for q, m in zip(poses, measured, strict=True)]
+        lines = [
+            linear_response(fitted, joints, q, slopes, m.hz) * x
+            for q, m, x in zip(poses, measured, shifts, strict=True)
+        ]
         found = [_response(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
         start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
         start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
@@ -304,6 +313,14 @@ def grey_box_by_replay(
     return ReplayedGreyBox(
         grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
     )
+
+
+def _linear_changes(
+    robot: Robot, joints: Sequence[str], pose: Array, slopes: dict[str, float], hz: Array
+) -> ComplexArray:
+    """Derivatives of L by linear parameters and, last, by a delay of so many milliseconds, (p + 1, F, n, n)."""
+    by_delay = 2e-3j * np.pi * hz[:, None, None] * linear_response(robot, joints, pose, slopes, hz)
+    return np.concatenate([response_derivatives(robot, joints, pose, slopes, hz), by_delay[None]])
 
 
 def _settled(before: GreyBox, now: GreyBox) -> bool:
