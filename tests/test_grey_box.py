@@ -131,6 +131,19 @@ def test_torques_logged_late_are_told_as_that_and_move_nothing_else(delay):
     assert bool(delay) == trusted.bias_detected
 
 
+def test_a_bias_that_is_known_of_is_part_of_the_intervals_and_of_the_covariance():
+    grey = grey_box(robot(), response(robot(), BENT, 0.03), starts=0, **EXACT)
+    off = {"joint_1.drive_stiffness": 0.2, "joint_2.drive_inertia": -0.1}
+    doubted = grey.doubted(off)
+    for was, now in zip(grey.estimates, doubted.estimates, strict=True):
+        assert now.value == was.value
+        assert now.std / now.value == pytest.approx(np.hypot(was.std / was.value, off.get(now.name, 0.0)), rel=1e-12)
+        assert now.low <= was.low * (1 + 1e-12) and now.high >= was.high * (1 - 1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(doubted.covariance)), [e.std / e.value for e in doubted.estimates], rtol=1e-9
+    )
+
+
 def test_starts_half_off_end_in_one_minimum():
     true = robot()
     data = response(true, BENT, 0.03, np.random.default_rng(0))

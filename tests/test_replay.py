@@ -12,7 +12,7 @@ from scipy.signal import resample
 
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
-from rx90b_flex.identify.grey_box import response_derivatives
+from rx90b_flex.identify.grey_box import GreyBox, grey_box, response_derivatives
 from rx90b_flex.identify.replay import (
     Replay,
     _friction_derivatives,
@@ -20,7 +20,9 @@ from rx90b_flex.identify.replay import (
     _frictions,
     _response,
     _with_friction,
+    grey_box_by_replay,
     linear_response,
+    shifts_between,
 )
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.robot import Robot, load_robot
@@ -103,6 +105,27 @@ def test_wrong_friction_is_found_from_the_distortion(replay: Replay) -> None:
     assert error[2:].max() < 0.1 / 8.0
     assert (error[:2] < 0.1).all()  # joint 1 hardly vibrates: its friction shows little, but comes nearer
     assert (std > 0).all()
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_measured_and_by_replay(replay: Replay, measured: MeasuredResponse) -> None:
+    """Friction's bias that the replay tells of is in the intervals of the fit that still has it."""
+    robot = load_robot("rx90b_3dof")
+    pose = np.array([0.0, 0.5 * np.pi, 0.0])
+    first = grey_box(robot, dataclasses.replace(measured, pose=pose), starts=0, bending_alike_std=0.1)
+    found = grey_box_by_replay(robot, first, replay, rounds=2, fit_friction=False, bending_alike_std=0.1)
+    told = first.doubted(shifts_between(first, found.grey))
+
+    def inside(grey: GreyBox) -> float:
+        # declared values are the truth
+        own = [e for e in grey.estimates if "slope" not in e.name]
+        return float(np.mean([e.low <= e.start <= e.high for e in own]))
+
+    # of 21 that depend on each other, at least 17: a share of 0.8
+    assert inside(told) >= max(inside(first), 0.8)
+    assert inside(found.grey) >= 0.8
+    assert found.grey.torque_delay is not None
+    assert abs(found.grey.torque_delay.value) < max(4.0 * found.grey.torque_delay.std, 1e-5)
 
 
 def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:

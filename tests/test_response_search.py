@@ -186,6 +186,10 @@ def test_a_result_of_the_frf_command_is_read(tmp_path):
     one = {key: table.pop(key) for key in ("pose_rad", "frequency_response")}
     (tmp_path / "frf.json").write_text(json.dumps({**table, "poses": [one, one]}))
     assert len(load_frequency_responses(tmp_path)[0]) == 2
+    less = {**one["frequency_response"], "real": (2.0 * response.value.real).tolist()}
+    (tmp_path / "frf.json").write_text(json.dumps({**table, "poses": [{**one, "replayed_response": less}]}))
+    (replayed,), _ = load_frequency_responses(tmp_path)
+    np.testing.assert_array_equal(replayed.value.real, 2.0 * response.value.real)
     table = {**table, **one}
     del table["frequency_response"]["std"]
     (tmp_path / "frf.json").write_text(json.dumps(table))

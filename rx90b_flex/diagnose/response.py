@@ -251,6 +251,8 @@ def _lines(response: FrequencyResponse, kept: Any) -> FrequencyResponse:
 def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[FrequencyResponse, ...], str]:
     """The responses in a folder of ``rx90b-flex frf``, one a pose, with independent errors of their entries; and the robot's name.
 
+    Where the experiments were replayed, those without the distortion that this explains.
+
     Raises
     ------
     ValueError
@@ -271,7 +273,7 @@ def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[Freq
 
 
 def _read(pose: dict[str, Any], joints: tuple[str, ...]) -> FrequencyResponse:
-    measured = pose["frequency_response"]
+    measured = pose.get("replayed_response") or pose["frequency_response"]
     hz, std = np.array(measured["hz"], dtype=float), np.array(measured["std"], dtype=float)
     value = np.array(measured["real"], dtype=float) + 1j * np.array(measured["imag"], dtype=float)
     variance = std.reshape(len(hz), -1) ** 2

@@ -27,7 +27,7 @@ from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyRespon
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
 from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box, poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
-from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay
+from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
@@ -245,6 +245,8 @@ def identify_from_motors(
         replayed = stages.run(
             "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
         )
+    if grey is not None and replayed is not None:
+        grey = grey.doubted(shifts_between(grey, replayed.grey))  # a bias that is known of and still in it
     return MotorIdentification(
         campaign.path, robot, options, tuple(poses), grey, fitted if grey is not None else (), replayed,
         tuple(stages.left_out), tuple(remarks), stages.seconds,
@@ -484,7 +486,8 @@ def _start(robot: Robot, found: Sequence[DriveIdentification]) -> dict[str, floa
 def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
-    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m.
+    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m;
+    ``replayed_response`` the same without the distortion that the replay explains, null without one.
     ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
     was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
     it. ``grey_box`` is fitted to the responses as measured, ``replay`` to them without the distortion that the replay explains.
@@ -504,10 +507,11 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
                 "pose_rad": p.pose.tolist(),
                 "recordings": [r.name for r in p.recordings],
                 "frequency_response": _response_json(p.measured),
+                "replayed_response": _replayed_json(result, k),
                 "transfer_functions": _transfer_json(p.transfer, p.validation),
                 "drives": _drives_json(p.drives),
             }
-            for p in result.poses
+            for k, p in enumerate(result.poses)
         ],
         "grey_box": None if result.grey is None else _grey_json(result, result.grey),
         "replay": None if result.replayed is None else _replay_json(result, result.replayed),
@@ -533,6 +537,21 @@ def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
         "realisations": len(measured.realisations),
         "periods": measured.periods,
         "experiments": int(measured.torque.shape[2]),
+    }
+
+
+def _replayed_json(result: MotorIdentification, place: int) -> dict[str, Any] | None:
+    """A pose's response without the distortion that the replay explains."""
+    if result.replayed is None or place not in result.fitted:
+        return None
+    plain = result.replayed.responses[result.fitted.index(place)]
+    return {
+        "joints": list(plain.joints),
+        "hz": plain.hz.tolist(),
+        "real": plain.value.real.tolist(),
+        "imag": plain.value.imag.tolist(),
+        "std": plain.std().tolist(),
+        "degrees_of_freedom": plain.degrees_of_freedom if np.isfinite(plain.degrees_of_freedom) else None,
     }
 
 

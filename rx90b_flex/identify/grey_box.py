@@ -747,6 +747,18 @@ class GreyBox(Showing):
                 return estimate
         raise ValueError(f"no parameter {name!r}; {close_match(name, [e.name for e in self.estimates])}")
 
+    def doubted(self, shifts: Mapping[str, float]) -> GreyBox:
+        """The same with a bias of the logarithms, by parameter, as one more error that all of them share."""
+        shift = np.array([shifts.get(e.name, 0.0) for e in self.estimates])
+        reach = float(stats.norm.ppf(0.975))
+        estimates = []
+        for e, own in zip(self.estimates, shift.tolist(), strict=True):
+            std = math.hypot(e.std / e.value, own)
+            low, high = (e.value * math.exp(sign * reach * std) for sign in (-1.0, 1.0))
+            estimates.append(dataclasses.replace(e, std=e.value * std, low=low, high=high))
+        free = shift[[e.std > 0.0 for e in self.estimates]]  # of fixed ones there is no covariance
+        return dataclasses.replace(self, estimates=tuple(estimates), covariance=self.covariance + np.outer(free, free))
+
     @property
     def bias_detected(self) -> bool:
         """Whether the residual is larger than noise and distortion explain."""

@@ -15,6 +15,7 @@ changes with m as long as it is wrong, which no linear parameter does.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -179,7 +180,8 @@ class ReplayedGreyBox:
     Attributes
     ----------
     grey : GreyBox
-        Its friction slopes belong to the viscous robot that stands for the response: `slopes` where friction is right.
+        Its friction slopes belong to the viscous robot that stands for the response: `slopes` where friction is right. What a
+        replay is not trusted with of the bias that it took out is part of the intervals.
     robot : Robot
         Drives, flexibilities and links as fitted, friction as told by the distortion.
     responses : tuple of FrequencyResponse
@@ -310,9 +312,18 @@ def grey_box_by_replay(
     left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
     before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
     robot = _with_friction(grey.robot, joints, friction)
+    found_bias = shifts_between(first, grey)
+    left_of_it = min(math.hypot(FORM_ERROR * float(np.median(after / before)), REPLAY_ERROR), 1.0)
+    grey = grey.doubted({name: left_of_it * shift for name, shift in found_bias.items()})
     return ReplayedGreyBox(
         grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
     )
+
+
+def shifts_between(before: GreyBox, after: GreyBox) -> dict[str, float]:
+    """By how much drives and flexibilities moved from one fit to another, logarithms by parameter."""
+    now = {e.name: e.value for e in after.estimates if SLOPE not in e.name}
+    return {e.name: math.log(now[e.name] / e.value) for e in before.estimates if e.name in now}
 
 
 def _linear_changes(
