@@ -151,6 +151,24 @@ def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:
         np.testing.assert_allclose((sides[0] - sides[1]) / (2 * step), told, atol=1e-6 * np.abs(told).max())
 
 
+def test_logged_torques_replay_the_experiments_without_controller_and_references(
+    recordings: tuple[Recording, ...], measured: MeasuredResponse
+) -> None:
+    """Another controller than the robot's leads it; the distortion that realisations differ by is the same all the same."""
+    bare = [dataclasses.replace(r, reference_position=None, reference_velocity=None, velocity=None) for r in recordings]
+    robot = load_robot("rx90b_3dof")
+    simulated = Replay.from_torques(bare, measured, robot).responses(robot)
+    pose = np.array([0.0, 0.5 * np.pi, 0.0])
+    line = linear_response(robot, robot.joints, pose, SLOPES, measured.hz)
+    plain, _ = _response(measured, simulated, line, pose)
+    before, after = (x.std(axis=0, ddof=1) for x in (measured.realisations, measured.realisations - simulated))
+    was, left = (np.median(np.abs(x - line) / np.abs(line), axis=0) for x in (measured.value, plain.value))
+    assert (np.diag(np.median(after / before, axis=0)) < 0.3).all()
+    assert (np.diag(left) < 0.3 * np.diag(was)).all()
+    with pytest.raises(ValueError, match="lacks a period"):
+        Replay.from_torques([dataclasses.replace(bare[0], period_s=None), *bare[1:]], measured, robot)
+
+
 def test_what_cannot_be_replayed_is_named(recordings: tuple[Recording, ...], measured: MeasuredResponse) -> None:
     bare = [dataclasses.replace(recordings[0], reference_position=None), *recordings[1:]]
     with pytest.raises(ValueError, match="lacks references"):

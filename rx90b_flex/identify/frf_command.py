@@ -235,7 +235,8 @@ def identify_from_motors(
         raise ValueError(first if len(groups) == 1 else f"{len(groups)} poses, none has a response; the first: {first}")
     if controller is None:
         remarks.append(
-            f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop"
+            f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop, and a replay is "
+            "driven by the torques as logged"
         )
     fitted = _alike(poses, remarks)
     together = [poses[i] for i in fitted]
@@ -447,8 +448,6 @@ def _grey_box(
 def _replay(
     poses: Sequence[AtPose], robot: Robot, grey: GreyBox, controller: CS8 | None, options: FrfOptions, tell: Progress
 ) -> ReplayedGreyBox:
-    if controller is None:
-        raise ValueError(f"no controller file (no {CONTROLLER} beside the campaign), so the loop cannot be simulated")
     if len(grey.responses) > len(poses):
         raise ValueError(
             "friction's distortion of accelerometers' signals is not replayed; the fit as measured uses them"
@@ -456,7 +455,12 @@ def _replay(
     return grey_box_by_replay(
         robot,
         grey,
-        [Replay.of(p.recordings, p.measured, controller) for p in poses],
+        [
+            Replay.from_torques(p.recordings, p.measured, robot)
+            if controller is None
+            else Replay.of(p.recordings, p.measured, controller)
+            for p in poses
+        ],
         link_mass_std=options.link_mass_std,
         bending_alike_std=options.bending_alike_std,
         jobs=options.jobs,
@@ -595,7 +599,7 @@ def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
 
 
 ASSUMED = (
-    "friction has the form that the robot file declares, coefficients apart, and the controller file is the robot's"
+    "friction has the form that the robot file declares, coefficients apart, and what drives the robot is as given"
 )
 
 

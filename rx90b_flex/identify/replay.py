@@ -31,7 +31,7 @@ from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estima
 from rx90b_flex.identify.grey_box import SLOPE, GreyBox, Progress, grey_box, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
-from rx90b_flex.simulate import CS8, Trajectory
+from rx90b_flex.simulate import CS8, Trajectory, design_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import from_recording
 
@@ -46,6 +46,11 @@ REPLAY_ERROR = 0.1
 FORM_ERROR = 2.0
 ALIKE_HZ = 10.0  # of lines that share an error of the distortion's mean
 SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parameter changes by more, rounds end
+HELD_HZ = (
+    5.0  # bandwidth of what leads a robot that logged torques drive: below the first lines, and settled within a period
+)
+FINER = 4  # points of such a torque a sample of the log: straight lines between samples would lose a third at the upper lines
+AMPLE = 10.0  # torque limit over the largest torque in such a replay
 LARGEST = 0.5  # relative change of a friction coefficient in one round
 
 
@@ -94,6 +99,44 @@ class Replay:
         sent = tuple(_two_periods(r, controller.reference_rate_hz) for r in kept)
         return cls(sent, tuple(_period(r, r, 0) for r in kept), measured, controller)
 
+    @classmethod
+    def from_torques(cls, recordings: Sequence[Recording], measured: MeasuredResponse, robot: Robot) -> Replay:
+        """With the torques that were logged, whatever controller gave them: neither it nor references are needed.
+
+        What is fed forward is the mean period of the logged torque. A robot that torques alone drive drifts away; so a controller of
+        `HELD_HZ` leads it along the motion that was logged with them: it gives nothing where the robot is right.
+
+        Raises
+        ------
+        ValueError
+            A recording without a period.
+        """
+        used = {p.recording for p in measured.places}
+        kept = tuple(r for r in recordings if r.name in used)
+        for r in kept:
+            if r.period_samples is None:
+                raise ValueError(f"recording {r.name!r} lacks a period; without it it cannot be replayed")
+        samples, period = kept[0].period_samples or 0, kept[0].period_s or 0.0
+        rate = FINER * kept[0].sample_rate_hz
+        position = np.mean([_mean_period(r.position, samples) for r in kept], axis=0)
+        spectrum, hz = np.fft.rfft(position, axis=0), np.arange(samples // 2 + 1)[:, None] / period
+        slow = np.where(hz < measured.hz[0], spectrum, 0.0)
+        path, speed = (
+            _resampled(np.fft.irfft(x, samples, axis=0), FINER * samples) for x in (slow, 2j * np.pi * hz * slow)
+        )
+        largest = np.max([np.abs(r.torque).max(axis=0) for r in kept], axis=0)
+        controller = _leading(robot, position.mean(axis=0), kept[0].sample_rate_hz, AMPLE * float(largest.max()))
+        trajectories = []
+        for r in kept:
+            # all runs share references, as the perturbation method asks: what each differs from them by is fed forward
+            apart = np.fft.rfft(_mean_period(r.position, samples), axis=0)[1:] - slow[1:]
+            back = np.vstack([np.zeros(apart.shape[1]), _gains(controller, hz[1:, 0]) * apart])
+            ordered = _mean_period(r.torque, samples) + np.fft.irfft(back, samples, axis=0)
+            torque = _resampled(ordered, FINER * samples)
+            once = Trajectory(r.name, r.joints, rate, path, speed, torque, period)
+            trajectories.append(once.repeated(3).part(0.0, 2.0 * period + TAIL_S))
+        return cls(tuple(trajectories), tuple(_period(r, r, 0) for r in kept), measured, controller)
+
     def responses(self, robot: Robot) -> ComplexArray:
         """Response of each realisation on that robot, shape (R, F, n, n)."""
         runs = perturb_lanes(robot, self.controller, self.trajectories)
@@ -109,6 +152,33 @@ class Replay:
                 f"replayed, {own.realisations.shape[:2]} realisations and lines are left of {self.measured.realisations.shape[:2]}"
             )
         return own.realisations
+
+
+def _mean_period(signal: Array, samples: int) -> Array:
+    whole = len(signal) // samples * samples
+    return np.asarray(signal[:whole].reshape(-1, samples, signal.shape[1]).mean(axis=0))
+
+
+def _leading(robot: Robot, pose: Array, log_hz: float, limit: float) -> CS8:
+    """A slow controller without quantisation, whose log has a given rate."""
+    designed = design_cs8(robot, pose, bandwidth_hz=HELD_HZ, integral_hz=0.1 * HELD_HZ).ideal()
+    reference = FINER * log_hz
+    return dataclasses.replace(
+        designed,
+        joints=tuple(dataclasses.replace(j, torque_limit=limit) for j in designed.joints),
+        reference_rate_hz=reference,
+        controller_rate_hz=reference * max(1, round(designed.controller_rate_hz / reference)),
+        log_rate_hz=log_hz,
+        log_cutoff_hz=0.4 * log_hz,
+    )
+
+
+def _gains(controller: CS8, hz: Array) -> ComplexArray:
+    """Ordered torque over angle error, (F, joints)."""
+    s = 2j * np.pi * hz[:, None]
+    gains = (controller.column(f"{name}_gain") for name in ("position", "velocity", "integral"))
+    position, velocity, integral = gains
+    return np.asarray(position + velocity * s + integral / s)
 
 
 def _two_periods(recording: Recording, rate_hz: float) -> Trajectory:
