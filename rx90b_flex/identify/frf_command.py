@@ -65,6 +65,8 @@ class FrfOptions:
         Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
+    delays : str
+        Of the transfer functions: ``none``, ``common`` or ``each`` (`fit_transfer_functions`).
     references : Path or None
         Folder of the files that were sent (`rx90b-flex excite`), where the logs do not hold the feed-forward torque.
     mains_hz : float or None
@@ -82,6 +84,7 @@ class FrfOptions:
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
+    delays: str = "none"
     references: Path | None = None
     mains_hz: float | None = None
     replay: bool = True
@@ -346,7 +349,11 @@ def _at_pose(
     )
     if measured is None:
         return None
-    transfer = run("transfer functions", 0.3, lambda: fit_transfer_functions(_there(measured), options.modes))
+    transfer = run(
+        "transfer functions",
+        0.3,
+        lambda: fit_transfer_functions(_there(measured), options.modes, delays=options.delays),
+    )
     validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
     drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
     accelerations = None
@@ -578,11 +585,18 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
     return {
         "resonances": [{**_quantity(f, s, "Hz"), "damping_ratio": float(z)} for f, s, z in both],
         "antiresonances": zeros,
+        "torque_delays": _delays_json(fit),
         "cost": float(fit.cost),
         "validation": None
         if tests is None
         else [{"test": c.name, "passed": bool(c.passed), "found": c.found, "implies": c.implies} for c in tests.checks],
     }
+
+
+def _delays_json(fit: TransferFit) -> list[dict[str, Any]] | None:
+    """One for all torques, or one a torque in the order of the joints; null where none was fitted."""
+    values, stds = fit.torque_delays()
+    return [_quantity(value, std, "s") for value, std in zip(values, stds, strict=True)] or None
 
 
 def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
