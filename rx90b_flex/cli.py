@@ -251,6 +251,9 @@ def demo(
     say(f"Recordings, model and report: {out}")
 
 
+MOST_MODES = 30  # of transfer functions: more are no modes of a robot in any band
+
+
 @app.command()
 def frf(
     campaign: Annotated[
@@ -270,6 +273,12 @@ def frf(
         Path | None,
         typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
     ] = None,
+    modes: Annotated[
+        str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")
+    ] = "2,8",
+    delays: Annotated[
+        str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")
+    ] = "none",
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
     mains_hz: Annotated[
         float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")
@@ -297,15 +306,20 @@ def frf(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
         )
     check_jobs(jobs)
+    ends = _numbers("modes", modes)
+    if len(ends) > 2 or any(x != round(x) or not 1 <= x <= MOST_MODES for x in ends) or ends[0] > ends[-1]:
+        raise ValueError(f"--modes is {modes!r}; expected one or two ascending whole numbers from 1 to {MOST_MODES}")
+    if delays not in ("none", "common", "each"):
+        raise ValueError(f"--delays is {delays!r}; expected none, common or each")
     if mains_hz is not None and not mains_hz > 0.0:
         raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
     read = read_campaign(campaign)
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
-    from rx90b_flex.view.frf_report import bias_words, write_frf_report
+    from rx90b_flex.view.frf_report import bias_words, delay_words, write_frf_report
 
     options = FrfOptions(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
-        mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
+        modes=tuple(range(int(ends[0]), int(ends[-1]) + 1)), delays=delays, mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with progress() as tell:
         result = identify_from_motors(read, options, tell)
@@ -322,6 +336,8 @@ def frf(
         show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
         if best.bias_detected:
             say(f"Note: {bias_words(best)}")
+        for text in delay_words(best.torque_delay):
+            say(text)
     for remark in result.remarks:
         say(f"Note: {remark}")
     for left in result.left_out:

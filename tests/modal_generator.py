@@ -63,11 +63,12 @@ class Truth:
         measured: tuple[str, ...],
         hz: Array,
         slope: float | Sequence[float] = 30.0,
-        lag: float = 1e-3,
+        lag: float | dict[str, float] = 1e-3,
     ) -> Array:
         """Acceleration of the measured drives over their torque; dampings are `lag` times the stiffness, friction is viscous."""
         names, mass, stiff = self.matrices(angles)
-        damping = np.diag([lag * self.stiffness.get(n, 0.0) for n in names])
+        lags = lag if isinstance(lag, dict) else dict.fromkeys(names, lag)
+        damping = np.diag([lags.get(n, 0.0) * self.stiffness.get(n, 0.0) for n in names])
         for joint, viscous in zip(measured, np.broadcast_to(slope, len(measured)), strict=True):
             damping += viscous * np.outer(*2 * [_turning(joint, names)])
         free = [i for i, n in enumerate(names) if not n.endswith(":drive") or n.split(":")[0] in measured]
@@ -99,7 +100,7 @@ def measured_response(
     joints: tuple[str, ...],
     measured: tuple[str, ...] = MEASURED,
     slope: float | Sequence[float] = 30.0,
-    lag: float = 1e-3,
+    lag: float | dict[str, float] = 1e-3,
 ) -> FrequencyResponse:
     """On the lines of section 6.6.2 from 8 to 78 Hz; each entry's error of that part of its magnitude."""
     hz = np.arange(33, 322, 2) / 4.096

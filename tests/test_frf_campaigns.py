@@ -111,6 +111,37 @@ def test_two_poses_tell_what_a_stretched_arm_alone_cannot(tmp_path: Path, monkey
         assert words in page
 
 
+def test_modes_and_delays_of_transfer_functions_are_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng, delay = np.random.default_rng(7), 1.25e-4
+    runs = [late(r, delay) for r in recordings_at(ROBOT, BENT[0], rng, noise=0.01)]
+    file = write(tmp_path / "c", ROBOT, runs)
+    monkeypatch.setattr(frf_command, "FrfOptions", functools.partial(FrfOptions, starts=0))
+    monkeypatch.setattr("rx90b_flex.view.frf_report.write_frf_report", lambda result, path: path.write_text("report"))
+    arguments = ("--modes", "5", "--delays", "common", "--no-replay")
+    assert run(file, tmp_path / "out", monkeypatch, *arguments) == 0
+    assert "µs later than angles" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "frf.json").read_text())
+    transfer = found["poses"][0]["transfer_functions"]
+    assert len(transfer["resonances"]) <= 5
+    (one,), whole = transfer["torque_delays"], found["grey_box"]["torque_delay"]
+    assert one["unit"] == whole["unit"] == "s"
+    assert abs(whole["value"] - delay) < min(4.0 * whole["std"], 1e-5)
+    # poles and residues without a robot behind them tell it far less well
+    assert whole["std"] < one["std"] and abs(one["value"] - delay) < 4.0 * one["std"]
+    for wrong, words in ((("--modes", "6,3"), "--modes is '6,3'"), (("--delays", "some"), "--delays is 'some'")):
+        assert run(file, tmp_path / "other", monkeypatch, *wrong) == 2
+        assert words in capsys.readouterr().err
+
+
+def late(r: Recording, delay: float) -> Recording:
+    """The same log with its torques so much later, by the Fourier series of its periods."""
+    spectrum = np.fft.rfft(r.torque, axis=0)
+    turned = spectrum * np.exp(-2j * np.pi * np.fft.rfftfreq(r.samples, 1.0 / RATE)[:, None] * delay)
+    return dataclasses.replace(r, torque=np.fft.irfft(turned, r.samples, axis=0))
+
+
 # ---- what is missing or unfit ---------------------------------------------------------------------------------
 
 

@@ -27,7 +27,7 @@ from rx90b_flex.identify.frf_command import (
 from rx90b_flex.identify.grey_model import declared_parameters
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
-from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+from rx90b_flex.simulate import Noise, load_cs8, run_campaign, save_cs8, section_662
 from rx90b_flex.simulate.trajectories import square_wave
 from rx90b_flex.view.page import Image
 from rx90b_flex.view.zoom import script
@@ -202,12 +202,31 @@ def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_remov
         assert words in page
 
 
+@pytest.mark.slow
+def test_under_a_controller_that_nobody_knows_logged_torques_are_replayed(with_dry_friction, tmp_path):
+    lone = shutil.copytree(with_dry_friction.parent, tmp_path / "lone")
+    (lone / "controller.toml").unlink()
+    result = identify_from_motors(lone / "campaign.toml", FrfOptions((8.0, 45.0), starts=0, modes=(5,)))
+    found = frf_json(result)
+    assert found["left_out"] == [] and any("driven by the torques as logged" in text for text in found["remarks"])
+    before, after = (np.diagonal(found["replay"]["realisations_deviate"][x][0]) for x in ("as_measured", "less_replay"))
+    assert (after < 0.3 * before).all()
+    truth = declared_parameters(load_robot("rx90b_3dof"))
+    for n in truth:
+        if "drive_stiffness" in n or "drive_inertia" in n:  # six intervals; four deviations hold all
+            one = found["replay"]["parameters"][n]
+            assert abs(np.log(one["value"] / truth[n])) < 4.0 * one["std"] / one["value"], n
+    assert abs(found["replay"]["torque_delay"]["value"]) < 4.0 * found["replay"]["torque_delay"]["std"]
+
+
 def test_what_keeps_a_replay_away_is_said_and_the_rest_goes_on(with_dry_friction, tmp_path):
     options = FrfOptions((8.0, 30.0), starts=0, modes=(3,))
     lone = shutil.copytree(with_dry_friction.parent, tmp_path / "lone")
-    (lone / "controller.toml").unlink()
+    other = load_cs8(lone / "controller.toml")
+    save_cs8(dataclasses.replace(other, reference_rate_hz=200.0), lone / "controller.toml")
     result = identify_from_motors(lone / "campaign.toml", options)
     assert result.grey is not None and result.replayed is None and frf_json(result)["replay"] is None
-    assert [x.stage for x in result.left_out] == ["replay"] and "no controller file" in result.left_out[0].why
+    assert [x.stage for x in result.left_out] == ["replay"]
+    assert "no whole number of references" in result.left_out[0].why
     unwanted = identify_from_motors(with_dry_friction, dataclasses.replace(options, replay=False))
     assert unwanted.replayed is None and unwanted.left_out == ()

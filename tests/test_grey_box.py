@@ -117,6 +117,34 @@ def test_three_per_cent_of_noise_gives_stiffness_and_inertia():
         assert value == pytest.approx(grey[name].value, rel=1e-12)
 
 
+@pytest.mark.parametrize("delay", [1.25e-4, -1.25e-4, 0.0])
+def test_torques_logged_late_are_told_as_that_and_move_nothing_else(delay):
+    true = robot()
+    data = response(true, BENT, 0.01, np.random.default_rng(6))
+    skewed = dataclasses.replace(data, value=data.value * np.exp(2j * np.pi * HZ * delay)[:, None, None])
+    grey = grey_box(wrong(true, 0.1, 1), skewed, starts=0, **EXACT)
+    found = grey.torque_delay
+    assert found.std < 5e-6 and abs(found.value - delay) < min(4.0 * found.std, 10e-6)
+    assert np.abs(scores(grey, truth(true))).max() < 4.0
+    assert not grey.bias_detected
+    trusted = grey_box(true, skewed, starts=0, delay_std=0.0, **EXACT)
+    assert trusted.torque_delay is None
+    assert bool(delay) == trusted.bias_detected
+
+
+def test_a_bias_that_is_known_of_is_part_of_the_intervals_and_of_the_covariance():
+    grey = grey_box(robot(), response(robot(), BENT, 0.03), starts=0, **EXACT)
+    off = {"joint_1.drive_stiffness": 0.2, "joint_2.drive_inertia": -0.1}
+    doubted = grey.doubted(off)
+    for was, now in zip(grey.estimates, doubted.estimates, strict=True):
+        assert now.value == was.value
+        assert now.std / now.value == pytest.approx(np.hypot(was.std / was.value, off.get(now.name, 0.0)), rel=1e-12)
+        assert now.low <= was.low * (1 + 1e-12) and now.high >= was.high * (1 - 1e-12)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(doubted.covariance)), [e.std / e.value for e in doubted.estimates], rtol=1e-9
+    )
+
+
 def test_starts_half_off_end_in_one_minimum():
     true = robot()
     data = response(true, BENT, 0.03, np.random.default_rng(0))

@@ -233,13 +233,20 @@ def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float
         if e >= declared:
             out.append(_addition(structure.robot, effect, groups, sizes, new_std))
         elif effect.virtual or set(effect.joints) <= set(structure.joints):
-            out.append(_factor(effect, _place(effect), at))
+            out.append(_factor(effect, _place(effect), tuple(i for i in at if _stiffens(structure, i))))
             if effect.virtual:
                 shared.setdefault(effect.type_name(), []).append(e)
     for several in (s for s in shared.values() if len(s) > 1):
-        at = tuple(i for (e, _), i in numbers.items() if e in several)
+        at = tuple(i for (e, _), i in numbers.items() if e in several and _stiffens(structure, i))
         out.append(_factor(full.effects[several[0]], "all", at))
     return out
+
+
+def _stiffens(structure: Structure, number: int) -> bool:
+    """Whether a coefficient is not a damping: a softer hinge need not lose less."""
+    c = structure.coefficients[number]
+    virtual = structure.full.effects[c.effect].virtual
+    return not virtual or c.column < len(virtual)
 
 
 def _place(effect: Effect) -> str:

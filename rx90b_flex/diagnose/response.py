@@ -1,12 +1,14 @@
 """Frequency responses held against a flexible robot: a residual of the loop in `rx90b_flex.diagnose.loop`.
 
 The response of ``(s^2 M + s D + K) q = B tau`` is ``P = s^2 B^T Z^-1 B`` (5.36); its slope by a parameter is
-``-s^2 (B^T Z^-1) dZ (Z^-1 B)``. Friction enters as one viscous slope a joint, and all dampings share a factor: both are fitted with
-every model, so that neither is taken for a missing hinge.
+``-s^2 (B^T Z^-1) dZ (Z^-1 B)``. Friction enters as one viscous slope a joint, each declared hinge has a damping of its own beside its
+stiffness, those that are added share one, and torques may be logged late against angles by some delay d, which multiplies P by
+``exp(s d)``: all of these are fitted with every model, so that none is taken for a missing hinge.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from collections.abc import Sequence
@@ -24,6 +26,7 @@ from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_box import REACH_HZ, smoothed_covariance
+from rx90b_flex.identify.grey_model import DELAY_STD, DELAY_UNIT, Delay, late
 from rx90b_flex.robot import Robot, load_robot
 
 MODEL_ERROR = (
@@ -31,7 +34,7 @@ MODEL_ERROR = (
 )
 ERRORS = np.geomspace(1e-5, 3.0, 61)  # model errors that are weighed
 LINES = 60  # a response is fitted at, at the most; those between are held out
-NUISANCE_STD = 2.0  # of the logarithms of friction slopes and of the dampings' common factor
+NUISANCE_STD = 2.0  # of the logarithms of friction slopes and dampings
 
 
 def response_of(structure: Structure, pose: int, changes: Sequence[Change], x: Array, hz: Array) -> ComplexArray:
@@ -49,10 +52,12 @@ def _response(
     M, D, K = (m[at] for m in matrices)
     drives = structure.drives(free).astype(complex)
     s: ComplexArray = np.asarray(2j * np.pi * hz[:, None, None], dtype=np.complex128)
+    place = _place_of_delay(changes)
+    shift = 1.0 if place is None else late(hz, DELAY_UNIT * float(x[place]))
     Z = s**2 * M + s * D + K
     right = np.linalg.solve(Z, drives[None])
     left = right.transpose(0, 2, 1)  # at rest all but damping has a potential, and that is symmetric too: so is Z
-    response: ComplexArray = np.asarray(s**2 * (drives.T @ right))
+    response: ComplexArray = np.asarray(s**2 * (drives.T @ right) * shift)
     if not slopes:
         return response, np.zeros((0, *response.shape), dtype=complex)
     out = np.zeros((len(x), *response.shape), dtype=complex)
@@ -62,7 +67,20 @@ def _response(
             touched = np.flatnonzero(own.any(axis=0) | own.any(axis=1))
             if len(touched):
                 out[k] -= s**power * (left[:, :, touched] @ own[np.ix_(touched, touched)] @ right[:, touched])
+    out *= shift
+    if place is not None:
+        out[place] = DELAY_UNIT * s * response
     return response, out
+
+
+def _place_of_delay(changes: Sequence[Change]) -> int | None:
+    """Where the delay stands among the numbers of some changes."""
+    at = 0
+    for change in changes:
+        if change.type == "torque_delay":
+            return at
+        at += change.size
+    return None
 
 
 class ResponseResidual(FlexibleResidual):
@@ -184,6 +202,12 @@ class ResponseResidual(FlexibleResidual):
             out.append((next(both), next(both)))
         return out
 
+    def torque_delay(self, fit: LikelihoodFit) -> Delay:
+        """By how much a fit has torques logged later than angles."""
+        place = _place_of_delay(self.nuisance)
+        assert place is not None
+        return Delay(DELAY_UNIT * float(fit.x[place]), DELAY_UNIT * float(np.sqrt(fit.covariance[place, place])))
+
     def _predicted(self, pose: int, fit: LikelihoodFit, hz: Array) -> ComplexArray:
         return response_of(self.structure, pose, (*self.nuisance, *fit.changes), fit.x, hz)
 
@@ -194,22 +218,24 @@ class ResponseResidual(FlexibleResidual):
 
 
 def _nuisances(structure: Structure) -> tuple[Change, ...]:
-    zero, one = np.zeros(1), np.zeros((1, 1))
-    out = []
-    dampings = []
+    """What is fitted with every model: the logs' skew, friction slopes, dampings."""
+    declared, slopes = len(structure.robot.effects), []
+    dampings: dict[int, list[int]] = {}
     for i, c in enumerate(structure.coefficients):
         if c.effect < 0:
-            joint = structure.joints[c.column]
-            out.append(
-                Change("viscous_friction", joint, False, ("friction_slope",), ("N m s/rad",), one, zero, NUISANCE_STD, ((i,),))
-            )  # fmt: skip
+            slopes.append(_nuisance("viscous_friction", structure.joints[c.column], "friction_slope", (i,)))
         elif structure.full.effects[c.effect].virtual and c.column >= len(structure.full.effects[c.effect].virtual):
-            dampings.append(i)
-    if dampings:
-        out.append(
-            Change("damping", "all", False, ("damping",), ("N m s/rad",), one, zero, NUISANCE_STD, (tuple(dampings),))
-        )  # fmt: skip
-    return tuple(out)
+            of = min(c.effect, declared)  # what may be added shares one damping, over that usual of its stiffness
+            dampings.setdefault(of, []).append(i)
+    places = {k: "_".join(e.place) or "base" for k, e in enumerate(structure.robot.effects)}
+    delay = dataclasses.replace(_nuisance("torque_delay", "robot", "delay", ()), std=DELAY_STD / DELAY_UNIT)
+    losses = (_nuisance("damping", places.get(k, "all"), "damping", tuple(at)) for k, at in dampings.items())
+    return (delay, *slopes, *losses)
+
+
+def _nuisance(kind: str, place: str, name: str, moved: tuple[int, ...]) -> Change:
+    zero, one = np.zeros(1), np.zeros((1, 1))
+    return Change(kind, place, False, (name,), ("-",), one, zero, NUISANCE_STD, (moved,))
 
 
 def thinned(response: FrequencyResponse, lines: int = LINES) -> tuple[FrequencyResponse, FrequencyResponse | None]:
@@ -272,12 +298,19 @@ class ResponseLoop(FlexibleLoop):
     held_out_before: tuple[ResponseErrors, ...]
     held_out_after: tuple[ResponseErrors, ...]
 
+    @property
+    def torque_delay(self) -> Delay:
+        """By how much torques were logged late against angles; fitted with every model, and no finding."""
+        assert isinstance(self.residual, ResponseResidual)
+        return self.residual.torque_delay(self.result.after)
+
     def as_json(self) -> dict[str, Any]:
         result = self.result
         return {
             **self.json_of_all("frequency_response"),
             "before": _errors_json(self.errors_before, self.held_out_before, result.before, result.chance_before),
             "after": _errors_json(self.errors_after, self.held_out_after, result.after, result.chance_after),
+            "torque_delay": {**dataclasses.asdict(self.torque_delay), "unit": "s"},
             "responses": [
                 {
                     "pose_rad": r.pose.tolist(),
@@ -387,6 +420,8 @@ def _response_errors(residual: ResponseResidual, fit: LikelihoodFit) -> tuple[Re
 def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[FrequencyResponse, ...], str]:
     """The responses in a folder of ``rx90b-flex frf``, one a pose, with independent errors of their entries; and the robot's name.
 
+    Where the experiments were replayed, those without the distortion that this explains.
+
     Raises
     ------
     ValueError
@@ -407,7 +442,7 @@ def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[Freq
 
 
 def _read(pose: dict[str, Any], joints: tuple[str, ...]) -> FrequencyResponse:
-    measured = pose["frequency_response"]
+    measured = pose.get("replayed_response") or pose["frequency_response"]
     hz, std = np.array(measured["hz"], dtype=float), np.array(measured["std"], dtype=float)
     value = np.array(measured["real"], dtype=float) + 1j * np.array(measured["imag"], dtype=float)
     variance = std.reshape(len(hz), -1) ** 2

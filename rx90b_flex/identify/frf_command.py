@@ -28,7 +28,7 @@ from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, es
 from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_model import poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
-from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay
+from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
@@ -66,6 +66,8 @@ class FrfOptions:
         Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
+    delays : str
+        Of the transfer functions: ``none``, ``common`` or ``each`` (`fit_transfer_functions`).
     references : Path or None
         Folder of the files that were sent (`rx90b-flex excite`), where the logs do not hold the feed-forward torque.
     mains_hz : float or None
@@ -83,6 +85,7 @@ class FrfOptions:
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
+    delays: str = "none"
     references: Path | None = None
     mains_hz: float | None = None
     replay: bool = True
@@ -236,7 +239,8 @@ def identify_from_motors(
         raise ValueError(first if len(groups) == 1 else f"{len(groups)} poses, none has a response; the first: {first}")
     if controller is None:
         remarks.append(
-            f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop"
+            f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop, and a replay is "
+            "driven by the torques as logged"
         )
     fitted = _alike(poses, remarks)
     together = [poses[i] for i in fitted]
@@ -246,6 +250,8 @@ def identify_from_motors(
         replayed = stages.run(
             "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
         )
+    if grey is not None and replayed is not None:
+        grey = grey.doubted(shifts_between(grey, replayed.grey))  # a bias that is known of and still in it
     return MotorIdentification(
         campaign.path, robot, options, tuple(poses), grey, fitted if grey is not None else (), replayed,
         tuple(stages.left_out), tuple(remarks), stages.seconds,
@@ -344,7 +350,11 @@ def _at_pose(
     )
     if measured is None:
         return None
-    transfer = run("transfer functions", 0.3, lambda: fit_transfer_functions(_there(measured), options.modes))
+    transfer = run(
+        "transfer functions",
+        0.3,
+        lambda: fit_transfer_functions(_there(measured), options.modes, delays=options.delays),
+    )
     validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
     drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
     accelerations = None
@@ -446,8 +456,6 @@ def _grey_box(
 def _replay(
     poses: Sequence[AtPose], robot: Robot, grey: GreyBox, controller: CS8 | None, options: FrfOptions, tell: Progress
 ) -> ReplayedGreyBox:
-    if controller is None:
-        raise ValueError(f"no controller file (no {CONTROLLER} beside the campaign), so the loop cannot be simulated")
     if len(grey.responses) > len(poses):
         raise ValueError(
             "friction's distortion of accelerometers' signals is not replayed; the fit as measured uses them"
@@ -455,7 +463,12 @@ def _replay(
     return grey_box_by_replay(
         robot,
         grey,
-        [Replay.of(p.recordings, p.measured, controller) for p in poses],
+        [
+            Replay.from_torques(p.recordings, p.measured, robot)
+            if controller is None
+            else Replay.of(p.recordings, p.measured, controller)
+            for p in poses
+        ],
         link_mass_std=options.link_mass_std,
         bending_alike_std=options.bending_alike_std,
         jobs=options.jobs,
@@ -485,7 +498,8 @@ def _start(robot: Robot, found: Sequence[DriveIdentification]) -> dict[str, floa
 def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
-    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m.
+    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m;
+    ``replayed_response`` the same without the distortion that the replay explains, null without one.
     ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
     was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
     it. ``grey_box`` is fitted to the responses as measured, ``replay`` to them without the distortion that the replay explains.
@@ -505,10 +519,11 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
                 "pose_rad": p.pose.tolist(),
                 "recordings": [r.name for r in p.recordings],
                 "frequency_response": _response_json(p.measured),
+                "replayed_response": _replayed_json(result, k),
                 "transfer_functions": _transfer_json(p.transfer, p.validation),
                 "drives": _drives_json(p.drives),
             }
-            for p in result.poses
+            for k, p in enumerate(result.poses)
         ],
         "grey_box": None if result.grey is None else _grey_json(result, result.grey),
         "replay": None if result.replayed is None else _replay_json(result, result.replayed),
@@ -537,6 +552,21 @@ def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
     }
 
 
+def _replayed_json(result: MotorIdentification, place: int) -> dict[str, Any] | None:
+    """A pose's response without the distortion that the replay explains."""
+    if result.replayed is None or place not in result.fitted:
+        return None
+    plain = result.replayed.responses[result.fitted.index(place)]
+    return {
+        "joints": list(plain.joints),
+        "hz": plain.hz.tolist(),
+        "real": plain.value.real.tolist(),
+        "imag": plain.value.imag.tolist(),
+        "std": plain.std().tolist(),
+        "degrees_of_freedom": plain.degrees_of_freedom if np.isfinite(plain.degrees_of_freedom) else None,
+    }
+
+
 def _std(covariance: ComplexArray, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.sqrt(np.einsum("faa->fa", covariance).real).reshape(shape))
 
@@ -556,11 +586,18 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
     return {
         "resonances": [{**_quantity(f, s, "Hz"), "damping_ratio": float(z)} for f, s, z in both],
         "antiresonances": zeros,
+        "torque_delays": _delays_json(fit),
         "cost": float(fit.cost),
         "validation": None
         if tests is None
         else [{"test": c.name, "passed": bool(c.passed), "found": c.found, "implies": c.implies} for c in tests.checks],
     }
+
+
+def _delays_json(fit: TransferFit) -> list[dict[str, Any]] | None:
+    """One for all torques, or one a torque in the order of the joints; null where none was fitted."""
+    values, stds = fit.torque_delays()
+    return [_quantity(value, std, "s") for value, std in zip(values, stds, strict=True)] or None
 
 
 def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
@@ -577,7 +614,7 @@ def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
 
 
 ASSUMED = (
-    "friction has the form that the robot file declares, coefficients apart, and the controller file is the robot's"
+    "friction has the form that the robot file declares, coefficients apart, and what drives the robot is as given"
 )
 
 
@@ -605,6 +642,9 @@ def _grey_json(result: MotorIdentification, grey: GreyBox) -> dict[str, Any]:
             }
             for e in grey.estimates
         },
+        "torque_delay": None
+        if grey.torque_delay is None
+        else _quantity(grey.torque_delay.value, grey.torque_delay.std, "s"),
         "vague_directions": [{"relative_std": d.relative_std, "parts": dict(d.parts)} for d in grey.directions],
         "cost": grey.cost,
         "expected_cost": grey.expected_cost,

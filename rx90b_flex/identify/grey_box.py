@@ -23,12 +23,17 @@ from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_bias import GreyBias, bias_functions, bias_of
 from rx90b_flex.identify.grey_model import (
+    DELAY,
+    DELAY_STD,
+    DELAY_UNIT,
     MASS,
     SLOPE,
+    Delay,
     GreyExperiments,
     GreyMotion,
     GreyParameter,
     grey_parameters,
+    late,
     matrices_at,
     parameter_names,
     shares_of,
@@ -87,7 +92,10 @@ def smoothed_covariance(response: FrequencyResponse) -> tuple[ComplexArray, floa
 
 @dataclass(frozen=True, eq=False)
 class _GreyBoxProblem:
-    """Whitened residuals of all responses and their Jacobian, as functions of the logarithms x of the parameters."""
+    """Whitened residuals of all responses and their Jacobian, as functions of the logarithms x of the parameters.
+
+    A delay, where there is one, stands last and has no part in the matrices.
+    """
 
     parameters: tuple[GreyParameter, ...]
     responses: tuple[FrequencyResponse, ...]
@@ -100,7 +108,7 @@ class _GreyBoxProblem:
 
     @cached_property
     def declared(self) -> Array:
-        return np.log([p.declared for p in self.parameters])
+        return np.array([p.begin for p in self.parameters])
 
     @cached_property
     def prior(self) -> Array:
@@ -115,8 +123,17 @@ class _GreyBoxProblem:
                 pairs.append(row)
         return np.vstack([own[self.free], *pairs])[:, self.free]
 
+    @property
+    def has_delay(self) -> bool:
+        return self.parameters[-1].name == DELAY
+
     def predicted(self, x: Array) -> list[ComplexArray]:
-        return [motion.response(r.hz, np.exp(x)) for r, motion in zip(self.responses, self.motions, strict=True)]
+        both = zip(self.responses, self.motions, strict=True)
+        return [motion.response(r.hz, np.exp(x)) * self._late(r.hz, x) for r, motion in both]
+
+    def _late(self, hz: Array, x: Array) -> ComplexArray:
+        """What torques that were logged late multiply a response over them by, (F, 1, 1)."""
+        return late(hz, DELAY_UNIT * float(x[-1]) if self.has_delay else 0.0)
 
     def errors(self, x: Array) -> list[ComplexArray]:
         """Whitened errors of each response, line by line, (F * n*n,): unit variance where the model is exact."""
@@ -135,9 +152,13 @@ class _GreyBoxProblem:
 
     def derivatives(self, x: Array) -> list[ComplexArray]:
         """Derivatives of each response by x, (p, F, joints, joints)."""
-        p = np.exp(x)
-        both = zip(self.responses, self.motions, strict=True)
-        return [motion.derivatives(r.hz, p) * p[:, None, None, None] for r, motion in both]
+        p, out = np.exp(x), []
+        for r, motion in zip(self.responses, self.motions, strict=True):
+            by_x = motion.derivatives(r.hz, p) * p[:, None, None, None]
+            if self.has_delay:
+                by_x[-1] = 2j * np.pi * DELAY_UNIT * r.hz[:, None, None] * motion.response(r.hz, p)
+            out.append(by_x * self._late(r.hz, x))
+        return out
 
     def whitened(self, errors: list[ComplexArray]) -> list[ComplexArray]:
         """Errors or slopes with the bias, too, brought to unit variance."""
@@ -358,6 +379,8 @@ class GreyBox(Showing):
     starts : tuple of Start
     model_error, friction_error : float
         Given or estimated: what bias the intervals allow for, of |P| and of the friction slopes.
+    torque_delay : Delay or None
+        By which the torques were logged late against the angles; None where it was taken as none.
     """
 
     estimates: tuple[GreyEstimate, ...]
@@ -374,12 +397,25 @@ class GreyBox(Showing):
     starts: tuple[Start, ...]
     model_error: float
     friction_error: float
+    torque_delay: Delay | None = None
 
     def __getitem__(self, name: str) -> GreyEstimate:
         for estimate in self.estimates:
             if estimate.name == name:
                 return estimate
         raise ValueError(f"no parameter {name!r}; {close_match(name, [e.name for e in self.estimates])}")
+
+    def doubted(self, shifts: Mapping[str, float]) -> GreyBox:
+        """The same with a bias of the logarithms, by parameter, as one more error that all of them share."""
+        shift = np.array([shifts.get(e.name, 0.0) for e in self.estimates])
+        reach = float(stats.norm.ppf(0.975))
+        estimates = []
+        for e, own in zip(self.estimates, shift.tolist(), strict=True):
+            std = math.hypot(e.std / e.value, own)
+            low, high = (e.value * math.exp(sign * reach * std) for sign in (-1.0, 1.0))
+            estimates.append(dataclasses.replace(e, std=e.value * std, low=low, high=high))
+        free = shift[[e.std > 0.0 for e in self.estimates]]  # of fixed ones there is no covariance
+        return dataclasses.replace(self, estimates=tuple(estimates), covariance=self.covariance + np.outer(free, free))
 
     @property
     def bias_detected(self) -> bool:
@@ -411,6 +447,7 @@ def grey_box(
     model_error: float | None = MODEL_ERROR,
     friction_error: float | None = FRICTION_ERROR,
     accelerations: Sequence[AccelerationResponse] | None = None,
+    delay_std: float = DELAY_STD,
     progress: Progress | None = None,
 ) -> GreyBox:
     """Fit drive and joint stiffness, damping, drive inertia and friction slope to frequency responses, by maximum likelihood.
@@ -454,6 +491,9 @@ def grey_box(
     accelerations : sequence of AccelerationResponse, optional
         Of each response, what accelerometers on links showed at the same lines; fitted together with it, their errors independent
         of those of the drives and of each other.
+    delay_std : float
+        Standard deviation, s, to which torques are known to be logged at the instants of angles: by that much they may be late, or
+        early, and how much is estimated (`GreyBox.torque_delay`). 0: logged together.
     progress : callable, optional
 
     Raises
@@ -464,10 +504,20 @@ def grey_box(
     given = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
     tell = progress or (lambda text, part: None)
     problem = _problem(
-        robot, given, band_hz, link_mass_std, fixed, along, feedback, torques, bending_alike_std, accelerations
+        robot,
+        given,
+        band_hz,
+        link_mass_std,
+        fixed,
+        along,
+        feedback,
+        torques,
+        bending_alike_std,
+        accelerations,
+        delay_std,
     )
     first = problem.declared.copy()
-    names = [p.name for p in problem.parameters]
+    names = [p.name for p in problem.parameters if p.name != DELAY]
     begin = [("declared values", first)]
     if start:
         other = first.copy()
@@ -497,6 +547,7 @@ def _problem(
     torques: Sequence[ComplexArray] | None,
     bending_alike_std: float,
     accelerations: Sequence[AccelerationResponse] | None = None,
+    delay_std: float = DELAY_STD,
 ) -> _GreyBoxProblem:
     if not given:
         raise ValueError("no frequency response to fit to")
@@ -526,6 +577,8 @@ def _problem(
     for name in fixed:
         if name not in names:
             raise ValueError(f"fixed: no parameter {name!r}; {close_match(name, names)}")
+    if delay_std > 0.0:
+        parameters += (GreyParameter(DELAY, "s", 0.0, delay_std / DELAY_UNIT),)
     passed = along if along is not None else [np.atleast_2d(r.pose) for r in kept]
     if accelerations is not None and len(accelerations) != len(given):
         raise ValueError(
@@ -552,7 +605,12 @@ def _problem(
     kept += tuple(other for other in beside if other.sensors)
     whiteners = tuple(_whitener(smoothed_covariance(r)[0], r) for r in kept)
     return _GreyBoxProblem(
-        parameters, kept, tuple(motions), whiteners, np.array([name not in fixed for name in names]), bending_alike_std
+        parameters,
+        kept,
+        tuple(motions),
+        whiteners,
+        np.array([p.name not in fixed for p in parameters]),
+        bending_alike_std,
     )
 
 
@@ -627,6 +685,16 @@ def _result(robot: Robot, problem: _GreyBoxProblem, x: Array, starts: tuple[Star
     # covariances from few realisations are too small or too large by a common factor; a cost beyond it is unknown bias
     information /= max(cost / expected, 1.0)
     covariance: Array = np.asarray(np.linalg.inv(information + problem.prior.T @ problem.prior))
+    predicted = tuple(problem.predicted(x))
+    delay, parameters = None, problem.parameters
+    if problem.has_delay:
+        delay = Delay(DELAY_UNIT * float(x[-1]), DELAY_UNIT * math.sqrt(covariance[-1, -1]))
+        # of the others, whatever the delay is
+        across = information[:-1, -1]
+        information = information[:-1, :-1] - np.outer(across, across) / (
+            information[-1, -1] + (problem.prior[:, -1] ** 2).sum()
+        )
+        covariance, x, free, parameters = covariance[:-1, :-1], x[:-1], free[:-1], parameters[:-1]
     values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
@@ -641,13 +709,13 @@ def _result(robot: Robot, problem: _GreyBoxProblem, x: Array, starts: tuple[Star
             p.declared,
             bool(a < UNDETERMINED),
         )
-        for p, v, s, a in zip(problem.parameters, values.tolist(), std.tolist(), alone.tolist(), strict=True)
+        for p, v, s, a in zip(parameters, values.tolist(), std.tolist(), alone.tolist(), strict=True)
     )
-    names = [problem.parameters[i].name for i in free]
+    names = [parameters[i].name for i in free]
     return GreyBox(
-        estimates, covariance, information, _directions(information, names), _fitted_robot(robot, problem.parameters, values),
-        problem.responses, tuple(problem.predicted(x)), tuple(errors), cost, expected, expected + 1.645 * spread, starts,
-        *problem.bias_sizes,
+        estimates, covariance, information, _directions(information, names), _fitted_robot(robot, parameters, values),
+        problem.responses, predicted, tuple(errors), cost, expected, expected + 1.645 * spread, starts,
+        *problem.bias_sizes, delay,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,11 +30,13 @@ KINDS = {
     "base_flexibility.damping": "base_damping",
 }
 SLOPE, MASS = "friction_slope", "mass_factor"
+DELAY, DELAY_UNIT = "robot.torque_delay", 1e-3  # fitted in thousandths of a second, beside logarithms
+DELAY_STD = 2e-3  # s, of the delay before the data: a sample or so of usual logs
 
 
 @dataclass(frozen=True)
 class GreyParameter:
-    """One fitted parameter; positive, and fitted as its logarithm.
+    """One fitted parameter; positive, and fitted as its logarithm. The one delay may have either sign, and is fitted as it is.
 
     Attributes
     ----------
@@ -53,10 +56,28 @@ class GreyParameter:
     prior_std: float
 
     @property
+    def begin(self) -> float:
+        """Where it stands in the vector of fitted numbers as declared."""
+        return self.declared / DELAY_UNIT if self.name == DELAY else math.log(self.declared)
+
+    @property
     def words(self) -> str:
         """The name as it stands in a sentence."""
         place, kind = self.name.rsplit(".", 1)
         return f"{place} {kind.replace('_', ' ')}"
+
+
+@dataclass(frozen=True)
+class Delay:
+    """By how much a log shows torques later than angles, with its standard deviation, s; negative: earlier."""
+
+    value: float
+    std: float
+
+
+def late(hz: Array, delay: float) -> ComplexArray:
+    """What a response over torques that were logged `delay` seconds late is over the true one, (F, 1, 1)."""
+    return np.asarray(np.exp(2j * np.pi * delay * hz[:, None, None]))
 
 
 @dataclass(frozen=True, eq=False)

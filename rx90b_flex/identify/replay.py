@@ -15,6 +15,7 @@ changes with m as long as it is wrong, which no linear parameter does.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,10 +29,10 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
 from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
-from rx90b_flex.identify.grey_model import SLOPE, response_derivatives
+from rx90b_flex.identify.grey_model import SLOPE, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
-from rx90b_flex.simulate import CS8, Trajectory
+from rx90b_flex.simulate import CS8, Trajectory, design_cs8
 from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import from_recording
 
@@ -46,6 +47,11 @@ REPLAY_ERROR = 0.1
 FORM_ERROR = 2.0
 ALIKE_HZ = 10.0  # of lines that share an error of the distortion's mean
 SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parameter changes by more, rounds end
+HELD_HZ = (
+    5.0  # bandwidth of what leads a robot that logged torques drive: below the first lines, and settled within a period
+)
+FINER = 4  # points of such a torque a sample of the log: straight lines between samples would lose a third at the upper lines
+AMPLE = 10.0  # torque limit over the largest torque in such a replay
 LARGEST = 0.5  # relative change of a friction coefficient in one round
 
 
@@ -94,6 +100,44 @@ class Replay:
         sent = tuple(_two_periods(r, controller.reference_rate_hz) for r in kept)
         return cls(sent, tuple(_period(r, r, 0) for r in kept), measured, controller)
 
+    @classmethod
+    def from_torques(cls, recordings: Sequence[Recording], measured: MeasuredResponse, robot: Robot) -> Replay:
+        """With the torques that were logged, whatever controller gave them: neither it nor references are needed.
+
+        What is fed forward is the mean period of the logged torque. A robot that torques alone drive drifts away; so a controller of
+        `HELD_HZ` leads it along the motion that was logged with them: it gives nothing where the robot is right.
+
+        Raises
+        ------
+        ValueError
+            A recording without a period.
+        """
+        used = {p.recording for p in measured.places}
+        kept = tuple(r for r in recordings if r.name in used)
+        for r in kept:
+            if r.period_samples is None:
+                raise ValueError(f"recording {r.name!r} lacks a period; without it it cannot be replayed")
+        samples, period = kept[0].period_samples or 0, kept[0].period_s or 0.0
+        rate = FINER * kept[0].sample_rate_hz
+        position = np.mean([_mean_period(r.position, samples) for r in kept], axis=0)
+        spectrum, hz = np.fft.rfft(position, axis=0), np.arange(samples // 2 + 1)[:, None] / period
+        slow = np.where(hz < measured.hz[0], spectrum, 0.0)
+        path, speed = (
+            _resampled(np.fft.irfft(x, samples, axis=0), FINER * samples) for x in (slow, 2j * np.pi * hz * slow)
+        )
+        largest = np.max([np.abs(r.torque).max(axis=0) for r in kept], axis=0)
+        controller = _leading(robot, position.mean(axis=0), kept[0].sample_rate_hz, AMPLE * float(largest.max()))
+        trajectories = []
+        for r in kept:
+            # all runs share references, as the perturbation method asks: what each differs from them by is fed forward
+            apart = np.fft.rfft(_mean_period(r.position, samples), axis=0)[1:] - slow[1:]
+            back = np.vstack([np.zeros(apart.shape[1]), _gains(controller, hz[1:, 0]) * apart])
+            ordered = _mean_period(r.torque, samples) + np.fft.irfft(back, samples, axis=0)
+            torque = _resampled(ordered, FINER * samples)
+            once = Trajectory(r.name, r.joints, rate, path, speed, torque, period)
+            trajectories.append(once.repeated(3).part(0.0, 2.0 * period + TAIL_S))
+        return cls(tuple(trajectories), tuple(_period(r, r, 0) for r in kept), measured, controller)
+
     def responses(self, robot: Robot) -> ComplexArray:
         """Response of each realisation on that robot, shape (R, F, n, n)."""
         runs = perturb_lanes(robot, self.controller, self.trajectories)
@@ -109,6 +153,33 @@ class Replay:
                 f"replayed, {own.realisations.shape[:2]} realisations and lines are left of {self.measured.realisations.shape[:2]}"
             )
         return own.realisations
+
+
+def _mean_period(signal: Array, samples: int) -> Array:
+    whole = len(signal) // samples * samples
+    return np.asarray(signal[:whole].reshape(-1, samples, signal.shape[1]).mean(axis=0))
+
+
+def _leading(robot: Robot, pose: Array, log_hz: float, limit: float) -> CS8:
+    """A slow controller without quantisation, whose log has a given rate."""
+    designed = design_cs8(robot, pose, bandwidth_hz=HELD_HZ, integral_hz=0.1 * HELD_HZ).ideal()
+    reference = FINER * log_hz
+    return dataclasses.replace(
+        designed,
+        joints=tuple(dataclasses.replace(j, torque_limit=limit) for j in designed.joints),
+        reference_rate_hz=reference,
+        controller_rate_hz=reference * max(1, round(designed.controller_rate_hz / reference)),
+        log_rate_hz=log_hz,
+        log_cutoff_hz=0.4 * log_hz,
+    )
+
+
+def _gains(controller: CS8, hz: Array) -> ComplexArray:
+    """Ordered torque over angle error, (F, joints)."""
+    s = 2j * np.pi * hz[:, None]
+    gains = (controller.column(f"{name}_gain") for name in ("position", "velocity", "integral"))
+    position, velocity, integral = gains
+    return np.asarray(position + velocity * s + integral / s)
 
 
 def _two_periods(recording: Recording, rate_hz: float) -> Trajectory:
@@ -180,7 +251,8 @@ class ReplayedGreyBox:
     Attributes
     ----------
     grey : GreyBox
-        Its friction slopes belong to the viscous robot that stands for the response: `slopes` where friction is right.
+        Its friction slopes belong to the viscous robot that stands for the response: `slopes` where friction is right. What a
+        replay is not trusted with of the bias that it took out is part of the intervals.
     robot : Robot
         Drives, flexibilities and links as fitted, friction as told by the distortion.
     responses : tuple of FrequencyResponse
@@ -261,17 +333,26 @@ def grey_box_by_replay(
     for number in range(rounds):
         tell(f"replay {number + 1} of {rounds}", number / rounds)
         fitted = _with_friction(grey.robot, joints, friction)
-        simulated = _simulated([(r, fitted) for r in replays], jobs)
+        delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
+        # what was simulated is logged together: it is made as late as the measured torques are
+        shifts = [late(m.hz, delay) for m in measured]
+        together = _simulated([(r, fitted) for r in replays], jobs)
+        simulated = [s * x for s, x in zip(together, shifts, strict=True)]
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
-                by_friction = _friction_derivatives(replays, fitted, friction, simulated, jobs)
+                by_friction = _friction_derivatives(replays, fitted, friction, together, jobs)
             linear = [
-                response_derivatives(fitted, joints, q, slopes, m.hz) for q, m in zip(poses, measured, strict=True)
+                _linear_changes(fitted, joints, q, slopes, m.hz) * x
+                for q, m, x in zip(poses, measured, shifts, strict=True)
             ]
-            step, std = _friction_step(measured, simulated, by_friction, linear)
-            simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, by_friction, strict=True)]
+            changes = [by * x for by, x in zip(by_friction, shifts, strict=True)]
+            step, std = _friction_step(measured, simulated, changes, linear)
+            simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
             friction, std = friction * (1.0 + step), friction * std
-        lines = [linear_response(fitted, joints, q, slopes, m.hz) for q, m in zip(poses, measured, strict=True)]
+        lines = [
+            linear_response(fitted, joints, q, slopes, m.hz) * x
+            for q, m, x in zip(poses, measured, shifts, strict=True)
+        ]
         found = [_response(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
         start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
         start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
@@ -296,9 +377,26 @@ def grey_box_by_replay(
     left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
     before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
     robot = _with_friction(grey.robot, joints, friction)
+    found_bias = shifts_between(first, grey)
+    left_of_it = min(math.hypot(FORM_ERROR * float(np.median(after / before)), REPLAY_ERROR), 1.0)
+    grey = grey.doubted({name: left_of_it * shift for name, shift in found_bias.items()})
     return ReplayedGreyBox(
         grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
     )
+
+
+def shifts_between(before: GreyBox, after: GreyBox) -> dict[str, float]:
+    """By how much drives and flexibilities moved from one fit to another, logarithms by parameter."""
+    now = {e.name: e.value for e in after.estimates if SLOPE not in e.name}
+    return {e.name: math.log(now[e.name] / e.value) for e in before.estimates if e.name in now}
+
+
+def _linear_changes(
+    robot: Robot, joints: Sequence[str], pose: Array, slopes: dict[str, float], hz: Array
+) -> ComplexArray:
+    """Derivatives of L by linear parameters and, last, by a delay of so many milliseconds, (p + 1, F, n, n)."""
+    by_delay = 2e-3j * np.pi * hz[:, None, None] * linear_response(robot, joints, pose, slopes, hz)
+    return np.concatenate([response_derivatives(robot, joints, pose, slopes, hz), by_delay[None]])
 
 
 def _settled(before: GreyBox, now: GreyBox) -> bool:

@@ -304,6 +304,12 @@ class TransferFit:
         """Undamped resonances, ascending, shape (m,)."""
         return self.model.frequency_hz
 
+    def torque_delays(self) -> tuple[Array, Array]:
+        """By how much torques were logged later than angles, and standard deviations, s; as many as delays were fitted."""
+        count = self._layout.delays
+        spread = np.diag(self.covariance)[len(self.covariance) - count :]
+        return -self.model.delay[:count], np.asarray(np.sqrt(spread))
+
     def resonances_std_hz(self) -> Array:
         """Standard deviations of `resonances_hz`, shape (m,)."""
         return self._spread(self.resonance_derivatives()[1])

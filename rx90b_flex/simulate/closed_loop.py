@@ -447,6 +447,7 @@ class _Runner:
         self.position, self.velocity = (
             _lanes_last([getattr(t, x) for t in job.trajectories]) for x in ("position", "velocity")
         )
+        self.forward = [controller.fed_forward(t.position, t.velocity, t.feedforward) for t in job.trajectories]
         self.jumps = [_reference_jump(t, self.loop.speed) for t in job.trajectories]
         self.lanes = self._start()
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
@@ -469,8 +470,8 @@ class _Runner:
             found.append(starts[key])
         q, v, torque = (np.stack(x) for x in zip(*found, strict=True))
         torque = np.ascontiguousarray(torque.T)
-        forward = np.stack([t.torque[0] for t in self.job.trajectories], axis=1)
         count, joints = len(q), len(torque)
+        forward = np.stack([np.zeros(joints) if x is None else x[0] for x in self.forward], axis=1)
         whole = [np.zeros(count, dtype=np.int64) for _ in range(3)]
         jumps = [(self.samples, 0) if jump is None else (jump.sample * self.up, jump.joint) for jump in self.jumps]
         return Lanes(
@@ -550,9 +551,9 @@ class _Runner:
         references = micro_interpolate(self.position, self.velocity, rows, self.up, rate)
         ends = np.minimum(np.append(rows, rows[-1] + 1), len(self.position) - 1)
         torque = np.zeros((len(ends), *self.lanes.held.shape))
-        for lane, trajectory in enumerate(self.job.trajectories):
-            if trajectory.feedforward is not None:
-                torque[..., lane] = trajectory.feedforward[ends]
+        for lane, forward in enumerate(self.forward):
+            if forward is not None:
+                torque[..., lane] = forward[ends]
         return Inputs(first, self.up, *references, torque, self._noise(samples))
 
     def _noise(self, samples: int) -> Array:

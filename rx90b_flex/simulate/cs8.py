@@ -43,6 +43,9 @@ class JointController:
         Quantisation of resolver and current, rad, rad/s, N m; 0: none.
     torque_limit : float
         N m. The command is held there; `CS8.overload_time_s` at the limit ends a run.
+    by_reference, by_reference_speed, by_reference_acceleration : float
+        What the reference alone adds to the torque fed forward, over ``r - r_0``, r' and r'': N m/rad, N m s/rad, kg m^2. A cascade
+        has them (`rx90b_flex.simulate.cascade`).
     """
 
     name: str
@@ -53,6 +56,12 @@ class JointController:
     velocity_step: float
     torque_step: float
     torque_limit: float
+    by_reference: float = 0.0
+    by_reference_speed: float = 0.0
+    by_reference_acceleration: float = 0.0
+
+
+SIGNED = ("by_reference", "by_reference_speed", "by_reference_acceleration")
 
 
 @dataclass(frozen=True)
@@ -108,6 +117,15 @@ class CS8:
     def column(self, name: str) -> Array:
         """One number of every joint, shape (joints,)."""
         return np.array([getattr(joint, name) for joint in self.joints])
+
+    def fed_forward(self, position: Array, velocity: Array, torque: Array | None) -> Array | None:
+        """Torque that is fed forward with what the reference adds to it, all (N, joints); None where there is none."""
+        own = [self.column(name) for name in SIGNED]
+        if not np.any(own):
+            return torque
+        acceleration = np.gradient(velocity, 1.0 / self.reference_rate_hz, axis=0)
+        added = own[0] * (position - position[0]) + own[1] * velocity + own[2] * acceleration
+        return np.asarray(added if torque is None else torque + added)
 
     def ideal(self) -> CS8:
         """The same controller without quantisation."""
@@ -292,21 +310,32 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
     ValueError
         One line that names the file and the key.
     """
+    from rx90b_flex.simulate.cascade import NEEDED, NUMBERS, Cascade
+
     path = robots_folder() / "cs8.toml" if source is None else Path(source)
     table = read_toml(path, "controller file")
-    entries = table.pop("joint", [])
+    cascades = "cascade" in table and "joint" not in table
+    entries = table.pop("cascade" if cascades else "joint", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
-        raise ValueError(f"{path}: key 'joint' is missing; expected one [[joint]] table a joint")
+        raise ValueError(f"{path}: key 'joint' is missing; expected one [[joint]] or [[cascade]] table a joint")
     settings = [f.name for f in dataclasses.fields(CS8) if f.name != "joints"]
     numbers = _numbers(table, settings, [], str(path))
     fields = [f.name for f in dataclasses.fields(JointController) if f.name != "name"]
     joints = []
     for i, entry in enumerate(entries, start=1):
-        where = f"{path}: joint {i}"
+        where = f"{path}: {'cascade' if cascades else 'joint'} {i}"
         name = entry.pop("name", None)
         if not isinstance(name, str):
             raise ValueError(f"{where}: name is {name!r}; expected a joint's name")
-        joints.append(JointController(name, **_numbers(entry, fields, fields, f"{where} ({name})")))
+        where = f"{where} ({name})"
+        if not cascades:
+            needed = [field for field in fields if field not in SIGNED]
+            joints.append(JointController(name, **_numbers(entry, fields, needed, where)))
+            continue
+        try:
+            joints.append(Cascade(name, **_numbers(entry, NUMBERS, NEEDED, where)).as_pid())
+        except ValueError as error:
+            raise ValueError(str(error) if str(path) in str(error) else f"{where}: {error}") from None
     try:
         return CS8(tuple(joints), **numbers)
     except ValueError as error:
@@ -317,8 +346,11 @@ def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str
     for key, value in table.items():
         if key not in allowed:
             raise ValueError(f"{where}: unknown key {key!r}; {close_match(key, allowed)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-            raise ValueError(f"{where}: {key} is {value!r}; expected a number of 0 or more")
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or (value < 0 and key not in SIGNED):
+            raise ValueError(
+                f"{where}: {key} is {value!r}; expected a number{'' if key in SIGNED else ' of 0 or more'}"
+            )
     for key in needed:
         if key not in table:
             raise ValueError(f"{where}: key {key!r} is missing")

@@ -11,6 +11,7 @@ from rx90b_flex.diagnose.flexible import FlexibleLoop
 from rx90b_flex.diagnose.modal import ModalLoop, alone, error_rms, in_order_rms
 from rx90b_flex.diagnose.response import ResponseLoop
 from rx90b_flex.view import frf_plots, modal_plots
+from rx90b_flex.view.frf_report import delay_words
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.report import number, p_value, percent, unit_text
 
@@ -172,7 +173,10 @@ def _(loop: ResponseLoop) -> Section:
         ]
     head = ("lines", "error before", "after", "over stated errors, before", "after")
     return Section(
-        "Frequency responses, before and after", (), (PageTable(head, tuple(rows), "Errors"),), tuple(figures)
+        "Frequency responses, before and after",
+        tuple(delay_words(loop.torque_delay)),
+        (PageTable(head, tuple(rows), "Errors"),),
+        tuple(figures),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
-from rx90b_flex.identify.grey_model import SLOPE
+from rx90b_flex.identify.grey_model import SLOPE, Delay
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import PageTable, Section, image, write_page
@@ -126,11 +126,22 @@ def _by_replay(result: MotorIdentification) -> Section | None:
         f"{ASSUMED}.",
         _share_words(replayed),
         f"The fit's residual is {replayed.grey.cost / replayed.grey.expected_cost:.2f} times what its intervals allow for.",
+        *delay_words(replayed.grey.torque_delay),
     )
     figure = image(
         grey_plots.intervals(replayed.grey), "Intervals of all physical parameters", "95 % intervals, by replay"
     )
     return Section("Physical parameters, friction's distortion removed", text, tuple(tables), (figure,))
+
+
+def delay_words(delay: Delay | None) -> list[str]:
+    """By how much torques were logged late, in a sentence; none where it was not asked."""
+    if delay is None:
+        return []
+    value, std = (1e6 * x for x in (delay.value, delay.std))
+    return [
+        f"Torques are logged {abs(value):.0f} ± {std:.0f} µs {'later' if value >= 0 else 'earlier'} than angles; that is taken out."
+    ]
 
 
 def _words(name: str) -> str:
@@ -186,6 +197,7 @@ def _physical(result: MotorIdentification) -> Section | None:
         "Friction that reverses is not viscous: its slopes are those that serve this motion, and what they leave over is part of the "
         "intervals as a model error."
     )
+    text += delay_words(grey.torque_delay)
     figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
     title = "Physical parameters" + ("" if result.replayed is None else ", as measured")
     return Section(title, tuple(text), tuple(tables), (figure,))

@@ -1,0 +1,79 @@
+"""Cascaded drive controllers, a position loop (P) around a velocity loop (PI), as the PID that does the same.
+
+With f the part of the reference's speed that is fed forward, e the drive's angle and r the reference, the cascade
+
+    u = Kv (w + 1/Ti int w dt) + J r'' + feed-forward,    w = Kp (r - e) + f r' - e'
+
+is, up to a constant that the integrator holds from the start,
+
+    u = (Kv Kp + Kv/Ti) (r - e) + Kv (r' - e') + Kv Kp/Ti int (r - e) dt
+        - (1 - f) Kv r' - (1 - f) Kv/Ti (r - r_0) + J r'' + feed-forward:
+
+a PID, and a torque that the reference alone decides.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from rx90b_flex.simulate.cs8 import JointController
+
+
+@dataclass(frozen=True)
+class Cascade:
+    """One joint's loops, joint side.
+
+    Attributes
+    ----------
+    name : str
+    position_loop : float
+        Kp, 1/s: speed that is asked for over angle error.
+    velocity_loop : float
+        Kv, N m s/rad: torque over speed error.
+    integral_time_s : float
+        Ti of the velocity loop, s; 0: no integral.
+    velocity_feedforward : float
+        f, 0 to 1.
+    inertia_feedforward : float
+        J, kg m^2.
+    position_step, velocity_step, torque_step, torque_limit
+        As `JointController` has them.
+    """
+
+    name: str
+    position_loop: float
+    velocity_loop: float
+    torque_limit: float
+    integral_time_s: float = 0.0
+    velocity_feedforward: float = 0.0
+    inertia_feedforward: float = 0.0
+    position_step: float = 0.0
+    velocity_step: float = 0.0
+    torque_step: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.velocity_feedforward > 1.0:
+            raise ValueError(f"velocity_feedforward is {self.velocity_feedforward:g}; expected 0 to 1")
+
+    def as_pid(self) -> JointController:
+        """The same law as a PID and a torque of the reference."""
+        rate = 1.0 / self.integral_time_s if self.integral_time_s > 0.0 else 0.0
+        lacking = 1.0 - self.velocity_feedforward
+        return JointController(
+            self.name,
+            position_gain=self.velocity_loop * (self.position_loop + rate),
+            velocity_gain=self.velocity_loop,
+            integral_gain=self.velocity_loop * self.position_loop * rate,
+            position_step=self.position_step,
+            velocity_step=self.velocity_step,
+            torque_step=self.torque_step,
+            torque_limit=self.torque_limit,
+            by_reference=-lacking * self.velocity_loop * rate,
+            by_reference_speed=-lacking * self.velocity_loop,
+            by_reference_acceleration=self.inertia_feedforward,
+        )
+
+
+NEEDED = [f.name for f in dataclasses.fields(Cascade) if f.default is dataclasses.MISSING and f.name != "name"]
+NUMBERS = [f.name for f in dataclasses.fields(Cascade) if f.name != "name"]

@@ -1,0 +1,63 @@
+"""Claims about controller files of cascades: what they order is a position loop around a velocity loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90b_flex.robot import load_robot
+from rx90b_flex.simulate import load_cs8, save_cs8, simulate, square_wave
+from rx90b_flex.simulate.closed_loop import micro_interpolate
+
+HEAD = "reference_rate_hz = 500.0\ncontroller_rate_hz = 4000.0\nlog_rate_hz = 500.0\nlog_cutoff_hz = 180.0\n"
+LOOPS = {"position_loop": 25.0, "velocity_loop": 900.0, "integral_time_s": 0.04, "torque_limit": 900.0}
+
+
+def controller_file(folder: Path, **numbers: float) -> Path:
+    joints = ("joint_1", "joint_2", "joint_3")
+    lines = "\n".join(f"{key} = {value}" for key, value in (LOOPS | numbers).items())
+    file = folder / "controller.toml"
+    file.write_text(HEAD + "".join(f'[[cascade]]\nname = "{j}"\n{lines}\n' for j in joints))
+    return file
+
+
+@pytest.mark.parametrize("numbers", [{}, {"velocity_feedforward": 0.6, "inertia_feedforward": 3.0}])
+def test_the_torque_is_what_two_loops_order(tmp_path: Path, numbers: dict[str, float]) -> None:
+    """Of the angles and speeds that a run shows, by the loops as they stand in the file, sample by sample."""
+    controller = load_cs8(controller_file(tmp_path, **numbers))
+    robot = load_robot("rx90b_3dof")
+    reference = square_wave(robot, [0.0, 0.5 * np.pi, 1.0], moving=robot.joints, rate_hz=500.0).part(0.0, 1.5)
+    run = simulate(robot, controller, reference, raw=True)
+    assert run.ended is None and run.raw is not None
+    rows = np.arange(len(reference.position))
+    position, speed = micro_interpolate(reference.position, reference.velocity, rows, 8, 500.0)
+    acceleration = np.gradient(speed, 1.0 / 4000.0, axis=0)
+    f, inertia = numbers.get("velocity_feedforward", 0.0), numbers.get("inertia_feedforward", 0.0)
+    asked = LOOPS["position_loop"] * (position - run.raw.position) + f * speed - run.raw.velocity
+    integral = np.cumsum(asked, axis=0) / 4000.0
+    torque = LOOPS["velocity_loop"] * (asked + integral / LOOPS["integral_time_s"]) + inertia * acceleration
+    apart = (torque - run.raw.torque)[:-8]  # behind the last reference there is none to be interpolated to
+    # the integrator's start is a constant; sums differ from integrals by half a sample of the speeds' change
+    half = 0.5 / 4000.0 * LOOPS["velocity_loop"] / LOOPS["integral_time_s"] * np.ptp(run.raw.velocity, axis=0)
+    # a straight line between two references' accelerations is off by no more than their own change
+    bend = inertia * np.abs(np.diff(acceleration[::8], axis=0)).max(axis=0)
+    assert (np.abs(apart - apart[0]).max(axis=0) < 2.0 * half + bend + 1e-6).all()
+    assert (np.ptp(run.raw.torque, axis=0) > 10.0 * (2.0 * half + bend)).all()  # a loop left out would be seen
+
+
+def test_a_cascade_that_is_saved_comes_back(tmp_path: Path) -> None:
+    controller = load_cs8(controller_file(tmp_path, velocity_feedforward=0.5))
+    save_cs8(controller, tmp_path / "again.toml")
+    assert load_cs8(tmp_path / "again.toml") == controller
+
+
+def test_a_wrong_cascade_is_one_line_that_names_file_and_key(tmp_path: Path) -> None:
+    for numbers, words in (
+        ({"velocity_feedforward": 1.5}, r"cascade 1 \(joint_1\): velocity_feedforward is 1.5; expected 0 to 1"),
+        ({"velocity_lop": 1.0}, r"controller.toml: cascade 1 \(joint_1\): unknown key 'velocity_lop'"),
+        ({"integral_time_s": -1.0}, "integral_time_s is -1.0; expected a number of 0 or more"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            load_cs8(controller_file(tmp_path, **numbers))
