@@ -233,6 +233,8 @@ def demo(
 
     check_hidden(hidden)
     from rx90b_flex.closing import Closed, LoopOptions, close_campaign
+    from rx90b_flex.diagnose.output import write_result
+    from rx90b_flex.view.report import write_report
 
     with progress() as tell:
         tell("making recordings", 0.0)
@@ -240,8 +242,9 @@ def demo(
 
         def fill(folder: Path) -> None:
             # the loop reads the campaign from disk, as it would read anyone's: it is not told what is hidden
-            loops.append(close_campaign(demonstration.write(folder), LoopOptions(), tell))
-            loops[0].write(folder)
+            closed = close_campaign(demonstration.write(folder), LoopOptions(), tell)
+            write_result(closed.result, folder, [lambda r, at: write_report(r, at / "report.html", closed.motion)])
+            loops.append(closed)
 
         loops: list[Closed] = []
         fill_folder(out, fill, DEMONSTRATION, overwrite)
