@@ -536,19 +536,13 @@ def grey_box(
     return _result(robot, problem, best, ends)
 
 
-def _problem(
+def _kept(
     robot: Robot,
     given: tuple[FrequencyResponse, ...],
     band_hz: tuple[float, float],
-    link_mass_std: float,
-    fixed: Sequence[str],
     along: Sequence[Array] | None,
-    feedback: Feedback | None,
-    torques: Sequence[ComplexArray] | None,
-    bending_alike_std: float,
-    accelerations: Sequence[AccelerationResponse] | None = None,
-    delay_std: float = DELAY_STD,
-) -> _GreyBoxProblem:
+) -> tuple[FrequencyResponse, ...]:
+    """The responses within the band; a clear word where they do not go together."""
     if not given:
         raise ValueError("no frequency response to fit to")
     if along is not None and len(along) != len(given):
@@ -570,6 +564,23 @@ def _problem(
             raise ValueError(
                 f"{len(k.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz (the response has {len(r.hz)}); expected 2 or more"
             )
+    return kept
+
+
+def _problem(
+    robot: Robot,
+    given: tuple[FrequencyResponse, ...],
+    band_hz: tuple[float, float],
+    link_mass_std: float,
+    fixed: Sequence[str],
+    along: Sequence[Array] | None,
+    feedback: Feedback | None,
+    torques: Sequence[ComplexArray] | None,
+    bending_alike_std: float,
+    accelerations: Sequence[AccelerationResponse] | None = None,
+    delay_std: float = DELAY_STD,
+) -> _GreyBoxProblem:
+    kept, joints = _kept(robot, given, band_hz, along), given[0].joints
     used = _torques(given, torques, band_hz)
     experiments = 1 if used[0] is None else used[0].shape[2]
     parameters = tuple(grey_parameters(robot, joints, experiments, link_mass_std))

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import joblib
 import numpy as np
@@ -322,67 +323,79 @@ def grey_box_by_replay(
     measured, grey = [r.measured for r in replays], first
     joints = measured[0].joints
     declared = _frictions(robot, joints)
-    values = np.array([c for e in declared for c in e.coefficients])
-    if not np.isfinite(values).all():
-        raise ValueError("a friction coefficient has no value; a replay needs all of them")
-    friction, std = values, np.zeros_like(values)
+    friction = _known_friction(declared)
+    std = np.zeros_like(friction)
     # mean of the reference's poses and of viscosities over experiments, from the fit before
     poses, slopes = [r.pose for r in first.responses], _slopes(first, joints)
     band = min(float(m.hz[0]) for m in measured), max(float(m.hz[-1]) for m in measured)
+    fit = partial(
+        grey_box,
+        starts=0,
+        link_mass_std=link_mass_std,
+        bending_alike_std=bending_alike_std,
+        model_error=None,
+        friction_error=None,
+    )
     by_friction: list[ComplexArray] | None = None
     for number in range(rounds):
         tell(f"replay {number + 1} of {rounds}", number / rounds)
         fitted = _with_friction(grey.robot, joints, friction)
         delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
-        # what was simulated is logged together: it is made as late as the measured torques are
-        shifts = [late(m.hz, delay) for m in measured]
+        shifts = [late(m.hz, delay) for m in measured]  # simulated signals are logged together
         together = _simulated([(r, fitted) for r in replays], jobs)
         simulated = [s * x for s, x in zip(together, shifts, strict=True)]
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
                 by_friction = _friction_derivatives(replays, fitted, friction, together, jobs)
-            linear = [
-                _linear_changes(fitted, joints, q, slopes, m.hz) * x
-                for q, m, x in zip(poses, measured, shifts, strict=True)
-            ]
+            linear = _at_poses(_linear_changes, fitted, poses, slopes, measured, shifts)
             changes = [by * x for by, x in zip(by_friction, shifts, strict=True)]
             step, std = _friction_step(measured, simulated, changes, linear)
             simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
             friction, std = friction * (1.0 + step), friction * std
-        lines = [
-            linear_response(fitted, joints, q, slopes, m.hz) * x
-            for q, m, x in zip(poses, measured, shifts, strict=True)
-        ]
+        lines = _at_poses(linear_response, fitted, poses, slopes, measured, shifts)
         found = [_response(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
         start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
         start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
         tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
-        last, grey = (
-            grey,
-            grey_box(
-                robot,
-                [doubted for _, doubted in found],
-                band_hz=band,
-                start=start,
-                starts=0,
-                link_mass_std=link_mass_std,
-                bending_alike_std=bending_alike_std,
-                model_error=None,
-                friction_error=None,
-            ),
-        )
+        last, doubted = grey, [x for _, x in found]
+        grey = fit(robot, doubted, band_hz=band, start=start)
         if _settled(last, grey):
             break
     frictions = _friction_estimates(declared, friction, std)
     left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
     before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
     robot = _with_friction(grey.robot, joints, friction)
-    found_bias = shifts_between(first, grey)
-    left_of_it = min(math.hypot(FORM_ERROR * float(np.median(after / before)), REPLAY_ERROR), 1.0)
-    grey = grey.doubted({name: left_of_it * shift for name, shift in found_bias.items()})
+    grey = _less_what_is_left(first, grey, before, after)
     return ReplayedGreyBox(
         grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
     )
+
+
+def _at_poses(
+    response: Callable[..., ComplexArray],
+    robot: Robot,
+    poses: Sequence[Array],
+    slopes: dict[str, float],
+    measured: Sequence[MeasuredResponse],
+    shifts: Sequence[ComplexArray],
+) -> list[ComplexArray]:
+    """A linear response at each pose, as late as its torques were logged."""
+    each = zip(poses, measured, shifts, strict=True)
+    return [response(robot, m.joints, q, slopes, m.hz) * late for q, m, late in each]
+
+
+def _known_friction(declared: Sequence[Effect]) -> Array:
+    """Coefficients of all frictions, one after another."""
+    values = np.array([c for e in declared for c in e.coefficients])
+    if not np.isfinite(values).all():
+        raise ValueError("a friction coefficient has no value; a replay needs all of them")
+    return values
+
+
+def _less_what_is_left(first: GreyBox, grey: GreyBox, before: Array, after: Array) -> GreyBox:
+    """With the part of the bias that a replay is not trusted with in its intervals, by the spreads of realisations."""
+    left = min(math.hypot(FORM_ERROR * float(np.median(after / before)), REPLAY_ERROR), 1.0)
+    return grey.doubted({name: left * shift for name, shift in shifts_between(first, grey).items()})
 
 
 def shifts_between(before: GreyBox, after: GreyBox) -> dict[str, float]:
