@@ -375,6 +375,20 @@ def test_controller_file_comes_back(tmp_path) -> None:  # type: ignore[no-untype
     assert load_cs8(tmp_path / "own.toml") == load_cs8()
 
 
+ONE_JOINT = "[[joint]]\nname = 'a'\n" + "".join(
+    f"{key} = 1.0\n"
+    for key in (
+        "position_gain",
+        "velocity_gain",
+        "integral_gain",
+        "position_step",
+        "velocity_step",
+        "torque_step",
+        "torque_limit",
+    )
+)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -382,6 +396,9 @@ def test_controller_file_comes_back(tmp_path) -> None:  # type: ignore[no-untype
         ("[[joint]]\nname = 'a'\n", "joint 1 .a.: key 'position_gain' is missing"),
         ("controler_rate_hz = 1.0\n[[joint]]\nname = 'a'\n", "did you mean 'controller_rate_hz'"),
         ("log_cutoff_hz = 'x'\n[[joint]]\nname = 'a'\n", "expected a number of 0 or more"),
+        (f"reference_rate_hz = 0.0\n{ONE_JOINT}", "reference_rate_hz is 0; expected a frequency above 0"),
+        (f"controller_rate_hz = 0.0\n{ONE_JOINT}", "controller_rate_hz is 0; expected a frequency above 0"),
+        (f"{ONE_JOINT}[[cascade]]\nname = 'b'\n", "expected one kind, for all joints"),
     ],
 )
 def test_bad_controller_file_is_named(tmp_path, text: str, message: str) -> None:  # type: ignore[no-untyped-def]

@@ -92,6 +92,9 @@ class CS8:
     overload_time_s: float = 0.05
 
     def __post_init__(self) -> None:
+        for name in ("controller_rate_hz", "reference_rate_hz", "log_rate_hz", "log_cutoff_hz"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name):g}; expected a frequency above 0")
         for name in ("reference_rate_hz", "log_rate_hz"):
             ratio = self.controller_rate_hz / getattr(self, name)
             if not (ratio >= 1.0 and abs(ratio - round(ratio)) < 1e-9):
@@ -314,7 +317,9 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
 
     path = robots_folder() / "cs8.toml" if source is None else Path(source)
     table = read_toml(path, "controller file")
-    cascades = "cascade" in table and "joint" not in table
+    cascades = "cascade" in table
+    if cascades and "joint" in table:
+        raise ValueError(f"{path}: [[joint]] and [[cascade]] tables; expected one kind, for all joints")
     entries = table.pop("cascade" if cascades else "joint", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise ValueError(f"{path}: key 'joint' is missing; expected one [[joint]] or [[cascade]] table a joint")
