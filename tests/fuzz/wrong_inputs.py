@@ -75,6 +75,16 @@ angles_deg = { joint_2 = 90.0 }
 resonance = { hz = [20.0, 30.0], std_hz = [0.1, 0.1] }
 antiresonance.joint_1 = { hz = [15.0], std_hz = [0.1] }
 """
+CASCADE = "controller_rate_hz = 2000.0\n" + "".join(
+    f"""[[cascade]]
+name = "joint_{number}"
+position_loop = 30.0
+velocity_loop = {velocity}
+integral_time_s = 0.05
+torque_limit = 450.0
+"""
+    for number, velocity in ((1, 1500.0), (2, 1500.0), (3, 500.0))
+)
 WEIGHTS = """robot = "rx90b_4dof"
 [[test]]
 coordinate = "joint_2:torsion"
@@ -100,6 +110,7 @@ def write_inputs(folder: Path) -> None:
     places = "".join(f"0.5,{y:.4f},0.35\n" for y in np.linspace(-0.01, 0.01, 30))
     (folder / "measured.csv").write_text("x,y,z\n" + places)
     shutil.copy(robots_folder() / "cs8.toml", folder / "controller.toml")
+    (folder / "cascade.toml").write_text(CASCADE)
     write_test(folder, "weights", 1e5, 1.0, np.random.default_rng(0))
     (folder / "weights.toml").write_text(WEIGHTS)
     write_poses(folder, load_robot("rx90b_4dof"), "joint_4", 30)
@@ -136,7 +147,12 @@ _IMPORT = (
 _ONE_RUN = ("--no-correct", "--no-contributions")
 _PATH = (*_numbers("--tolerance-mm", "--speed-mm-s", "--iterations", "--jobs"), ("--robot", WORDS))
 _VIEW = (*_numbers("--pose", "--count", "--magnify"), ("--tip", WORDS), ("--beside", WORDS))
-_FRF = _numbers("--low-hz", "--high-hz", "--mains-hz", "--link-mass-std", "--bending-alike-std", "--seed", "--jobs")
+_FRF = (
+    *_numbers(
+        "--low-hz", "--high-hz", "--mains-hz", "--link-mass-std", "--bending-alike-std", "--seed", "--jobs", "--modes"
+    ),
+    ("--delays", WORDS),
+)
 _EPISODE = "data/chunk-000/episode_000000.parquet"
 _PERIODIC = tuple(f"periodic/{name}" for name in ("campaign.toml", "robot.toml", "run_001_2_minus.parquet"))
 _SIMULATE = _numbers("--torque-noise", "--position-noise", "--velocity-noise", "--periods", "--seed")
@@ -147,7 +163,7 @@ _EXCITE = (
     ),  # a right one, of minutes
     *(("--joints", WORDS), ("--matrix", WORDS)),
 )
-IDENTIFY = Call(("identify", "campaign.toml"), _OF_A_CAMPAIGN)
+IDENTIFY = Call(("identify", "campaign.toml"), _OF_A_CAMPAIGN, (("--estimator", WORDS),))
 CALLS = (
     *(IDENTIFY,) * 6,
     *(
@@ -163,6 +179,10 @@ CALLS = (
     Call(
         ("simulate", "rx90b", "--trajectory", "swing.csv", "--controller", "controller.toml"),
         ("controller.toml", "swing.csv"),
+    ),
+    Call(
+        ("simulate", "rx90b_3dof", "--trajectory", "swing.csv", "--controller", "cascade.toml"),
+        ("cascade.toml",),
     ),
     Call(("excite", "rx90b_3dof", "--realisations", "1", "--periods", "1"), (), _EXCITE),
     Call(("frf", "campaign.toml", "--no-replay"), _OF_A_CAMPAIGN, _numbers("--low-hz", "--high-hz", "--mains-hz")),
