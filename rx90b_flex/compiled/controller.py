@@ -134,6 +134,7 @@ def _end(lanes: Lanes, lane: int, status: int, joint: int, sample: int) -> None:
 
 @inlined
 def check(loop: Loop, lanes: Lanes, lane: int, sample: int) -> None:
+    """End a lane that is no longer finite, turns too fast or is beyond its limits."""
     for i in range(lanes.q.shape[1]):
         if not (math.isfinite(lanes.q[lane, i]) and math.isfinite(lanes.v[lane, i])):
             _end(lanes, lane, DIVERGED, -1, sample)

@@ -79,6 +79,7 @@ def scatter(laws: Laws, m: int, torque: Any, out: Array) -> None:
 
 @inlined
 def ask(laws: Laws, m: int, x: float, rate: float) -> tuple[float, float, float]:
+    """Torque of law m and its slopes by x and rate."""
     _call(laws.address[m], x, rate, laws.parameters[m].ctypes.data, laws.out.ctypes.data)
     return laws.out[0], laws.out[1], laws.out[2]
 

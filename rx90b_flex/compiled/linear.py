@@ -51,6 +51,7 @@ def factor_general(system: Array) -> None:
 
 @inlined
 def solve_general(system: Array, x: Array) -> None:
+    """Solve in place with a system that is factored without pivots, its pivots inverted; x (n,) is the right side."""
     n = len(x)
     for i in range(n):
         for j in range(i):
@@ -63,6 +64,7 @@ def solve_general(system: Array, x: Array) -> None:
 
 @inlined
 def add_dense(matrix: Array, lane: int, scale: float, x: Array, out: Array) -> None:
+    """Add `scale` times a lane's matrix (n, n) times x (n,) to out (n,)."""
     n = len(x)
     for i in range(n):
         total = 0.0
