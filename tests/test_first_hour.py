@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import independent as ind
+import mujoco
 import numpy as np
 import pytest
 
@@ -58,10 +59,12 @@ def run(words: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_four_commands_of_the_readme_take_a_bare_urdf_and_logs_in_degrees_to_a_result(tmp_path: Path) -> None:
+def test_the_commands_of_the_readme_take_a_bare_urdf_and_logs_in_degrees_to_a_result_and_to_mujoco(
+    tmp_path: Path,
+) -> None:
     write_logs(tmp_path)
     printed = commands()
-    assert [words[1] for words in printed] == ["import", "check", "identify", "close-loop"]
+    assert [words[1] for words in printed] == ["import", "check", "identify", "close-loop", "export"]
     for words in printed:
         done = run(words, tmp_path)
         assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
@@ -77,6 +80,10 @@ def test_four_commands_of_the_readme_take_a_bare_urdf_and_logs_in_degrees_to_a_r
     # what every drive has is declared, and there is nothing else in these logs
     assert closed["effects"] == [] and closed["data_faults"] == []
     assert closed["before"]["validation"]["relative_error"] < 0.05
+    simulated = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    assert [simulated.joint(i).name for i in range(simulated.njnt)] == ["shoulder", "elbow"]
+    np.testing.assert_allclose(simulated.dof_frictionloss, COULOMB, rtol=0.1)
+    np.testing.assert_allclose(simulated.dof_damping.ravel(), VISCOUS, rtol=0.1)
 
 
 def test_import_offers_what_every_drive_has_where_the_robot_declares_none_of_it(tmp_path: Path) -> None:
