@@ -408,7 +408,7 @@ def _numbers(name: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"{name} is {text!r}; expected numbers: 0,90,0") from None
+        raise ValueError(f"{name} is {text!r}; expected numbers with commas between them") from None
 
 
 @app.command()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rx90b_flex.files.toml import named_in
 from rx90b_flex.signals.recording import Campaign, load_campaign
 
 LONGEST_S = 86400.0  # of a simulated motion; a longer one is a slip of the decimal point
@@ -21,7 +22,8 @@ def read_campaign(path: Path) -> Campaign:
     campaign = load_campaign(path)
     from rx90b_flex.robot import load_robot
 
-    robot = load_robot(campaign.robot_source)
+    with named_in(campaign.path, "robot"):
+        robot = load_robot(campaign.robot_source)
     for joint in campaign.joints:
         if joint not in robot.joints:
             try:

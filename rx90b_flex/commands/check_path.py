@@ -59,14 +59,18 @@ def check_path_command(
     if save_example is None:
         check_folder(out, PATH_CHECK, overwrite, [str(x) for x in (path, robot, controller, measured) if x])
     from rx90b_flex.early import check_jobs, check_robot
+    from rx90b_flex.files.toml import named_in
 
     check_jobs(jobs)
     if save_example is None:
         from rx90b_flex.path.seam import load_seam
 
         named = load_seam(path, speed_mm_s).robot
-        if robot or named:
-            check_robot(robot or named or "")
+        if robot:
+            check_robot(robot)
+        elif named:
+            with named_in(Path(path), "robot"):
+                check_robot(named)
     from rx90b_flex.path.check import PathOptions
     from rx90b_flex.path.output import PathRequest, run_request, write_check, write_example
 

@@ -26,6 +26,7 @@ from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared
 from rx90b_flex.diagnose.residual import noise_between_periods
 from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import named_in
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
@@ -163,7 +164,10 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
             campaign = load_campaign(Path(source))
         except ValueError as error:
             return _refused(Path(source), error)
-    declared = load_robot(campaign.robot_source) if robot is None else robot
+    if robot is None:
+        with named_in(campaign.path, "robot"):
+            robot = load_robot(campaign.robot_source)
+    declared = robot
     try:
         rigid = declared.rigid().restricted(campaign.joints)
     except ValueError as error:

@@ -39,9 +39,9 @@ from rx90b_flex.diagnose.likelihood import (
     close_residual,
 )
 from rx90b_flex.diagnose.loop import Progress
-from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.keys import check_keys, close_match
+from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.robot import Robot, load_robot
 
 MODEL_ERROR = 0.005  # of a frequency: what separates a robot that moves from its model at rest
@@ -150,7 +150,7 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
     """
     path = Path(path)
     table = read_toml(path, "modal table")
-    _check_keys(table, TABLE_KEYS, str(path))
+    check_keys(table, TABLE_KEYS, path)
     joints = table.get("joints")
     if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):
         raise ValueError(f"{path}: joints is {joints!r}; expected the names of the joints whose drives moved")
@@ -173,14 +173,8 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
     return ModalTable(tuple(joints), (low, high), read, robot, path.stem)
 
 
-def _check_keys(table: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
-    for key in table:
-        if key not in allowed:
-            raise ValueError(f"{where}: unknown key {key!r}; {close_match(key, allowed)}")
-
-
 def _read_pose(table: Mapping[str, Any], joints: tuple[str, ...], where: str) -> ModalPose:
-    _check_keys(table, POSE_KEYS, where)
+    check_keys(table, POSE_KEYS, where)
     angles = table.get("angles_deg", {})
     if not isinstance(angles, dict):
         raise ValueError(f"{where}: angles_deg is {angles!r}; expected joints with angles, as {{ joint_2 = 90.0 }}")
@@ -207,7 +201,7 @@ def _read_pose(table: Mapping[str, Any], joints: tuple[str, ...], where: str) ->
 def _read_list(table: Any, locked: str | None, where: str) -> ModeList:
     if not isinstance(table, dict):
         raise ValueError(f"{where} is {table!r}; expected {{ hz = [...], std_hz = [...] }}")
-    _check_keys(table, LIST_KEYS, where)
+    check_keys(table, LIST_KEYS, where)
     for key in LIST_KEYS:
         if key not in table:
             raise ValueError(f"{where}: key {key!r} is missing")
@@ -592,7 +586,10 @@ def close_modal(
         raise ValueError(f"{read.name}: robot is missing; name it in the table or give one")
     if not model_error > 0:
         raise ValueError(f"model_error is {model_error:g}; expected a relative error above 0, as {MODEL_ERROR:g}")
-    source = robot if isinstance(robot, Robot) else load_robot(robot or str(read.robot))
+    if robot is None:
+        with named_in(Path(read.name), "robot"):
+            robot = load_robot(str(read.robot))
+    source = load_robot(robot)
     fitted, held_out = read.role("identification"), read.role("validation")
     data = ModalResidual.of(source, read, fitted, model_error, new_std)
     if only:

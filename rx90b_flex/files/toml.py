@@ -7,6 +7,7 @@ import math
 import os
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,22 @@ def named_beside(path: Path, name: str) -> Path | str:
     beside = path.parent / name
     # unlike the path's own method, no error where the name is too long
     return beside if os.path.isfile(beside) else name
+
+
+@contextmanager
+def named_in(path: Path, key: str) -> Iterator[None]:
+    """While what a file's key names is read: whatever is wrong with that is told with the file and the key.
+
+    Raises
+    ------
+    ValueError
+        As it was raised, with ``path: key:`` before it where the file is not named yet.
+    """
+    try:
+        yield
+    except ValueError as error:
+        text = str(error)
+        raise ValueError(text if text.startswith(str(path)) else f"{path}: {key}: {text}") from None
 
 
 def toml_value(value: Any) -> str:

@@ -32,7 +32,7 @@ from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot
 from rx90b_flex.files.keys import check_keys
-from rx90b_flex.files.toml import named_beside, read_toml
+from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.camera import (
     FRAME_PRIOR,
     BaseCalibration,
@@ -126,7 +126,8 @@ def read_markers(path: Path) -> MarkerRecording:
     for key in ("robot", "joint", "file"):
         if not isinstance(keys.get(key), str):
             raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
-    robot = load_robot(named_beside(path, keys["robot"]))
+    with named_in(path, "robot"):
+        robot = load_robot(named_beside(path, keys["robot"]))
     joint = keys["joint"]
     if joint not in robot.joints:
         raise ValueError(f"{path}: unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}")
@@ -149,7 +150,8 @@ def read_markers(path: Path) -> MarkerRecording:
     base = None
     if "base_rpy_deg" in keys:
         base = Rotation.from_euler("xyz", _numbers(path, keys, "base_rpy_deg", 3), degrees=True).as_matrix()
-    angles, markers, rate = _read_table(path.parent / keys["file"], robot, count)
+    with named_in(path, "file"):
+        angles, markers, rate = _read_table(path.parent / keys["file"], robot, count)
     return MarkerRecording(path, robot, joint, angles, markers, std, rate, base, same, float(frame_std))
 
 

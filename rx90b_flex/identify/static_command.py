@@ -34,7 +34,7 @@ from scipy import special
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
 from rx90b_flex.files.keys import check_keys
-from rx90b_flex.files.toml import named_beside, read_toml
+from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
@@ -100,7 +100,8 @@ def read_static_tests(path: Path) -> StaticTests:
     check_keys(keys, KEYS, path)
     robot = None
     if "robot" in keys:
-        robot = load_robot(_robot_source(path, keys["robot"]))
+        with named_in(path, "robot"):
+            robot = load_robot(_robot_source(path, keys["robot"]))
     skip, confidence = keys.get("skip", 0), keys.get("confidence", 0.95)
     if isinstance(skip, bool) or not isinstance(skip, int) or skip < 0:
         raise ValueError(f"{path}: skip is {skip!r}; expected a number of readings, 0 or more")
@@ -138,7 +139,8 @@ def _read_test(path: Path, where: str, table: Any, robot: Robot | None) -> Stati
     if robot is not None:
         _hinge(where, robot, coordinate)
     file = path.parent / table["file"]
-    return read_static_table(file, coordinate, lever, numbers["moment_std_nm"], numbers["deformation_std_rad"])
+    with named_in(path, where.removeprefix(f"{path}: ") + " file"):
+        return read_static_table(file, coordinate, lever, numbers["moment_std_nm"], numbers["deformation_std_rad"])
 
 
 def _number(where: str, table: Mapping[str, Any], key: str) -> float | None:

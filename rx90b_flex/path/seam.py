@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.trajectories import LINE_DISTANCE, LINE_HEIGHT, LINE_LENGTH
 
@@ -369,7 +369,7 @@ def _seam(table: dict[str, Any], path: Path, speed_mm_s: float | None) -> Seam:
         raise ValueError(f"{path}: {' and '.join(given)}: choose one way to give the orientation")
     start = table.get("start_deg")
     robot = table.get("robot")
-    if robot is not None and not isinstance(robot, str):
+    if robot is not None and not (isinstance(robot, str) and robot):
         raise ValueError(f"{path}: robot is {robot!r}; expected a robot's name or file")
     try:
         return Seam(
@@ -398,7 +398,8 @@ def _points(table: dict[str, Any], path: Path) -> tuple[Array, Array | None]:
     if "points_file" in table:
         if not isinstance(table["points_file"], str):
             raise ValueError(f"{path}: points_file is {table['points_file']!r}; expected a file's name")
-        points, rotations = _read_points(path.parent / table["points_file"])
+        with named_in(path, "points_file"):
+            points, rotations = _read_points(path.parent / table["points_file"])
     else:
         unit = table.get("unit", "m")
         _one_of(path, "unit", unit, ("m", "mm"))

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.keys import check_keys, close_match
 from rx90b_flex.files.toml import read_toml
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, robots_folder
@@ -348,9 +348,8 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
 
 
 def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str], where: str) -> dict[str, float]:
+    check_keys(table, allowed, where)
     for key, value in table.items():
-        if key not in allowed:
-            raise ValueError(f"{where}: unknown key {key!r}; {close_match(key, allowed)}")
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not number or (value < 0 and key not in SIGNED):
             raise ValueError(
