@@ -618,6 +618,8 @@ def _print_result(result: Any) -> None:
     if result.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
         say(f"Noise floor: {rms} N m a joint")
+    for gone in result.last_round.taken_out:
+        say(f"Taken out again: {gone.label}, for {gone.refusal}")
     for d in result.unexplained.where[:3]:
         say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
     for caution in result.cautions:

@@ -93,11 +93,14 @@ class LastRound:
         Effects that can be tried beside the final model: types times places.
     tests : int
         Independent trials that p-values are corrected for.
+    taken_out : tuple of TorqueTrial
+        Additions that went again, for they raise the error of recordings that were not fitted.
     """
 
     trials: tuple[TorqueTrial, ...]
     candidates: int
     tests: int
+    taken_out: tuple[TorqueTrial, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +426,7 @@ class _Ended:
 
     def _last_round(self, search: Search) -> LastRound:
         refused = sorted((t for t in self.standing.refused if not t.members), key=lambda t: -t.gain)
-        return LastRound(tuple(refused[: 2 * RIVALS]), len(search.candidates), search.tests)
+        return LastRound(tuple(refused[: 2 * RIVALS]), len(search.candidates), search.tests, self.standing.taken_out)
 
     def _if_not_possible(self) -> FittedErrors | None:
         """Errors with the fitted values; None where they are those of robots that can exist."""

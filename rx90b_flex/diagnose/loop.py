@@ -54,11 +54,14 @@ class Addition(Generic[TrialT]):
 
 @dataclass(frozen=True, eq=False)
 class Standing(Generic[ModelT, TrialT]):
-    """Where the loop stands: a model, what was added to it, and what a round that added nothing refused."""
+    """Where the loop stands: a model, what was added to it, what a round that added nothing refused, and what was taken out in
+    the end, for it does not carry over.
+    """
 
     model: ModelT
     steps: tuple[Addition[TrialT], ...] = ()
     refused: tuple[TrialT, ...] = ()
+    taken_out: tuple[TrialT, ...] = ()
 
 
 class Residual(ABC, Generic[ModelT, TrialT]):
@@ -135,6 +138,10 @@ class Residual(ABC, Generic[ModelT, TrialT]):
     def without(self, model: ModelT, trial: TrialT) -> tuple[ModelT, list[TrialT]]:
         """The model without what a trial added, and the trials of what that stood in for, where it is a finding by itself."""
 
+    def burden(self, standing: Standing[ModelT, TrialT]) -> tuple[Addition[TrialT], TrialT] | None:
+        """The addition that does most harm to data that were not fitted, and its trial, which says so; None where none does."""
+        return None
+
     @abstractmethod
     def instead(self, model: ModelT, step: Addition[TrialT]) -> tuple[TrialT, ModelT] | None:
         """What explains more in an addition's place, now that everything else is in the model, and the model with it."""
@@ -164,7 +171,9 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         return self.residual.declared()
 
     def run(self) -> Standing[ModelT, TrialT]:
-        """Add until nothing more passes, then give what was added its look-alikes' places where these explain more."""
+        """Add until nothing more passes, give what was added its look-alikes' places where these explain more, and take out what
+        does not carry over.
+        """
         standing: Standing[ModelT, TrialT] = Standing(self.declared)
         self.visited.add(self.residual.signature(standing.model))
         while len(standing.steps) < self.most and len(self.visited) < 2 * self.most:
@@ -173,7 +182,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                 break
             self.visited.add(self.residual.signature(standing.model))
         swapped = self._swapped(standing)
-        return standing if swapped is standing else self._pruned(swapped, 0)
+        return self._carried(standing if swapped is standing else self._pruned(swapped, 0))
 
     def _new(self, model: ModelT) -> bool:
         return self.residual.signature(model) not in self.visited
@@ -260,16 +269,32 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         step = self.residual.needless(standing, latest)
         if step is None:
             return standing
+        less = self._less(standing, step)
+        if not less.steps:
+            return standing
+        newest = standing.steps.index(step) >= len(standing.steps) - latest
+        return self._pruned(dataclasses.replace(less, refused=()), max(1, latest - newest))
+
+    def _less(self, standing: Standing[ModelT, TrialT], step: Addition[TrialT]) -> Standing[ModelT, TrialT]:
+        """Without an addition, what that stood in for back in its place."""
         self.tell(f"taking out {step.trial.label}", _done(standing))
         model, back = self.residual.without(standing.model, step.trial)
         at = standing.steps.index(step)
         restored = [dataclasses.replace(step, trial=t) for t in back]
         kept = [*standing.steps[:at], *restored, *standing.steps[at + 1 :]]
         if not kept:
-            return standing
+            return dataclasses.replace(standing, model=self.declared, steps=())
         kept[-1] = dataclasses.replace(kept[-1], after=self.residual.errors_of(model))
-        newest = at >= len(standing.steps) - latest
-        return self._pruned(Standing(model, tuple(kept)), max(1, latest - newest))
+        return dataclasses.replace(standing, model=model, steps=tuple(kept))
+
+    def _carried(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
+        """Without what does worse than nothing on data that were not fitted."""
+        burden = self.residual.burden(standing)
+        if burden is None:
+            return standing
+        step, told = burden
+        less = self._less(standing, step)
+        return self._carried(dataclasses.replace(less, taken_out=(*standing.taken_out, told)))
 
     def _swapped(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
         """Give an addition its look-alike's name where that explains more, now that everything else is in the model."""

@@ -60,7 +60,10 @@ def closed_loop_json(result: ClosedLoop | RefusedLoop) -> dict[str, Any]:
                 for b in result.unexplained.bands
             ],
             "cautions": list(result.cautions),
-            "refused": [_refused(t) for t in result.last_round.trials if _large(t)],
+            "refused": [
+                *(_refused(t) for t in result.last_round.taken_out),
+                *(_refused(t) for t in result.last_round.trials if _large(t)),
+            ],
         },
     } | ({"deflection": deflection_json(result.deflection)} if result.deflection else {})
 

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
+from rx90b_flex.diagnose.carried import rise
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
@@ -57,6 +58,14 @@ class TorqueData:
     def fitted_errors(self, model: Identification) -> RoleErrors:
         """With the values as they are."""
         return RoleErrors(self._errors(self.validation, model), self._errors(self.identification, model))
+
+    def rise(self, without: Identification, added: Identification) -> tuple[str, float] | None:
+        """The recording with role validation whose error an addition raises beyond its spread, and how likely chance does that."""
+        models = (with_possible_values(m) for m in (without, added))
+        predicted = ([predict(r, m) for r in self.validation] for m in models)
+        columns = zip(*((r.torque, r.velocity, r.recording.sample_rate_hz) for r in self.validation), strict=True)
+        found = rise(*columns, *predicted)
+        return found and (self.validation[found[0]].recording.name, found[1])
 
     def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
         """Of the torque, from what a model leaves: what does not repeat with the motion, but with a clock, is no noise."""
@@ -230,6 +239,26 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         effects = swapped(model.effects, named, best, self.search(model))
         new = self._identified(effects, model, best.rival.effects)
         return (best.rival, new) if _weighted_better(new, model) and not self.spoils(new, model) else None
+
+    def burden(self, standing: Standing[TorqueModel, TorqueTrial]) -> tuple[Addition[TorqueTrial], TorqueTrial] | None:
+        """Of the additions after which the held-out error was larger than before, the one that raises it most surely."""
+        worst: tuple[float, Addition[TorqueTrial], str] | None = None
+        for step in standing.steps:
+            if step.after.validation.relative_error <= step.before.validation.relative_error:
+                continue
+            model, _ = self.without(standing.model, step.trial)
+            found = self.data.rise(model.identified, standing.model.identified)
+            if found is not None and (worst is None or found[1] < worst[0]):
+                less, more = (m.errors.validation.relative_error for m in (model, standing.model))
+                worst = (
+                    found[1],
+                    step,
+                    f"it raises the error of {found[0]}, which was not fitted: {less:.4f} -> {more:.4f}",
+                )
+        if worst is None:
+            return None
+        _, step, why = worst
+        return step, dataclasses.replace(step.trial, lawful=False, objection=why)
 
     def compared(self, model: TorqueModel, step: Addition[TorqueTrial]) -> list[Comparison]:
         """An addition against each of its rivals that is worth it, in its place in a model."""

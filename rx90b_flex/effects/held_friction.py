@@ -38,11 +38,12 @@ class HeldFriction(DryFriction, Remembering):
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:
             return np.zeros((len(at.q), 1))
-        return (last_direction(at) - self.direction(at.v))[:, None]
+        return self._held(at, last_direction(at))[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
-        return zero, -self.direction_slope(at.v)[:, None], zero
+        moved = last_direction(at) != 0.0 if at.follows else True
+        return zero, np.where(moved, -self.direction_slope(at.v), 0.0)[:, None], zero
 
     def memory(self, motion: Motion) -> Array:
         return np.zeros((len(motion), 1))
@@ -55,5 +56,9 @@ class HeldFriction(DryFriction, Remembering):
     def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
         at = motion.joint(self.joint)
         (torque,) = self.known_coefficients()
-        held = np.where(np.abs(at.v) > self.sharpness, 0.0, memory[:, 0] - self.direction(at.v))
+        held = np.where(np.abs(at.v) > self.sharpness, 0.0, self._held(at, memory[:, 0]))
         return np.outer(torque * held, at.port), np.zeros((len(at.q), len(at.port), len(at.port)))
+
+    def _held(self, at: JointMotion, last: Array) -> Array:
+        """Last direction less the present one; nothing before the first move, of which nobody knows what came before."""
+        return np.where(last == 0.0, 0.0, last - self.direction(at.v))

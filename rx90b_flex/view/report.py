@@ -363,6 +363,10 @@ def _rounds(result: ClosedLoop) -> list[Round]:
             outcome = "cannot be told from the winner" if t.effect.label in same else _outcome(t, result.effects, i)
             rows.append(TrialRow(t, t.gain / gain if gain > 0 else None, outcome, False))
         out.append(Round(f"{i + 1}: {effect_words(found.effect)}", tuple(rows), ""))
+    gone = result.last_round.taken_out
+    if gone:
+        rows = [TrialRow(t, None, t.refusal, False) for t in gone]
+        out.append(Round("Taken out again: does not carry over", tuple(rows), ""))
     trials = result.last_round.trials
     if trials:
         last = tuple(TrialRow(t, None, _outcome(t, (), 0), False) for t in trials)

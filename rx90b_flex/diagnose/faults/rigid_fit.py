@@ -10,7 +10,7 @@ from scipy import linalg
 
 from rx90b_flex.diagnose.faults.sample import FOLDS, Reading, Sample, other_effects
 from rx90b_flex.effects import Effect, Motion
-from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.effects.motion import Array
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
 KNOWN = 1e2  # the same where the links are known
@@ -18,7 +18,7 @@ ROUNDS = 3  # fits with weights from the last one's errors
 FLOOR = 1e-4  # squared relative error below which a difference is no matter of the data's columns
 POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
-DRIVES = 0.03  # of the torque's size: how large a negative inertia or driving friction must be to count
+DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 
 
@@ -170,14 +170,14 @@ class RigidFit:
         Squared held-out error over the torque's variance, a joint; 1 is what a constant leaves.
     theta : array, shape (folds, p)
         Of each fold's training rows.
-    impossible : array, shape (joints,), bool
-        Joints that friction would drive, or whose inertia would be negative.
+    impossible : array, shape (joints,)
+        How surely friction would drive a joint, or its inertia be negative, 0 to 1.
     products : Products
     """
 
     error: Array
     theta: Array
-    impossible: Mask
+    impossible: Array
     products: Products
 
     @cached_property
@@ -222,10 +222,9 @@ def _solved(products: Products, cross: Array, weight: Array) -> Array:
     return np.array(out)
 
 
-def _impossible(products: Products, theta: Array, rms: Array) -> Mask:
+def _impossible(products: Products, theta: Array, rms: Array) -> Array:
     driving = (products.friction * theta[:, None, :]).sum(axis=2) / (rms * products.speed + 1e-300)
     inertia = theta @ products.inertia.T * products.push / (rms + 1e-300)
-    wrong = ((driving < 0).all(axis=0) & (driving.mean(axis=0) < -DRIVES)) | (
-        (inertia < 0).all(axis=0) & (inertia.mean(axis=0) < -DRIVES)
-    )
-    return np.asarray(wrong)
+    below = [np.where((x < 0).all(axis=0), -x.mean(axis=0), 0.0) for x in (driving, inertia)]
+    # no step: whether a joint lies just below it or just above would decide between hypotheses that do not touch it
+    return np.asarray(np.interp(np.maximum(*below), DRIVES, (0.0, 1.0)))

@@ -1,0 +1,58 @@
+"""Whether what was added carries over to recordings that were not fitted: no name for what does worse there than nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from rx90b_flex.diagnose.moving import resting
+from rx90b_flex.effects.motion import Array, Mask
+
+BLOCK_S = 1.0  # parts of a recording whose losses are compared with their spread
+FEWEST, MOST = 4, 20  # of them, in a recording
+CHANCE = 0.05  # that errors which only chance raises count as raised, all recordings and both kinds of rows together
+
+
+def rise(
+    torque: Sequence[Array],
+    velocity: Sequence[Array],
+    rates: Sequence[float],
+    without: Sequence[Array],
+    added: Sequence[Array],
+) -> tuple[int, float] | None:
+    """The recording whose error an addition raises most surely, beyond what its parts' spread explains.
+
+    A rise counts over all rows, and over those in which the joint concerned moves: at rest friction takes any value.
+
+    Parameters
+    ----------
+    torque, velocity : sequences of arrays (N, joints)
+        Measured, one a recording; N m, rad/s.
+    rates : sequence of float
+        Hz.
+    without, added : sequences of arrays (N, joints)
+        Predictions without the addition and with it, N m.
+
+    Returns
+    -------
+    (int, float) or None
+        Index of the recording, and probability that chance does it, corrected for the number of tests; None where nothing rises.
+    """
+    moving = np.split(~resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
+    chances = []
+    for tau, mask, rate, less, more in zip(torque, moving, rates, without, added, strict=True):
+        lost = (tau - more) ** 2 - (tau - less) ** 2
+        parts = int(np.clip(len(lost) / rate / BLOCK_S, FEWEST, MOST))
+        chances.append(min(_chance(lost, np.ones_like(mask), parts), _chance(lost, mask, parts)))
+    worst = int(np.argmin(chances))
+    p_value = min(1.0, 2.0 * len(chances) * chances[worst])
+    return (worst, p_value) if p_value < CHANCE else None
+
+
+def _chance(lost: Array, rows: Mask, parts: int) -> float:
+    """That a mean loss is chance: Student's t over consecutive parts of a recording."""
+    sums = np.array([x.sum() for x in np.array_split((lost * rows).sum(axis=1), parts)])
+    error = sums.std(ddof=1) / np.sqrt(parts)
+    return float(stats.t.sf(sums.mean() / error, parts - 1)) if error > 0 else 1.0
