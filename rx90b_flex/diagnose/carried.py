@@ -52,7 +52,8 @@ def rise(
 
 
 def _chance(lost: Array, rows: Mask, parts: int) -> float:
-    """That a mean loss is chance: Student's t over consecutive parts of a recording."""
+    """That a loss is chance: Student's t over consecutive parts of a recording, of signed roots as in `TorqueTrial.gain_t`."""
     sums = np.array([x.sum() for x in np.array_split((lost * rows).sum(axis=1), parts)])
-    error = sums.std(ddof=1) / np.sqrt(parts)
-    return float(stats.t.sf(sums.mean() / error, parts - 1)) if error > 0 else 1.0
+    roots = np.sign(sums) * np.sqrt(np.abs(sums))
+    error = roots.std(ddof=1) / np.sqrt(parts)
+    return float(stats.t.sf(roots.mean() / error, parts - 1)) if error > 0 and sums.sum() > 0 else 1.0

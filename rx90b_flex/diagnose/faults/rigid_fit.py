@@ -19,6 +19,7 @@ FLOOR = 1e-4  # squared relative error below which a difference is no matter of 
 POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
 DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
+ILL = 0.3**2  # squared relative error from which a fit tells nothing of a joint's inertia
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 
 
@@ -171,7 +172,8 @@ class RigidFit:
     theta : array, shape (folds, p)
         Of each fold's training rows.
     impossible : array, shape (joints,)
-        How surely friction would drive a joint, or its inertia be negative, 0 to 1.
+        How surely friction would drive a joint, or its inertia be negative, 0 to 1; zero where its torque is fitted badly, for
+        then what is missing in the model decides such signs.
     products : Products
     """
 
@@ -202,7 +204,8 @@ class RigidFit:
             left = power + ((seen - 2 * cross) * aside).sum(axis=2)
             error = np.maximum(left.sum(axis=0), 0.0) / total
         rms = np.sqrt(total / products.rows.sum())
-        return RigidFit(error, theta, _impossible(products, theta, rms), products)
+        told = np.clip(1.0 - error / ILL, 0.0, 1.0)
+        return RigidFit(error, theta, told * _impossible(products, theta, rms), products)
 
 
 def _solved(products: Products, cross: Array, weight: Array) -> Array:
