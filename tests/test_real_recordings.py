@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import pytest
@@ -101,4 +102,17 @@ def test_no_verdict_is_explained_below_four_fifths_of_the_free_form(closed):
 
 @pytest.mark.slow
 def test_no_held_out_error_grows(closed):
+    assert closed.after.validation.relative_error <= closed.before.validation.relative_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("held_out", ("A", "B"))
+def test_no_held_out_error_grows_with_another_recording_held_out_either(held_out):
+    campaign = load_campaign(data_folder("kr300_encoders") / "campaign.toml")
+    roles = tuple(
+        dataclasses.replace(r, role="validation" if r.name == held_out else "identification")
+        for r in campaign.recordings
+    )
+    closed = rf.close_loop(dataclasses.replace(campaign, recordings=roles))
+    assert {r.role for r in roles} == {"validation", "identification"}
     assert closed.after.validation.relative_error <= closed.before.validation.relative_error
