@@ -215,7 +215,10 @@ def from_outside(m: ind.Motion, load: np.ndarray) -> np.ndarray:
     return out
 
 
-@pytest.fixture(scope="module", params=[1, 2], ids=["noise not known", "noise from repeats"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(1, id="noise not known", marks=pytest.mark.slow), pytest.param(2, id="noise from repeats")],
+)
 def outside(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
     return case(tmp_path_factory.mktemp("outside"), None, periods=request.param, more=[from_outside])
 
