@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 
+import pytest
 from hypothesis import settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 if "PYTEST_XDIST_WORKER" in os.environ:  # one worker a core already; here, before NumPy starts its threads
@@ -13,3 +16,15 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # one worker a core already; here, befo
 # Examples follow from the test's text, not from chance or the clock. More: pytest --hypothesis-profile=default
 settings.register_profile("deterministic", derandomize=True, deadline=None, database=None, print_blob=True)
 settings.load_profile("deterministic")
+
+
+class ByValues(LoadScopeScheduling):
+    """Tests of a file with the same parameters to one worker: what a fixture makes for them is made once."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file, _, test = nodeid.partition("::")
+        return f"{file}[{test.partition('[')[2]}"
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling | None:
+    return ByValues(config, log) if config.getvalue("dist") == "loadgroup" else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import example_robot_data
@@ -50,9 +50,15 @@ class Arm:
         return np.array([pin.rnea(self.model, data, q, v, a) for q, v, a in samples])
 
 
+@cache
+def example(name: str) -> pin.Model:
+    """A model of example-robot-data, which loads its meshes too."""
+    return example_robot_data.load(name).model
+
+
 def ur10(heavier: float = 1.0) -> Arm:
     """The UR10, its links `heavier` times as heavy as its URDF says."""
-    model = example_robot_data.load("ur10").model
+    model = example("ur10").copy()
     for i, inertia in enumerate(model.inertias):
         model.inertias[i] = pin.Inertia(heavier * inertia.mass, inertia.lever, heavier * inertia.inertia)
     return Arm("example-robot-data:ur10", model)
@@ -60,7 +66,7 @@ def ur10(heavier: float = 1.0) -> Arm:
 
 def panda() -> Arm:
     """The Panda's seven joints, its fingers held closed."""
-    model = example_robot_data.load("panda").model
+    model = example("panda").copy()
     fingers = [i for i, name in enumerate(model.names) if "finger" in name]
     return Arm("example-robot-data:panda", pin.buildReducedModel(model, fingers, pin.neutral(model)))
 

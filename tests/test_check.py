@@ -59,24 +59,23 @@ def checked(folder: Path, runs: Runs, declared: Sequence[dict[str, str]] = DECLA
     return rf.check(ind.write_files(folder, ARM, declared, runs, cutoff_hz=CUTOFF_HZ))
 
 
-def named(result: rf.Checked) -> set[tuple[str, frozenset[str]]]:
-    return {(f.kind, frozenset(f.joints)) for f in result.data_faults}
-
-
 # ---- sound data -------------------------------------------------------------------------------------------------
 
 
-def test_sound_data_are_usable_and_nothing_is_found(tmp_path: Path) -> None:
-    result = checked(tmp_path, sound())
-    assert result.usable and result.data_faults == ()
-    assert max(result.relative_error) < 0.2
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> rf.Checked:
+    """Of sound data."""
+    return checked(tmp_path_factory.mktemp("plain"), sound())
 
 
+def test_sound_data_are_usable_and_nothing_is_found(plain: rf.Checked) -> None:
+    assert plain.usable and plain.data_faults == ()
+    assert max(plain.relative_error) < 0.2
+
+
+# Coupled motors, Stribeck's friction and load's are looked at in test_close_loop.py, where the loop closes on them.
 EFFECTS = {
-    "coupled motors": [ind.hidden("joint_coupling", (WRIST_1, WRIST_2), {"inertia": 0.1, "viscous": 0.8, "coulomb": 0.6})],
     "ripple": [ind.hidden("gear_ripple", ELBOW, {"order": 18.0, "amplitude": 6.0, "phase": 0.7})],
-    "Stribeck": [ind.hidden("stribeck_friction", PAN, {"torque": 10.0, "velocity": 0.15, "power": 1.2})],
-    "load friction": [ind.hidden("load_friction", LIFT, {"coefficient": 0.08})],
     "spring": [ind.hidden("joint_spring", LIFT, {"stiffness": 30.0, "rest_angle": 0.3})],
     "tilted base": [ind.tilted(ARM, 0.05, -0.03)],
     "payload": [ind.carrying(ARM, "tool0", 4.0, (0.0, 0.05, 0.1))],
@@ -127,18 +126,12 @@ def _clipped(x: np.ndarray) -> np.ndarray:
     return np.where(np.arange(6) == PAN, np.clip(x, -20.0, 20.0), x)
 
 
-def _random(x: np.ndarray) -> np.ndarray:
-    return x.mean(axis=0) + x.std(axis=0) * np.random.default_rng(5).normal(size=x.shape)
-
-
 def _repeated(runs: Runs) -> Runs:
     return [*runs[:2], dataclasses.replace(runs[0], role="validation")]
 
 
 FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | None]] = {
-    "torques exchanged": (lambda r: with_torques(r, exchanged(LIFT, ELBOW)), "swapped_columns", (LIFT, ELBOW), None),
     "positions exchanged": (lambda r: with_angles(r, exchanged(LIFT, ELBOW)), "swapped_columns", (LIFT, ELBOW), None),
-    "a torque reversed": (lambda r: with_torques(r, scaled(WRIST_1, -1.0)), "reversed_sign", (WRIST_1,), None),
     "every torque reversed": (lambda r: with_torques(r, np.negative), "reversed_sign", tuple(range(6)), None),
     "a position reversed": (lambda r: with_angles(r, scaled(ELBOW, -1.0)), "reversed_sign", (ELBOW,), None),
     "angles in degrees": (lambda r: with_angles(r, np.degrees), "unit", tuple(range(6)), np.degrees(1.0)),
@@ -151,7 +144,6 @@ FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | No
     "a torque cut off": (lambda r: with_torques(r, _clipped), "clipped", (PAN,), None),
     "an encoder that stands": (lambda r: with_angles(r, _standing), "stuck", (ELBOW,), None),
     "a wild cell": (lambda r: with_torques(r, _wild), "glitch", (LIFT,), None),
-    "random torques": (lambda r: with_torques(r, _random), "unrelated", tuple(range(6)), None),
     "validation as fitted": (_repeated, "repeated_recording", (), None),
 }  # fmt: skip
 
@@ -168,12 +160,14 @@ def test_a_fault_is_named_on_its_joints(tmp_path: Path, name: str) -> None:
         assert fault.factor == pytest.approx(factor, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     noise = with_torques(sound(), lambda x: x.mean(axis=0) + x.std(axis=0) * rng.normal(size=x.shape))
-    (fault,) = checked(tmp_path, noise).data_faults
+    result = checked(tmp_path, noise)
+    (fault,) = result.data_faults
     assert (fault.kind, fault.joints) == ("unrelated", JOINTS)
+    assert not fault.usable and not result.usable
 
 
 def test_angles_in_degrees_are_named_though_they_could_be_radians(tmp_path: Path) -> None:
@@ -235,15 +229,15 @@ def test_parameters_of_known_links_are_known(tmp_path: Path) -> None:
     assert statuses.count("known") == 60
 
 
-def test_base_links_mass_is_not_told(tmp_path: Path) -> None:
-    status = {p.name: p.status for p in checked(tmp_path, sound()).parameters}
+def test_base_links_mass_is_not_told(plain: rf.Checked) -> None:
+    status = {p.name: p.status for p in plain.parameters}
     assert status["shoulder_link.mass"] == "not"  # it turns about a vertical axis: nothing holds its mass
 
 
-def test_friction_that_a_bare_urdf_lacks_is_offered(tmp_path: Path) -> None:
+def test_friction_that_a_bare_urdf_lacks_is_offered(plain: rf.Checked, tmp_path: Path) -> None:
     basics = checked(tmp_path, sound(), declared=[]).undeclared_basics
     assert {"coulomb_friction", "viscous_friction"} <= set(basics)
-    assert checked(tmp_path, sound()).undeclared_basics == ()
+    assert plain.undeclared_basics == ()
 
 
 # ---- command ----------------------------------------------------------------------------------------------------
@@ -256,7 +250,7 @@ def run_command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return int(ended.value.code or 0)
 
 
-@pytest.mark.parametrize("name", [None, "torques exchanged"])
+@pytest.mark.parametrize("name", [None, "positions exchanged"])
 def test_the_command_writes_what_it_says_and_ends_with_its_status(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
 ) -> None:
@@ -283,14 +277,12 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path, monkeypatch: pytest.
 def test_closing_the_loop_refuses_data_with_a_fault_and_says_which(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = ind.write_files(tmp_path, ARM, DECLARED, FAULTS["torques exchanged"][0](sound()), cutoff_hz=CUTOFF_HZ)
-    result = rf.close_loop(path)
-    assert (result.verdict, result.effects) == ("data_fault", ())
-    assert [f.kind for f in result.data_faults] == ["swapped_columns"]
+    path = ind.write_files(tmp_path, ARM, DECLARED, with_torques(sound(), exchanged(LIFT, ELBOW)), cutoff_hz=CUTOFF_HZ)
     out = tmp_path / "out"
     assert run_command(monkeypatch, "close-loop", str(path), "--out", str(out)) == 1
     content = json.loads((out / "closed_loop.json").read_text())
     assert content["verdict"] == "data_fault" and content["effects"] == []
+    assert [f["kind"] for f in content["data_faults"]] == ["swapped_columns"]
     assert content["data_faults"][0]["joints"] == [JOINTS[LIFT], JOINTS[ELBOW]]
     assert not (out / "robot.toml").exists()
 
@@ -298,10 +290,11 @@ def test_closing_the_loop_refuses_data_with_a_fault_and_says_which(
 def test_identifying_refuses_data_with_a_fault_unless_told_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = ind.write_files(tmp_path, ARM, DECLARED, FAULTS["a torque reversed"][0](sound()), cutoff_hz=CUTOFF_HZ)
+    path = ind.write_files(tmp_path, ARM, DECLARED, with_torques(sound(), scaled(WRIST_1, -1.0)), cutoff_hz=CUTOFF_HZ)
     out = tmp_path / "out"
     assert run_command(monkeypatch, "identify", str(path), "--out", str(out)) == 1
-    assert json.loads((out / "check.json").read_text())["data_faults"][0]["kind"] == "reversed_sign"
+    (fault,) = json.loads((out / "check.json").read_text())["data_faults"]
+    assert (fault["kind"], fault["joints"]) == ("reversed_sign", [JOINTS[WRIST_1]])
     assert not (out / "identification.json").exists()
     assert run_command(monkeypatch, "identify", str(path), "--out", str(tmp_path / "on"), "--despite-faults") == 0
     assert (tmp_path / "on" / "identification.json").exists()

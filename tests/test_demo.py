@@ -17,8 +17,8 @@ from rx90b_flex.demo import HIDDEN, NOTHING, PERIOD_S, SAMPLE_RATE_HZ, Demonstra
 from rx90b_flex.effects import catalogue
 
 # all of them by hand, so that all checks together stay short: the first few are part of them
-SEEDS = (pytest.param(range(3), marks=pytest.mark.slow), pytest.param(range(10), marks=pytest.mark.long))
-QUIET_SEEDS = (pytest.param(range(10), marks=pytest.mark.slow), pytest.param(range(50), marks=pytest.mark.long))
+SEEDS = (pytest.param(range(2), marks=pytest.mark.slow), pytest.param(range(10), marks=pytest.mark.long))
+QUIET_SEEDS = (pytest.param(range(6), marks=pytest.mark.slow), pytest.param(range(50), marks=pytest.mark.long))
 
 
 def found_by(demonstration: Demonstration, folder: Path) -> list[tuple[str, tuple[str, ...]]]:
@@ -129,11 +129,6 @@ def test_what_the_demo_wrote_does_not_say_what_is_hidden(run):
     declared = tomllib.loads((out / "declared.toml").read_text())
     assert "gear_ripple" not in {e["type"] for e in declared["effects"]}
     assert "gear_ripple" not in (out / "campaign.toml").read_text()
-
-
-def test_a_hidden_coupling_is_found_on_its_pair_of_joints(tmp_path):
-    d = make_demonstration(0, "joint_coupling")
-    assert found_by(d, tmp_path) == [hidden_in(d)]
 
 
 # ---- how often, over seeds ----------------------------------------------------------------------------------

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +13,9 @@ import independent as ind
 import mujoco
 import numpy as np
 import pytest
+from test_cli import Command, Outcome
 
+Run = Callable[[Sequence[str]], Outcome]
 README = Path(__file__).parents[1] / "README.md"
 RATE_HZ = 100.0
 COULOMB, VISCOUS, INERTIA, NOISE = (2.0, 1.0), (3.0, 1.5), (0.4, 0.2), (0.05, 0.02)
@@ -51,23 +51,28 @@ def commands() -> list[list[str]]:
     return [shlex.split(line, comments=True) for line in block[1].splitlines() if line.strip()]
 
 
-def run(words: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    assert words[0] == "rx90b-flex"
-    code = "import sys; from rx90b_flex.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *words[1:]], cwd=folder, capture_output=True, text=True, check=False
-    )
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
+    """A line of the shell in the test's folder."""
+    monkeypatch.chdir(tmp_path)
+    command = Command(monkeypatch, capfd)
+
+    def line(words: Sequence[str]) -> Outcome:
+        assert words[0] == "rx90b-flex"
+        return command(*words[1:])
+
+    return line
 
 
 def test_the_commands_of_the_readme_take_a_bare_urdf_and_logs_in_degrees_to_a_result_and_to_mujoco(
-    tmp_path: Path,
+    tmp_path: Path, run: Run
 ) -> None:
     write_logs(tmp_path)
     printed = commands()
     assert [words[1] for words in printed] == ["import", "check", "identify", "close-loop", "export"]
     for words in printed:
-        done = run(words, tmp_path)
-        assert done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
+        done = run(words)
+        assert done.status == 0, f"{words}: {done.out}{done.err}"
     campaign = tomllib.loads((tmp_path / "data" / "campaign.toml").read_text())
     assert 2.0 < campaign["preprocessing"]["cutoff_hz"] < 40.0
     assert json.loads((tmp_path / "look" / "check.json").read_text())["usable"] is True
@@ -86,24 +91,24 @@ def test_the_commands_of_the_readme_take_a_bare_urdf_and_logs_in_degrees_to_a_re
     np.testing.assert_allclose(simulated.dof_damping.ravel(), VISCOUS, rtol=0.1)
 
 
-def test_import_offers_what_every_drive_has_where_the_robot_declares_none_of_it(tmp_path: Path) -> None:
+def test_import_offers_what_every_drive_has_where_the_robot_declares_none_of_it(tmp_path: Path, run: Run) -> None:
     write_logs(tmp_path)
     (imported, *_) = commands()
-    bare = run([word for word in imported if word != "--basics"], tmp_path)
-    assert bare.returncode == 0 and "--basics" in bare.stdout
-    declared = run([*(word for word in imported if word not in ("data", "--out")), "--out", "with"], tmp_path)
-    assert declared.returncode == 0 and "--basics" not in declared.stdout
+    bare = run([word for word in imported if word != "--basics"])
+    assert bare.status == 0 and "--basics" in bare.out
+    declared = run([*(word for word in imported if word not in ("data", "--out")), "--out", "with"])
+    assert declared.status == 0 and "--basics" not in declared.out
     again = ["rx90b-flex", "import", "run_1.csv", "run_2.csv", "--robot", "with/robot.toml", "--out", "third"]
-    named = run(again, tmp_path)
-    assert named.returncode == 0 and "--basics" not in named.stdout
+    named = run(again)
+    assert named.status == 0 and "--basics" not in named.out
 
 
-def test_a_wrong_sign_in_the_first_campaign_is_named_before_anything_is_fitted(tmp_path: Path) -> None:
+def test_a_wrong_sign_in_the_first_campaign_is_named_before_anything_is_fitted(tmp_path: Path, run: Run) -> None:
     write_logs(tmp_path, lambda torque: -torque)
     (imported, checked, *_) = commands()
-    assert run(imported, tmp_path).returncode == 0
-    done = run(checked, tmp_path)
-    assert done.returncode == 1
+    assert run(imported).status == 0
+    done = run(checked)
+    assert done.status == 1
     (fault,) = json.loads((tmp_path / "look" / "check.json").read_text())["data_faults"]
     assert (fault["kind"], fault["signal"]) == ("reversed_sign", "torque")
     assert set(fault["joints"]) == {"shoulder", "elbow"}

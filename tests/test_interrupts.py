@@ -195,6 +195,7 @@ def test_interrupted_at_random_instants_it_ends_with_130_and_leaves_nothing(tmp_
         assert tree(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_a_simulated_campaign_goes_on_where_it_was_killed(tmp_path: Path) -> None:
     script = """
 import sys
@@ -239,7 +240,10 @@ main()
 
 @pytest.mark.parametrize(
     "name",
-    ["import", *(pytest.param(n, marks=pytest.mark.long) for n in ("identify", "close-loop", "simulate", "excite"))],
+    [
+        pytest.param("import", marks=pytest.mark.slow),
+        *(pytest.param(n, marks=pytest.mark.long) for n in ("identify", "close-loop", "simulate", "excite")),
+    ],
 )
 def test_a_disk_that_is_full_at_any_size_of_file_is_one_line_and_leaves_nothing(tmp_path: Path, name: str) -> None:
     arguments, out = commands(tmp_path)[name], tmp_path / "results" / "out"
@@ -273,19 +277,25 @@ cli.main()
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="how much memory a process has is asked of Linux")
-@pytest.mark.parametrize("megabytes", [40, 120, 250])
-def test_a_log_for_which_there_is_no_memory_is_one_line(tmp_path: Path, megabytes: int) -> None:
-    write_campaign(tmp_path / "data")
-    count = 4_000_000  # samples: 160 MB in five columns
-    time_s = np.arange(count) / 100.0
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log of 160 MB in five columns."""
+    folder = tmp_path_factory.mktemp("heavy")
+    write_campaign(folder / "data")
+    time_s = np.arange(4_000_000) / 100.0
     names = ("time", "angle_0", "angle_1", "moment_0", "moment_1")
     columns = (time_s, *(np.round(np.sin(time_s * k), 2) for k in (1, 2, 3, 4)))
-    pd.DataFrame(dict(zip(names, columns, strict=True))).to_parquet(tmp_path / "log.parquet")
-    before = set(os.listdir(tmp_path))
-    words = ["import", str(tmp_path / "log.parquet"), "--robot", str(tmp_path / "data" / "robot_declared.toml")]
+    pd.DataFrame(dict(zip(names, columns, strict=True))).to_parquet(folder / "log.parquet")
+    return folder
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="how much memory a process has is asked of Linux")
+@pytest.mark.parametrize("megabytes", [40, 250, pytest.param(120, marks=pytest.mark.slow)])
+def test_a_log_for_which_there_is_no_memory_is_one_line(heavy: Path, megabytes: int) -> None:
+    before = set(os.listdir(heavy))
+    words = ["import", str(heavy / "log.parquet"), "--robot", str(heavy / "data" / "robot_declared.toml")]
     done = subprocess.run(
-        [sys.executable, "-c", SHORT, str(megabytes), *words, "--out", str(tmp_path / "out")],
+        [sys.executable, "-c", SHORT, str(megabytes), *words, "--out", str(heavy / "out")],
         capture_output=True,
         text=True,
         env=ENVIRONMENT,
@@ -293,4 +303,4 @@ def test_a_log_for_which_there_is_no_memory_is_one_line(tmp_path: Path, megabyte
     )
     assert done.returncode == 2 and done.stderr.count("\n") == 1, (done.returncode, done.stderr)
     assert "memory" in done.stderr or "log.parquet" in done.stderr
-    assert set(os.listdir(tmp_path)) == before
+    assert set(os.listdir(heavy)) == before

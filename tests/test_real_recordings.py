@@ -25,7 +25,6 @@ from rx90b_flex.signals import Campaign, load_campaign
 FREE_FORM = {"tx40": 0.132, "emps": 0.0259, "ur10e": 0.0202, "dualarm_v2": 0.163}
 NEAR = 1.1  # that search is called slightly optimistic: it chose among forms with a look at the same recordings
 NAMES = (*FREE_FORM, "kr300_encoders")
-pytestmark = pytest.mark.xdist_group("real recordings")  # a loop is closed once for all claims about it
 
 
 @dataclass(frozen=True, eq=False)

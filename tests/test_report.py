@@ -128,6 +128,25 @@ def empty_page(nothing: ClosedLoop) -> Page:
     return Page(report_html(nothing))
 
 
+@pytest.fixture(scope="module")
+def unsure(nothing: ClosedLoop) -> ClosedLoop:
+    """A dependence on a signal that is not there, no measure, and a caution."""
+    dependence = Dependence(JOINTS[0], "ambient temperature", 0.2, 1e-4)
+    return dataclasses.replace(
+        nothing,
+        verdict="unexplained",
+        unexplained=remaining(nothing, 0.1, dependence),
+        explainable=None,
+        not_explainable="Too little data.",
+        cautions=("The hinges are left out.",),
+    )
+
+
+@pytest.fixture(scope="module")
+def unsure_page(unsure: ClosedLoop) -> Page:
+    return Page(report_html(unsure))
+
+
 def test_the_page_asks_nobody_for_anything(html: str, page: Page) -> None:
     assert "default-src 'none'" in html  # a browser refuses what the checks below might miss
     assert (
@@ -212,11 +231,9 @@ def test_where_more_can_be_explained_the_headline_says_so(nothing: ClosedLoop) -
     assert "reaches 1.2 %, so more can be explained" in headline(result)
 
 
-def test_where_no_measure_is_known_the_reason_stands_in_the_report(nothing: ClosedLoop) -> None:
-    blind = dataclasses.replace(nothing, explainable=None, not_explainable="Too little data.", verdict="unexplained")
-    text = Page(report_html(blind)).text
-    assert "Too little data." in text
-    assert "nobody can say that nothing is left" in text
+def test_where_no_measure_is_known_the_reason_stands_in_the_report(unsure_page: Page) -> None:
+    assert "Too little data." in unsure_page.text
+    assert "nobody can say that nothing is left" in unsure_page.text
 
 
 def test_errors_in_motion_appear(found: ClosedLoop, page: Page) -> None:
@@ -279,11 +296,11 @@ def test_what_remains_is_shown_and_tells_what_to_do(nothing: ClosedLoop, empty_p
     assert len(page.pictures()) == len(empty_page.pictures()) + 1
 
 
-def test_a_dependence_on_a_signal_that_is_not_there_is_listed_without_a_figure(nothing: ClosedLoop) -> None:
-    dependence = Dependence(JOINTS[0], "ambient temperature", 0.2, 1e-4)
-    left = dataclasses.replace(nothing, verdict="unexplained", unexplained=remaining(nothing, 0.1, dependence))
-    assert plots.remaining_dependence(left, dependence) is None
-    assert "ambient temperature" in Page(report_html(left)).text
+def test_a_dependence_on_a_signal_that_is_not_there_is_listed_without_a_figure(
+    unsure: ClosedLoop, unsure_page: Page
+) -> None:
+    assert plots.remaining_dependence(unsure, unsure.unexplained.where[0]) is None
+    assert "ambient temperature" in unsure_page.text
 
 
 def test_a_residual_at_standstill_is_shown_over_time_with_the_rests(nothing: ClosedLoop) -> None:
@@ -326,11 +343,10 @@ def test_bands_in_which_the_error_repeats_are_shaded_in_its_spectrum(nothing: Cl
     assert "3.00 6.00 40.0 %" in page.text
 
 
-def test_cautions_stand_at_the_head_and_in_the_file(nothing: ClosedLoop) -> None:
-    careful = dataclasses.replace(nothing, cautions=("The hinges are left out.",))
-    text = Page(report_html(careful)).text
+def test_cautions_stand_at_the_head_and_in_the_file(unsure: ClosedLoop, unsure_page: Page) -> None:
+    text = unsure_page.text
     assert text.index("Beware. The hinges are left out.") < text.index("What was found, and how sure it is")
-    assert closed_loop_json(careful)["unexplained"]["cautions"] == ["The hinges are left out."]
+    assert closed_loop_json(unsure)["unexplained"]["cautions"] == ["The hinges are left out."]
 
 
 def test_undetermined_parameters_are_named_and_get_no_value(nothing: ClosedLoop, empty_page: Page) -> None:
@@ -353,18 +369,15 @@ def test_a_joint_that_stands_still_holds_its_share_of_the_error(nothing: ClosedL
     assert rest.total_share == pytest.approx(0.9)
 
 
-def test_the_same_result_gives_the_same_file(found: ClosedLoop, html: str) -> None:
-    assert report_html(found) == html
-
-
-def test_the_file_appears_whole_or_not_at_all(
-    found: ClosedLoop, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_file_appears_whole_or_not_at_all_and_is_the_same_for_the_same_result(
+    found: ClosedLoop, html: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "report.html"
     write_report(found, path)
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     whole = path.read_bytes()
     assert whole.startswith(b"<!DOCTYPE html>") and whole.endswith(b"</html>\n")
+    assert whole == html.encode()
 
     def half(self: Path, text: str, **_: object) -> int:
         self.write_bytes(text[:1000].encode())

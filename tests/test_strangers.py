@@ -49,10 +49,23 @@ def python(code: str, at: Path, packages: Path | None = None, place: tuple[str, 
     return f"{done.returncode}\n{done.stdout}{done.stderr}"
 
 
-def command(words: str, at: Path, packages: Path | None = None, place: tuple[str, Path] | None = None) -> str:
-    """Exit status and all that a command prints."""
-    code = f"import sys; sys.argv = {['rx90b-flex', *words.split()]!r}; from rx90b_flex.cli import main; main()"
-    return python(code, at, packages, place)
+def commands(*lines: str, at: Path, packages: Path | None = None, place: tuple[str, Path] | None = None) -> list[str]:
+    """Of each command, in one process: exit status and all that it prints."""
+    code = f"""
+import contextlib, io, sys
+from rx90b_flex.cli import main
+for line in {lines!r}:
+    sys.argv = ["rx90b-flex", *line.split()]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code or 0
+    print(status, out.getvalue() + err.getvalue(), sep="\\n", end="\\0")
+"""
+    status, told = python(code, at, packages, place).split("\n", 1)
+    assert status == "0", told
+    return told.split("\0")[:-1]
 
 
 # ---- effects --------------------------------------------------------------------------------------------------------
@@ -72,7 +85,10 @@ def effect(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return {"place": (EFFECTS, folder)}
 
 
-def test_an_effect_is_in_the_catalogue_its_page_and_the_gallery(effect, tmp_path):
+def test_an_effect_is_in_the_catalogue_its_page_and_the_gallery_and_a_force_of_a_robot_file(effect, tmp_path):
+    (tmp_path / "robot.toml").write_text(
+        f'urdf = "example-robot-data:ur10"\n[[effects]]\ntype = "{TYPE}"\njoint = "elbow_joint"\ncoefficient = 2.0\n'
+    )
     code = f"""
 import sys
 from pathlib import Path
@@ -84,16 +100,6 @@ page = effect_pages.page(cls)
 assert all("## " + heading in page for heading in effect_pages.HEADINGS) and "A cubic parabola" in page
 assert "({TYPE}.md)" in effect_pages.index() and "{TYPE}.png" in effect_pages.gallery([{TYPE!r}])
 assert effect_pictures.save(cls, Path("picture.png"))
-"""
-    assert python(code, tmp_path, **effect) == "0\n"
-    assert (tmp_path / "picture.png").stat().st_size > 1000
-
-
-def test_an_effect_is_a_force_of_a_robot_file(effect, tmp_path):
-    (tmp_path / "robot.toml").write_text(
-        f'urdf = "example-robot-data:ur10"\n[[effects]]\ntype = "{TYPE}"\njoint = "elbow_joint"\ncoefficient = 2.0\n'
-    )
-    code = """
 import numpy as np, rx90b_flex as rf
 robot = rf.load_robot("robot.toml")
 plain = robot.with_effects([])
@@ -105,19 +111,24 @@ damping = robot.linearize(0 * v, v).D[2, 2] - plain.linearize(0 * v, v).D[2, 2]
 assert abs(damping - 2 * 3 * 1.5**2) < 1e-6
 """
     assert python(code, tmp_path, **effect) == "0\n"
+    assert (tmp_path / "picture.png").stat().st_size > 1000
 
 
 @pytest.mark.slow
 def test_the_demonstration_hides_an_effect_and_finds_it(effect, tmp_path):
-    told = command(f"demo --hidden {TYPE} --seed 2 --out found", tmp_path, **effect)
+    told, run = commands(
+        f"demo --hidden {TYPE} --seed 2 --out found",
+        "simulate found/robot.toml --harmonics --out run",
+        at=tmp_path,
+        **effect,
+    )
     assert told.startswith("0\n") and f"What had been hidden: {TYPE}" in told
     found = json.loads((tmp_path / "found" / "closed_loop.json").read_text())
     assert [e["type"] for e in found["effects"]] == [TYPE]
     report = (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
     assert TYPE.replace("_", " ") in report.lower()
     assert f'type = "{TYPE}"' in (tmp_path / "found" / "robot.toml").read_text()
-    assert command("simulate found/robot.toml --harmonics --out run", tmp_path, **effect).startswith("0\n")
-    assert (tmp_path / "run" / "tip.csv").is_file()
+    assert run.startswith("0\n") and (tmp_path / "run" / "tip.csv").is_file()
 
 
 @pytest.mark.slow
@@ -153,8 +164,12 @@ def test_a_broken_package_of_effects_is_named_and_left_out(source, why, tmp_path
     (tmp_path / "asks.toml").write_text(
         f'urdf = "example-robot-data:ur10"\n[[effects]]\ntype = "{TYPE}"\njoint = "elbow_joint"\n'
     )
-    works = command("export plain.toml --format urdf --out a.urdf", tmp_path, packages)
-    refused = command("export asks.toml --format urdf --out b.urdf", tmp_path, packages)
+    works, refused = commands(
+        "export plain.toml --format urdf --out a.urdf",
+        "export asks.toml --format urdf --out b.urdf",
+        at=tmp_path,
+        packages=packages,
+    )
     assert works.startswith("0\n") and refused.startswith("2\n")
     last = refused.splitlines()[-1]
     assert f"unknown effect type '{TYPE}'" in last and "package broken_friction 1.0" in last and why in last
@@ -166,7 +181,7 @@ def test_a_broken_package_of_effects_is_named_and_left_out(source, why, tmp_path
 def test_an_error_in_a_package_of_effects_names_the_package(tmp_path):
     source = GOOD.replace("return np.asarray(v**3)", "return v.no_such_thing")
     packages = install(tmp_path, "broken_friction", source, POINT)
-    told = command(f"demo --hidden {TYPE} --out found", tmp_path, packages)
+    (told,) = commands(f"demo --hidden {TYPE} --out found", at=tmp_path, packages=packages)
     last = told.splitlines()[-1]
     assert told.startswith("70\n") and "a fault of package broken_friction 1.0" in last and "Traceback" not in told
 
@@ -196,17 +211,16 @@ def test_a_log_format_is_imported(other, tmp_path):
         (folder / "json_lines.py").unlink()
         where = {"packages": install(folder, "json_logs", source, printed("new_log_format", "toml"))}
     words = "import run.jsonl --robot two_joints.urdf --out data --format csv"
-    assert f"{command(words, tmp_path).splitlines()[-1]}".startswith("rx90b-flex: run.jsonl: unknown kind of file")
-    told = command(words, tmp_path, **where)
+    (tmp_path / "bad.jsonl").write_text("{")
+    told, bad = commands(words, "import bad.jsonl --robot two_joints.urdf --out worse", at=tmp_path, **where)
     assert told.startswith("0\n") and "1000 lines of JSON" in told
     recordings = load_campaign(tmp_path / "data" / "campaign.toml").recordings
     logged = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
     for name, field in (("q", "position"), ("tau", "torque")):
         got = np.concatenate([getattr(r, field) for r in recordings])
         np.testing.assert_allclose(got, [[row[f"{name}1"], row[f"{name}2"]] for row in logged], rtol=1e-12)
-    (tmp_path / "bad.jsonl").write_text("{")
-    bad = command("import bad.jsonl --robot two_joints.urdf --out worse", tmp_path, **where).splitlines()
-    assert bad[0] == "2" and bad[-1].startswith("rx90b-flex: bad.jsonl: cannot be read: ") and len(bad) == 2
+    status, said = bad.splitlines()
+    assert status == "2" and said.startswith("rx90b-flex: bad.jsonl: cannot be read: ")
 
 
 def test_a_broken_package_of_readers_is_named_and_left_out(tmp_path):
@@ -215,8 +229,12 @@ def test_a_broken_package_of_readers_is_named_and_left_out(tmp_path):
     lines = [",".join(table[0]), *(",".join(map(str, row.values())) for row in table)]
     (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
     packages = install(tmp_path, "json_logs", BROKEN, printed("new_log_format", "toml"))
-    works = command("import run.csv --robot two_joints.urdf --out data", tmp_path, packages)
-    refused = command("import run.jsonl --robot two_joints.urdf --out worse", tmp_path, packages)
+    works, refused = commands(
+        "import run.csv --robot two_joints.urdf --out data",
+        "import run.jsonl --robot two_joints.urdf --out worse",
+        at=tmp_path,
+        packages=packages,
+    )
     why = "package json_logs 1.0: rx90b_flex.readers 'jsonl': RuntimeError: built for another version"
     assert works.startswith("0\n") and f"rx90b-flex: warning: {why}" in works
     assert refused.startswith("2\n") and f"run.jsonl: unknown kind of file; {why}" in refused.splitlines()[-1]
@@ -244,7 +262,7 @@ def test_an_estimator_identifies(other, tmp_path):
     if other:
         (folder / "biweight.py").unlink()
         where = {"packages": install(folder, "robust_statistics", source, printed("new_estimator", "toml"))}
-    told = command("identify campaign.toml --estimator biweight --despite-faults --out found", tmp_path, **where)
+    (told,) = commands("identify campaign.toml --estimator biweight --despite-faults --out found", at=tmp_path, **where)
     assert told.startswith("0\n") and "Estimated by biweight" in told
     written = json.loads((tmp_path / "found" / "identification.json").read_text())
     assert written["estimator"] == "biweight"
@@ -257,8 +275,12 @@ def test_an_estimator_identifies(other, tmp_path):
 def test_a_broken_package_of_estimators_is_named_and_left_out(tmp_path):
     packages = install(tmp_path, "robust_statistics", BROKEN, printed("new_estimator", "toml"))
     (tmp_path / "campaign.toml").write_text("")
-    refused = command("identify campaign.toml --estimator biweight --out found", tmp_path, packages)
-    works = command("identify campaign.toml --estimator huber --out found", tmp_path, packages)
+    works, refused = commands(
+        "identify campaign.toml --estimator huber --out found",
+        "identify campaign.toml --estimator biweight --out found",
+        at=tmp_path,
+        packages=packages,
+    )
     why = "package robust_statistics 1.0: rx90b_flex.estimators 'biweight': RuntimeError: built for another version"
     assert refused.startswith("2\n") and f"--estimator is 'biweight'; {why}" in refused.splitlines()[-1]
     assert f"rx90b-flex: warning: {why}" in works and "campaign.toml: " in works.splitlines()[-1]

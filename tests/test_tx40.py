@@ -21,6 +21,7 @@ from rx90b_flex.diagnose.evidence import STANDSTILL
 from rx90b_flex.diagnose.output import write_result
 
 SECONDS, BYTES = 60.0, 2e9
+pytestmark = pytest.mark.slow  # the coupling where it is declared: test_tx40_identification.py
 
 
 @pytest.fixture(scope="module")

@@ -182,8 +182,15 @@ def test_the_written_robot_replayed_gives_the_stated_error(spring, tmp_path):
         assert errors.torque_rms == pytest.approx(content["after"][role]["torque_rms"], rel=1e-6)
 
 
-@pytest.mark.parametrize("joints", [("elbow", "shoulder"), ("elbow",)], ids=["another order", "one joint of two"])
-@pytest.mark.parametrize("known", [True, False], ids=["links known", "links fitted"])
+@pytest.mark.parametrize(
+    ("joints", "known"),
+    [
+        pytest.param(("elbow",), True, id="one joint of two, links known"),
+        pytest.param(("elbow", "shoulder"), False, id="another order, links fitted"),
+        pytest.param(("elbow", "shoulder"), True, id="another order, links known", marks=pytest.mark.slow),
+        pytest.param(("elbow",), False, id="one joint of two, links fitted", marks=pytest.mark.slow),
+    ],
+)
 def test_that_holds_whatever_the_form_of_the_campaign(joints, known, tmp_path):
     """What the other joint does is missing where it is not logged; the written robot is the reported one all the same."""
     path = campaign(tmp_path / "data", ind.hidden("joint_spring", 1, SPRING), 2, known=known, joints=joints)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import independent as ind
 import numpy as np
@@ -43,6 +44,7 @@ class Drive:
 def motor_torque(arm: ind.Arm, motors: Motors, time: Array, drives: Mapping[int, Drive]) -> Array:
     """Torque (N, n) that motors feel of the links behind twisting drives, which begin at rest under their load."""
     model, data = arm.model, arm.model.createData()
+    motors = lru_cache(maxsize=2)(motors)
     places = list(drives)
     own = np.ix_(places, places)
 
@@ -76,13 +78,14 @@ def motor_torque(arm: ind.Arm, motors: Motors, time: Array, drives: Mapping[int,
     for n, start in enumerate(time):
         q, v, a = motors(float(start))
         out[n] = tree(q, v, a, x, dx, second(float(start), x, dx))
-        for i in range(SUBSTEPS):
-            t = float(start) + i * step
+        t = float(start)
+        for _ in range(SUBSTEPS if places else 0):
             k1 = second(t, x, dx)
             k2 = second(t + step / 2, x + step / 2 * dx, dx + step / 2 * k1)
             k3 = second(t + step / 2, x + step / 2 * dx + step**2 / 4 * k1, dx + step / 2 * k2)
             k4 = second(t + step, x + step * dx + step**2 / 2 * k2, dx + step * k3)
             x, dx = x + step * dx + step**2 / 6 * (k1 + k2 + k3), dx + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            t += step
     return out
 
 

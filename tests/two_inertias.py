@@ -68,47 +68,46 @@ def simulate(
     size *= 2.0 / (size * omega).sum(axis=0)
     phase, centre = rng.uniform(0, 2 * np.pi, (6, lanes)), rng.uniform(-0.5, 0.5, lanes)
 
-    def reference(t: float) -> tuple[Array, Array, Array]:
-        x = omega * t + phase
-        return (
-            centre + (size * np.sin(x)).sum(axis=0),
-            (size * omega * np.cos(x)).sum(axis=0),
-            -(size * omega**2 * np.sin(x)).sum(axis=0),
-        )
-
-    q, v, _ = reference(0.0)
-    state = np.stack([q, v, q + WEIGHT * np.cos(q) / drive.stiffness, v, np.zeros(lanes), np.zeros(lanes)])
     count = round(seconds * rate_hz)
+    t = (np.arange(count)[:, None] / rate_hz + np.arange(inner) * dt).reshape(-1, 1)
+    r, dr, ddr = (np.zeros((len(t), lanes)) for _ in range(3))
+    for w, a, p in zip(omega[:, 0], size, phase, strict=True):
+        r += a * np.sin(w * t + p)
+        dr += a * w * np.cos(w * t + p)
+        ddr -= a * w**2 * np.sin(w * t + p)
+    r += centre
+    forward = (LINK + drive.rotor) * ddr - WEIGHT * np.cos(r) + drive.dry * np.tanh(dr / 0.02) + drive.viscous * dr
+
+    q, v = r[0], dr[0]
+    state = np.stack([q, v, q + WEIGHT * np.cos(q) / drive.stiffness, v, np.zeros(lanes), np.zeros(lanes)])
     motor, link, torque = (np.empty((count, lanes)) for _ in range(3))
 
     def slope(x: Array, tau: Array) -> Array:
         qm, vm, ql, vl, z, h = x
         twist, rate = ql - qm, vl - vm
-        free = twist - np.clip(twist, -0.5 * drive.gap, 0.5 * drive.gap)
-        gear = -(drive.stiffness * free + drive.cubic * free**3 + drive.damping * rate)
-        dh = rate * drive.stiffness * 0.5 * (1.0 - np.sign(rate) * h / max(drive.hysteresis, 1e-9))
-        gear = gear - (h if drive.hysteresis else 0.0)
-        dz = vm - drive.bristle * np.abs(vm) * z / drive.dry
-        friction = drive.bristle * z + drive.viscous * vm
         out = np.empty_like(x)
+        if drive.gap:
+            twist = twist - np.clip(twist, -0.5 * drive.gap, 0.5 * drive.gap)
+        gear = -(drive.stiffness * twist + drive.damping * rate)
+        if drive.cubic:
+            gear -= drive.cubic * twist**3
+        if drive.hysteresis:
+            gear -= h
+            out[5] = rate * drive.stiffness * 0.5 * (1.0 - np.sign(rate) * h / drive.hysteresis)
+        else:
+            out[5] = 0.0
+        friction = drive.bristle * z + drive.viscous * vm
         out[0], out[1] = vm, (tau - friction - gear) / drive.rotor
         out[2], out[3] = vl, (gear + WEIGHT * np.cos(ql)) / LINK
-        out[4], out[5] = dz, dh if drive.hysteresis else 0.0
+        out[4] = vm - drive.bristle / drive.dry * np.abs(vm) * z
         return out
 
-    for k in range(count):
-        motor[k], link[k] = state[0], state[2]
-        for i in range(inner):
-            t = k / rate_hz + i * dt
-            r, dr, ddr = reference(t)
-            total = (
-                (LINK + drive.rotor) * ddr - WEIGHT * np.cos(r) + drive.dry * np.tanh(dr / 0.02) + drive.viscous * dr
-            )
-            tau = total + 4.0e3 * (r - state[0]) + 300.0 * (dr - state[1])
-            if i == 0:
-                torque[k] = tau
-            half = state + 0.5 * dt * slope(state, tau)
-            state = state + dt * slope(half, tau)
+    for k in range(count * inner):
+        tau = forward[k] + 4.0e3 * (r[k] - state[0]) + 300.0 * (dr[k] - state[1])
+        if k % inner == 0:
+            motor[k // inner], link[k // inner], torque[k // inner] = state[0], state[2], tau
+        half = state + 0.5 * dt * slope(state, tau)
+        state = state + dt * slope(half, tau)
     time = np.arange(count) / rate_hz
     if drive.stiff:
         link = motor.copy()

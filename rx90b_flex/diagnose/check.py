@@ -167,11 +167,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
     if robot is None:
         with named_in(campaign.path, "robot"):
             robot = load_robot(campaign.robot_source)
-    declared = robot
-    try:
-        rigid = declared.rigid().restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None
+    declared, rigid = robot, _rigid(robot, campaign)
     tell("looking at the signals", 0.1)
     faults, mended = glitches(campaign.recordings)
     still = no_excitation(mended)
@@ -218,6 +214,13 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         _noise_floor(campaign, mended),
         side,
     )
+
+
+def _rigid(robot: Robot, campaign: Campaign) -> Robot:
+    try:
+        return robot.rigid().restricted(campaign.joints)
+    except ValueError as error:
+        raise ValueError(f"{campaign.path}: joints: {error}") from None
 
 
 def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> Look:
