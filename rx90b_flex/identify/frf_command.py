@@ -67,6 +67,8 @@ class FrfOptions:
         Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
+    start_hz : tuple of float
+        Resonances from which the transfer functions of as many modes set out as well, Hz.
     delays : str
         Of the transfer functions: ``none``, ``common`` or ``each`` (`fit_transfer_functions`).
     references : Path or None
@@ -86,6 +88,7 @@ class FrfOptions:
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
+    start_hz: tuple[float, ...] = ()
     delays: str = "none"
     references: Path | None = None
     mains_hz: float | None = None
@@ -354,7 +357,9 @@ def _at_pose(
     transfer = run(
         "transfer functions",
         0.3,
-        lambda: fit_transfer_functions(_there(measured), options.modes, delays=options.delays),
+        lambda: fit_transfer_functions(
+            _there(measured), options.modes, delays=options.delays, start_hz=options.start_hz
+        ),
     )
     validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
     drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])

@@ -85,7 +85,7 @@ def found_again(hz: float, std: float, damping: float, damping_std: float, other
 
 
 def refusals(
-    own: tuple[Array, Array, Array, Array], modes: int, candidates: Sequence[CandidateModel]
+    own: tuple[Array, Array, Array, Array], worth: Array, candidates: Sequence[CandidateModel]
 ) -> tuple[str, ...]:
     """Why each mode of a model does not count, empty where it does.
 
@@ -93,18 +93,19 @@ def refusals(
     ----------
     own : arrays, shape (m,)
         Frequencies, Hz, standard deviations, damping ratios, standard deviations.
-    modes : int
-        Order of the model.
+    worth : array, shape (m,)
+        What the cost rises by without the mode, over what a mode has to save.
     candidates : the best model of each order.
     """
-    orders = [one.modes for one in candidates]
-    at = orders.index(modes)
+    at = [one.modes for one in candidates].index(len(worth))
     around = [*candidates[max(at - BELOW, 0) : at], *candidates[at + 1 : at + 1 + ABOVE]]
     out = []
-    for hz, std, damping, damping_std in zip(*own, strict=True):
+    for hz, std, damping, damping_std, pays in zip(*own, worth, strict=True):
         held = [found_again(hz, std, damping, damping_std, one) for one in around]
         if std > UNCERTAIN * hz:
             out.append(_uncertain(hz, std))
+        elif pays < 1.0:
+            out.append("the fit is as good without it")
         elif 2 * sum(held) < len(held):
             lost = [str(one.modes) for one, there in zip(around, held, strict=True) if not there]
             out.append(f"not found again by the fits of {' and '.join(lost)} modes")

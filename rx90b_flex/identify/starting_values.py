@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -67,11 +68,13 @@ def whitening(response: FrequencyResponse) -> ComplexArray:
     return (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
 
 
+@lru_cache
 def symmetric_basis(n: int) -> Array:
-    """Symmetric n x n matrices with one independent entry each, shape (n (n + 1) / 2, n, n)."""
+    """Symmetric n x n matrices with one independent entry each, shape (n (n + 1) / 2, n, n); not to be written to."""
     rows, columns = np.triu_indices(n)
     basis = np.zeros((len(rows), n, n))
     basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
+    basis.setflags(write=False)
     return basis
 
 

@@ -51,6 +51,8 @@ BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: 
 FEWER = ((0, 2), (0,))  # powers of s that may do instead of all
 ADDED = ("one mode more", "a mode above the band")  # where starts come from that add to a fit with a mode less
 WEAK = 0.1  # times the shape of such a mode: a hundredth of its residue
+SURELY = 10.0  # times its price: a mode worth as much by its covariance is worth it
+START_DAMPING = 0.05  # ratio, of modes to start from of which the frequency alone is given
 EDGE_HZ = 0.01  # by which an antiresonance may leave its bounds at a cost of 1
 
 
@@ -131,12 +133,16 @@ class TransferFit(FittedModel):
         antiresonances hold what these differ by (`stability.spread`).
     pole_sets : tuple of PoleSet
         Of the linear fits.
+    worth : array, shape (m,)
+        By how much the cost rises without each mode, over what a mode has to save by the criterion that decides: below 1 the
+        fit is as good without it.
     """
 
     response: FrequencyResponse
     candidates: tuple[CandidateModel, ...]
     alternatives: tuple[CandidateModel, ...]
     pole_sets: tuple[PoleSet, ...]
+    worth: Array
 
     def resonances_std_hz(self) -> Array:
         """Standard deviations of `resonances_hz`, the choice of the model included, shape (m,)."""
@@ -170,12 +176,9 @@ class TransferFit(FittedModel):
 
     @cached_property
     def refused(self) -> tuple[str, ...]:
-        """Why a mode does not count, one text each, empty where it does: too uncertain, or not found again at other orders."""
-        at, own = (
-            self.model,
-            (self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()),
-        )
-        return refusals(own, len(at.frequency_hz), self.candidates)
+        """Why a mode does not count, one text each, empty where it does: too uncertain, needless, or not found at other orders."""
+        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
+        return refusals(own, self.worth, self.candidates)
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -199,6 +202,7 @@ def fit_transfer_functions(
     delays: str = "none",
     leave_out_hz: Sequence[tuple[float, float]] = (),
     start: TransferFunctions | None = None,
+    start_hz: Sequence[float] = (),
     bounds: Bounds | None = None,
     criterion: str = "mdl",
     powers: Sequence[float] = POWERS,
@@ -223,6 +227,8 @@ def fit_transfer_functions(
         Lines not to use, such as those at the mains frequency.
     start : TransferFunctions, optional
         Initial model; then its number of modes counts and no other start is tried.
+    start_hz : sequence of float
+        Resonances, Hz, from which the fit of as many modes sets out as well.
     bounds : Bounds, optional
     criterion : str
         ``mdl`` (minimum description length) or ``aic``.
@@ -231,7 +237,8 @@ def fit_transfer_functions(
     Raises
     ------
     ValueError
-        Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds.
+        Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds; resonances to
+        start from that are outside them, or of which there are as many as no number of modes.
     """
     if delays not in ("none", "common", "each"):
         raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
@@ -250,6 +257,7 @@ def fit_transfer_functions(
             "expected modes from 1 on and twice as many numbers as parameters"
         )
     bounds = _filled(bounds or Bounds(), response)
+    _check_start_hz(start_hz, tried, bounds)
     problem = _TransferFunctionProblem(response, _zero_bounds(bounds, response))
     sets: tuple[PoleSet, ...] = ()
     if start is None:
@@ -261,6 +269,8 @@ def fit_transfer_functions(
     for m in tried:
         before = next((one for one in found if one.layout.modes == m - 1), None)
         starts = _starts(problem, layouts[m], sets, None if before is None else before.model, bounds, start)
+        if m == len(start_hz):
+            starts.append(_start_at(problem, start_hz, layouts[m], bounds))
         order = _of_order(problem, layouts[m], starts, before, bounds, price)
         every += order
         found.append(min(order, key=lambda one: one.score))
@@ -269,7 +279,7 @@ def fit_transfer_functions(
         elif m - best.layout.modes >= 2:
             break
     assert best is not None
-    return _result(problem, best, found, every, sets)
+    return _result(problem, best, found, every, sets, _worth(problem, best, bounds, price))
 
 
 @dataclass(frozen=True, eq=False)
@@ -547,12 +557,35 @@ def _starts(
     return [(told, _start(problem.data, poles, layout, decay)) for _, told, poles in chosen]
 
 
+def _check_start_hz(start_hz: Sequence[float], tried: Sequence[int], bounds: Bounds) -> None:
+    if not start_hz:
+        return
+    assert bounds.frequency_hz is not None
+    low, high = bounds.frequency_hz
+    if len(start_hz) not in tried:
+        numbers = ", ".join(str(m) for m in tried)
+        raise ValueError(f"{len(start_hz)} resonances to start from; expected as many as a number of modes: {numbers}")
+    bad = [f for f in start_hz if not low <= f <= high]
+    if bad:
+        raise ValueError(f"resonance to start from is {bad[0]:g} Hz; expected {low:.4g} to {high:.4g} Hz")
+
+
+def _start_at(
+    problem: _TransferFunctionProblem, start_hz: Sequence[float], layout: TermLayout, bounds: Bounds
+) -> tuple[str, TransferFunctions]:
+    assert bounds.decay_hz is not None
+    damping = float(np.clip(START_DAMPING, *bounds.damping_ratio))
+    poles = TURN * np.sort(np.array(start_hz, float)) * (-damping + 1j * np.sqrt(1 - damping**2))
+    return "given resonances", _start(problem.data, poles, layout, float(np.sqrt(np.prod(bounds.decay_hz))))
+
+
 def _result(
     problem: _TransferFunctionProblem,
     best: _Climbed,
     found: Sequence[_Climbed],
     every: Sequence[_Climbed],
     sets: tuple[PoleSet, ...],
+    worth: Array,
 ) -> TransferFit:
     fitted = {id(one): _with_covariance(problem, one) for one in every}
     tried = {
@@ -560,7 +593,39 @@ def _result(
         for one in every
     }
     candidates = tuple(tried[id(one)] for one in sorted(found, key=lambda one: one.layout.modes))
-    return TransferFit(*fitted[id(best)], problem.response, candidates, tuple(tried.values()), sets)
+    order = np.argsort(best.model.frequency_hz)
+    return TransferFit(*fitted[id(best)], problem.response, candidates, tuple(tried.values()), sets, worth[order])
+
+
+def _worth(problem: _TransferFunctionProblem, best: _Climbed, bounds: Bounds, price: float) -> Array:
+    """`TransferFit.worth`: by the fit without each mode, or by the shape's covariance where that says it is worth far more.
+
+    Of a residue ``u u^T``, half of the square of u over its deviation, ``u^T C^-1 u / 4``, is twice the cost that it saves.
+    """
+    layout, m = best.layout, best.layout.modes
+    hessian, _ = problem.normal_equations(layout, best.x)
+    model, price = best.model, price * layout.width * efficiency(problem.response)[0]
+    out = np.full(m, np.inf)
+    for r in range(m) if m > 1 else ():
+        own = np.arange(r * layout.width + 2, (r + 1) * layout.width)
+        rest = np.setdiff1d(np.arange(layout.count), own)
+        across = hessian[np.ix_(own, rest)]
+        inverse = (
+            hessian[np.ix_(own, own)] - across @ np.linalg.pinv(hessian[np.ix_(rest, rest)], hermitian=True) @ across.T
+        )
+        u = best.x[own]
+        out[r] = float(u @ inverse @ u) / 4 / price
+        if out[r] < SURELY:
+            kept = np.arange(m) != r
+            less = replace(
+                model,
+                frequency_hz=model.frequency_hz[kept],
+                damping_ratio=model.damping_ratio[kept],
+                shape=model.shape[kept],
+            )
+            fewer = replace(layout, modes=m - 1)
+            out[r] = (_climb(problem, fewer, fewer.pack(less), bounds)[1] - best.cost) / price
+    return out
 
 
 def _with_covariance(
