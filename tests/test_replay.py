@@ -234,7 +234,7 @@ def test_a_delay_put_into_the_logged_torques_comes_back(recordings: tuple[Record
     std = np.sqrt(np.diag(late.covariance)[-3:])
     # both climbs stop a tenth of a standard deviation from their tops; friction's distortion is in both alike
     assert (np.abs(late.model.delay - plain.model.delay - delay) < 0.5 * std + 1e-5).all()
-    zeros = late.model.complex_zeros(2)
+    zeros = late.antiresonance_zeros(2)
     assert (zeros.real < 0).all()  # a drive point has none in the right half plane, and the delay has not become one
 
 

@@ -54,6 +54,7 @@ def test_the_jacobian_is_the_derivative(delays: int) -> None:
             np.eye(2),
             1e-4 * np.eye(2),
             np.array([[2e-6, 1e-6], [1e-6, 3e-6]]),
+            np.array([[50.0, 10.0], [10.0, 30.0]]),
             0.5,
             np.array([[2.0, 0.3], [0.3, 1.0]]),
             np.full(2, 1e-3),

@@ -173,9 +173,9 @@ def _iterated(
 
 
 def residue_fit(data: SymmetricData, poles: ComplexArray) -> tuple[Array, float]:
-    """Best symmetric constant, slope, flexibility and residues over given poles, and the cost they leave (with the unexplained rest).
+    """Best symmetric terms in powers of s and residues over given poles, and the cost they leave (with the unexplained rest).
 
-    The coefficients, shape (k, 3 + poles), belong to the columns of `partial_fractions`.
+    The coefficients, shape (k, 4 + poles), belong to the columns of `partial_fractions`.
     """
     fractions = partial_fractions(data.s, poles)
     size = np.linalg.norm(fractions, axis=0)
@@ -189,11 +189,11 @@ def residue_fit(data: SymmetricData, poles: ComplexArray) -> tuple[Array, float]
 
 
 def partial_fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """1, s, s^2 and the real and imaginary parts' columns of each pole, with real coefficients; shape (F, 3 + poles)."""
+    """1 / s^2, 1, s, s^2 and the real and imaginary parts' columns of each pole, with real coefficients; shape (F, 4 + poles)."""
     above, real = poles[poles.imag > 0], poles[poles.imag == 0]
     one, other = 1 / (s[:, None] - above), 1 / (s[:, None] - above.conj())
     return np.concatenate(
-        [s[:, None] ** np.arange(3), 1 / (s[:, None] - real), one + other, 1j * (one - other)], axis=1
+        [s[:, None] ** np.array([-2, 0, 1, 2]), 1 / (s[:, None] - real), one + other, 1j * (one - other)], axis=1
     )
 
 

@@ -4,12 +4,12 @@ Chapter 6 fits numerators and a common denominator. Their coefficients are ill-c
 gives every pole a residue of rank n, where a mode of a structure has one of rank one. Here each mode is its pole and its
 shape at the drives, so that symmetry, the common denominator and the rank hold by construction:
 
-    P(s) = (D + s E + s^2 F - R / (s + a) + sum_r [u_r u_r^T / (s - p_r) + conj.]) diag(exp(-s T))
+    P(s) = (D + s E + s^2 F - R / (s + a) + Q / s^2 + sum_r [u_r u_r^T / (s - p_r) + conj.]) diag(exp(-s T))
 
 D, E and F (symmetric) stand for the modes above the band: far below its resonance a mode's acceleration over torque grows with
-s^2, so that F is a residual flexibility; E, of their damping, and F are kept where they pay. R / (s + a) (symmetric) stands for
-friction on the rigid-body motion below the band, T for delays of the logged torques. Antiresonances are the zeros of the
-drive points ``P_jj``.
+s^2, so that F is a residual flexibility. R / (s + a) (symmetric) stands for friction on the rigid-body motion below the band, Q / s^2
+(symmetric) for gravity on it and for friction that is not in proportion to inertia. E, F and Q are kept where they pay. T are delays
+of the logged torques. Antiresonances are the zeros of the drive points ``P_jj``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,8 @@ from rx90b_flex.identify.starting_values import (
     whitening,
 )
 from rx90b_flex.identify.transfer_model import (
+    POWERS_OF_S,
+    TERMS,
     TURN,
     FittedModel,
     TermLayout,
@@ -48,7 +50,7 @@ from rx90b_flex.identify.transfer_model import (
 
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
 BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: what lies beside the band may need one
-FEWER = ((0, 2), (0,))  # powers of s that may do instead of all
+FEWER = ((-2, 0, 2), (-2, 0), (0, 1, 2), (0, 2), (0,))  # powers of s that may do instead of all
 ADDED = ("one mode more", "a mode above the band")  # where starts come from that add to a fit with a mode less
 WEAK = 0.1  # times the shape of such a mode: a hundredth of its residue
 SURELY = 10.0  # times its price: a mode worth as much by its covariance is worth it
@@ -61,14 +63,14 @@ def _start(data: SymmetricData, poles: ComplexArray, layout: TermLayout, decay_h
     n = layout.size
     found, _ = residue_fit(data, np.concatenate([poles, [-TURN * decay_hz]]))
     full = symmetric_basis(n)
-    direct, slope, flexibility, drag = (np.tensordot(c, full, 1) for c in found.T[:4])
+    restoring, direct, slope, flexibility, drag = (np.tensordot(c, full, 1) for c in found.T[:5])
     m = len(poles)
-    residues = np.einsum("km,kab->mab", found[:, 4 : 4 + m] + 1j * found[:, 4 + m :], full)
+    residues = np.einsum("km,kab->mab", found[:, 5 : 5 + m] + 1j * found[:, 5 + m :], full)
     left = np.linalg.svd(residues)[0][:, :, 0]
     size = np.einsum("ma,mab,mb->m", left.conj(), residues, left.conj())
     shape = left * np.sqrt(size)[:, None]
     f, z = np.abs(poles) / TURN, -poles.real / np.abs(poles)
-    return TransferFunctions(f, z, shape, direct, slope, flexibility, decay_hz, -drag, np.zeros(n))
+    return TransferFunctions(f, z, shape, direct, slope, flexibility, restoring, decay_hz, -drag, np.zeros(n))
 
 
 # ---- fit ------------------------------------------------------------------------------------------------------
@@ -187,7 +189,7 @@ class TransferFit(FittedModel):
 
     def refused_antiresonances(self, drive: int) -> tuple[str, ...]:
         """Why an antiresonance of a drive point does not count: too uncertain, or that beside a mode that does not."""
-        zeros = self.model.complex_zeros(drive)
+        zeros = self.antiresonance_zeros(drive)
         return zero_refusals(zeros, self.antiresonances(drive)[1], self.model.poles, self.refused)
 
     def in_band(self, hz: Array) -> NDArray[np.bool_]:
@@ -226,7 +228,7 @@ def fit_transfer_functions(
     leave_out_hz : pairs (centre, half width)
         Lines not to use, such as those at the mains frequency.
     start : TransferFunctions, optional
-        Initial model; then its number of modes counts and no other start is tried.
+        Initial model; then its number of modes and its terms beside the band count, and no other start is tried.
     start_hz : sequence of float
         Resonances, Hz, from which the fit of as many modes sets out as well.
     bounds : Bounds, optional
@@ -245,10 +247,12 @@ def fit_transfer_functions(
     if criterion not in ("mdl", "aic"):
         raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
     response = _without(response, leave_out_hz)
-    n, high = len(response.joints), float(response.hz[-1]) if len(response.hz) else 1.0
+    n = len(response.joints)
+    low, high = (float(response.hz[0]), float(response.hz[-1])) if len(response.hz) else (0.0, 1.0)
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
     count = {"none": 0, "common": 1, "each": n}[delays]
-    layouts = {m: TermLayout(m, n, high, count) for m in tried}
+    terms = POWERS_OF_S if start is None else tuple(p for p in POWERS_OF_S if p == 0 or getattr(start, TERMS[p]).any())
+    layouts = {m: TermLayout(m, n, high, count, terms, low) for m in tried}
     rows = 2 * len(response.hz) * n * n
     needed = max((layout.count for layout in layouts.values()), default=0)
     if not tried or min(tried) < 1 or rows < 2 * needed:
@@ -263,23 +267,19 @@ def fit_transfer_functions(
     if start is None:
         sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
     price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
-    found: list[_Climbed] = []
-    best: _Climbed | None = None
-    every: list[_Climbed] = []
+    wholes: list[_Climbed] = []
     for m in tried:
-        before = next((one for one in found if one.layout.modes == m - 1), None)
+        before = next((one for one in wholes if one.layout.modes == m - 1), None)
         starts = _starts(problem, layouts[m], sets, None if before is None else before.model, bounds, start)
         if m == len(start_hz):
             starts.append(_start_at(problem, start_hz, layouts[m], bounds))
-        order = _of_order(problem, layouts[m], starts, before, bounds, price)
-        every += order
-        found.append(min(order, key=lambda one: one.score))
-        if best is None or found[-1].score < best.score:
-            best = found[-1]
-        elif m - best.layout.modes >= 2:
+        wholes.append(_of_order(problem, layouts[m], starts, before, bounds, price))
+        if m - min(wholes, key=lambda one: one.score).layout.modes >= 2:
             break
-    assert best is not None
-    return _result(problem, best, found, every, sets, _worth(problem, best, bounds, price))
+    every = _with_fewer_terms(problem, wholes, bounds, price) if start is None else [[one] for one in wholes]
+    found = [min(order, key=lambda one: one.score) for order in every]
+    best = min(found, key=lambda one: one.score)
+    return _result(problem, best, found, list(chain(*every)), sets, _worth(problem, best, bounds, price))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,6 +302,19 @@ class _Climbed:
         return self.criterion * (BOUND_PRICE if self.bound else 1.0)
 
 
+def _ended(
+    problem: _TransferFunctionProblem,
+    layout: TermLayout,
+    model: TransferFunctions,
+    told: str,
+    bounds: Bounds,
+    price: float,
+) -> _Climbed:
+    x, cost = _climb(problem, layout, layout.pack(model), bounds)
+    criterion = float(cost / efficiency(problem.response)[0] + price * layout.count)
+    return _Climbed(layout, x, cost, criterion, _on_bound(layout, x, bounds), told)
+
+
 def _of_order(
     problem: _TransferFunctionProblem,
     layout: TermLayout,
@@ -309,22 +322,36 @@ def _of_order(
     before: _Climbed | None,
     bounds: Bounds,
     price: float,
-) -> list[_Climbed]:
-    """Models of one number of modes: with all terms beside the band, from each start; then with fewer terms."""
-    spread = efficiency(problem.response)[0]
+) -> _Climbed:
+    """Best model of one number of modes with all terms beside the band, from each start."""
 
-    def ended(layout: TermLayout, model: TransferFunctions, told: str) -> _Climbed:
-        x, cost = _climb(problem, layout, layout.pack(model), bounds)
-        criterion = float(cost / spread + price * layout.count)
-        return _Climbed(layout, x, cost, criterion, _on_bound(layout, x, bounds), told)
+    def ended(model: TransferFunctions, told: str) -> _Climbed:
+        return _ended(problem, layout, model, told, bounds, price)
 
-    whole = min((ended(layout, model, told) for told, model in starts), key=lambda one: one.cost)
+    whole = min((ended(model, told) for told, model in starts), key=lambda one: one.cost)
     if (
         before is not None and whole.cost > before.cost
     ):  # a mode more cannot fit worse: all starts ended beside the best
-        more = [ended(layout, _with_weak_mode(before.model, model), told) for told, model in starts if told in ADDED]
+        more = [ended(_with_weak_mode(before.model, model), told) for told, model in starts if told in ADDED]
         whole = min([whole, *more], key=lambda one: one.cost)
-    return [whole, *(ended(replace(layout, powers=powers), whole.model, whole.started) for powers in FEWER)]
+    return whole
+
+
+def _with_fewer_terms(
+    problem: _TransferFunctionProblem, wholes: Sequence[_Climbed], bounds: Bounds, price: float
+) -> list[list[_Climbed]]:
+    """Models of each order: the whole one, and where its order may be the best one's, those with fewer terms."""
+    lowest = min(one.criterion for one in wholes)
+    out = []
+    for whole in wholes:
+        saved = price * (len(POWERS_OF_S) - 1) * whole.layout.entries
+        fewer = [replace(whole.layout, powers=powers) for powers in FEWER] if whole.criterion - saved < lowest else []
+        found = [_ended(problem, layout, whole.model, whole.started, bounds, price) for layout in fewer]
+        better = min([whole, *found], key=lambda one: one.cost)
+        if better is not whole:  # all terms cannot fit worse than some: that climb ended beside the best
+            whole = _ended(problem, whole.layout, better.model, better.started, bounds, price)
+        out.append([whole, *found])
+    return out
 
 
 def _with_weak_mode(before: TransferFunctions, start: TransferFunctions) -> TransferFunctions:

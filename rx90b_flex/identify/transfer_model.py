@@ -12,7 +12,9 @@ from rx90b_flex.identify.frequency_response import ComplexArray
 from rx90b_flex.identify.starting_values import symmetric_basis
 
 TURN = 2 * np.pi
-POWERS_OF_S = (0, 1, 2)
+NEARLY_STILL = 1e-6  # rad/s
+TERMS = {-2: "restoring", 0: "direct", 1: "slope", 2: "flexibility"}  # beside the modes, by powers of s
+POWERS_OF_S = (-2, 0, 1, 2)  # of Q, D, E and F
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,8 @@ class TransferFunctions:
         u: residues are ``u u^T``. rad/s^2 per N m, times rad/s.
     direct, slope, flexibility : array, shape (n, n)
         D, rad/s^2 per N m; E, the same times s; F, the residual flexibility of the modes above the band, rad per N m.
+    restoring : array, shape (n, n)
+        Q, rad/s^4 per N m.
     decay_hz : float
         a / (2 pi).
     drag : array, shape (n, n)
@@ -42,6 +46,7 @@ class TransferFunctions:
     direct: Array
     slope: Array
     flexibility: Array
+    restoring: Array
     decay_hz: float
     drag: Array
     delay: Array
@@ -62,7 +67,7 @@ class TransferFunctions:
         modes = np.einsum("fm,mjk->fjk", 1 / (s[:, None] - p), q)
         modes += np.einsum("fm,mjk->fjk", 1 / (s[:, None] - p.conj()), q.conj())
         s = s[:, None, None]
-        smooth = self.direct + s * self.slope + s**2 * self.flexibility
+        smooth = self.direct + s * self.slope + s**2 * self.flexibility + self.restoring / s**2
         return smooth - self.drag / (s + TURN * self.decay_hz) + modes
 
     def zeros(self, row: int, column: int | None = None) -> ComplexArray:
@@ -72,18 +77,16 @@ class TransferFunctions:
         """
         column = row if column is None else column
         m = len(self.frequency_hz)
-        own, decay, rate, torque = (
-            2 * m,
-            2 * m,
-            2 * m + 1,
-            2 * m + 2,
-        )  # states: of modes, of friction; s times torque; torque
-        a, e = np.zeros((own + 3, own + 3)), np.eye(own + 3)
+        own = 2 * m  # states: of modes, of friction; torque integrated once and twice; s times torque; torque
+        decay, once, twice, rate, torque = range(own, own + 5)
+        a, e = np.zeros((own + 5, own + 5)), np.eye(own + 5)
         p, q = self.poles, self.shape[:, row] * self.shape[:, column]
         for r in range(m):
             a[2 * r : 2 * r + 2, 2 * r : 2 * r + 2] = [[p[r].real, p[r].imag], [-p[r].imag, p[r].real]]
         a[:own:2, torque] = 2.0
         a[decay, decay], a[decay, torque] = -TURN * self.decay_hz, 1.0
+        a[once, torque] = a[twice, once] = 1.0
+        a[torque, twice] = self.restoring[row, column]
         a[rate, rate], e[rate, rate], e[rate, torque] = 1.0, 0.0, 1.0
         a[torque, :own:2], a[torque, 1:own:2] = q.real, q.imag
         a[torque, decay], a[torque, torque] = -self.drag[row, column], self.direct[row, column]
@@ -112,13 +115,14 @@ class TransferFunctions:
 
 @dataclass(frozen=True)
 class TermLayout:
-    """Where each parameter stands in the vector: modes (frequency, damping, Re u, Im u), D and those of E and F, a, R, T."""
+    """Where each parameter stands in the vector: modes (frequency, damping, Re u, Im u), of Q, D, E and F what it has, a, R, T."""
 
     modes: int
     size: int
-    high_hz: float  # unit of E and F
+    high_hz: float  # unit of s
     delays: int  # 0, 1 for all torques alike, or one each
-    powers: tuple[int, ...] = POWERS_OF_S  # of s: 0 is D, 1 is E, 2 is F
+    powers: tuple[int, ...] = POWERS_OF_S
+    low_hz: float = 0.0  # antiresonances below it are none
 
     @property
     def entries(self) -> int:
@@ -141,14 +145,14 @@ class TermLayout:
         return self.decay + 1 + self.entries + self.delays
 
     def units(self) -> Array:
-        """Of D, E and F as far as there are any, 1 / s to their powers."""
+        """Of Q, D, E and F as far as there are any, 1 / s to their powers."""
         return (TURN * self.high_hz) ** -np.array(self.powers, float)
 
     def pack(self, model: TransferFunctions) -> Array:
         """The vector of a model's parameters."""
         upper = np.triu_indices(self.size)
         own = [model.frequency_hz[:, None], model.damping_ratio[:, None], model.shape.real, model.shape.imag]
-        smooth = [(model.direct, model.slope, model.flexibility)[power][upper] for power in self.powers]
+        smooth = [getattr(model, TERMS[power])[upper] for power in self.powers]
         return np.concatenate(
             [
                 np.hstack(own).ravel(),
@@ -165,8 +169,8 @@ class TermLayout:
         own, rest, decay, drag, delay = np.split(x, np.cumsum([self.modes * self.width, len(self.powers) * k, 1, k]))
         own = own.reshape(self.modes, -1)
         full = symmetric_basis(n)
-        smooth = np.zeros((len(POWERS_OF_S), n, n))
-        smooth[list(self.powers)] = np.tensordot(rest.reshape(-1, k) * self.units()[:, None], full, 1)
+        each = np.tensordot(rest.reshape(-1, k) * self.units()[:, None], full, 1)
+        smooth = {power: np.zeros((n, n)) for power in POWERS_OF_S} | dict(zip(self.powers, each, strict=True))
         return TransferFunctions(
             own[:, 0],
             own[:, 1],
@@ -174,6 +178,7 @@ class TermLayout:
             smooth[0],
             smooth[1],
             smooth[2],
+            smooth[-2],
             float(decay[0]),
             np.tensordot(drag, full, 1),
             np.broadcast_to(delay, n) if self.delays else np.zeros(n),
@@ -221,6 +226,7 @@ def zero_derivatives(layout: TermLayout, model: TransferFunctions, drive: int, z
         + 2 * z * model.flexibility[drive, drive]
         + model.drag[drive, drive] / (z + TURN * model.decay_hz) ** 2
     )
+    by_s = by_s - 2 * model.restoring[drive, drive] / z**3
     by_s = by_s - (q / (z[:, None] - p) ** 2 + q.conj() / (z[:, None] - p.conj()) ** 2).sum(axis=1)
     return -out / by_s[:, None]
 
@@ -302,9 +308,11 @@ class FittedModel:
     def rigid_inverse_derivatives(self) -> Array:
         """Derivatives of `TransferFunctions.rigid_inverse` by the parameters, shape (n, n, p)."""
         layout = self._layout
-        upper = layout.jacobian(self.model, np.zeros(1, complex))[0].real
-        at = layout.decay
-        upper[:, at : at + 1 + layout.entries] = 0.0  # without friction
+        start = layout.modes * layout.width
+        upper = layout.jacobian(self.model, np.full(1, NEARLY_STILL, complex))[0].real
+        upper[:, start:] = 0.0  # without friction and what the rigid-body motion is held by
+        direct = start + layout.powers.index(0) * layout.entries
+        upper[:, direct : direct + layout.entries] = np.eye(layout.entries)
         out = np.zeros((layout.size, layout.size, layout.count))
         out[..., : upper.shape[1]] = np.tensordot(symmetric_basis(layout.size), upper, ((0,), (0,)))
         return out
@@ -314,12 +322,17 @@ class FittedModel:
         hz, by = self.antiresonance_derivatives(drive)
         return hz, self._spread(by)
 
+    def antiresonance_zeros(self, drive: int) -> ComplexArray:
+        """Zeros of a drive point above the real axis and not below the lines, rad/s, by distance from the origin."""
+        z = self.model.complex_zeros(drive)
+        return z[np.abs(z) >= TURN * self._layout.low_hz]
+
     def antiresonance_derivatives(self, drive: int) -> tuple[Array, Array]:
         """Antiresonances of a drive point, Hz, and their derivatives by the parameters, shapes (z,) and (z, p).
 
         A zero moves with the parameters by ``dz = -(dP/dtheta) / (dP/ds)``.
         """
-        z = self.model.complex_zeros(drive)
+        z = self.antiresonance_zeros(drive)
         along = (z.conj() / np.abs(z))[:, None] * zero_derivatives(self._layout, self.model, drive, z)
         return np.abs(z) / TURN, along.real / TURN
 
@@ -344,5 +357,5 @@ class FittedModel:
 
     @property
     def residual_terms(self) -> tuple[str, ...]:
-        """Which of the terms that stand for modes above the band it has: of ``direct``, ``slope`` and ``flexibility``."""
-        return tuple(("direct", "slope", "flexibility")[power] for power in self._layout.powers)
+        """Which terms it has for what lies beside the band: of ``restoring``, ``direct``, ``slope`` and ``flexibility``."""
+        return tuple(TERMS[power] for power in self._layout.powers)

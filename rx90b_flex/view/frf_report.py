@@ -282,10 +282,10 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
         "Modes of fits of several orders",
         "Stabilisation diagram: modes of the fits of every order that was tried, and the mean response",
     )
-    terms = {"direct": "a constant", "slope": "s", "flexibility": "s² (residual flexibility)"}
+    terms = {"restoring": "1/s²", "direct": "a constant", "slope": "s", "flexibility": "s² (residual flexibility)"}
     text = (
         f"{sum(fit.counted)} modes count, of {len(fit.counted)} in the fit chosen from "
-        f"{', '.join(str(c.modes) for c in fit.candidates)}. Beside them stand, for what lies above the band: "
+        f"{', '.join(str(c.modes) for c in fit.candidates)}. Beside them stand, for what lies beside the band: "
         f"{', '.join(terms[name] for name in fit.residual_terms)}.",
         "Standard deviations hold noise, distortion, and by how much fits with other numbers of modes and terms differ, as far "
         "as the data leave the choice open.",
