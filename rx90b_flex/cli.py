@@ -279,6 +279,12 @@ def frf(
     modes: Annotated[
         str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")
     ] = "2,8",
+    start_hz: Annotated[
+        str | None,
+        typer.Option(
+            help="Resonances that transfer functions of as many modes start from as well: F1,F2,...", show_default=False
+        ),
+    ] = None,
     delays: Annotated[
         str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")
     ] = "none",
@@ -312,6 +318,12 @@ def frf(
     ends = _numbers("modes", modes)
     if len(ends) > 2 or any(x != round(x) or not 1 <= x <= MOST_MODES for x in ends) or ends[0] > ends[-1]:
         raise ValueError(f"--modes is {modes!r}; expected one or two ascending whole numbers from 1 to {MOST_MODES}")
+    starts = tuple(_numbers("start-hz", start_hz)) if start_hz else ()
+    if starts and (not ends[0] <= len(starts) <= ends[-1] or not all(low_hz <= f <= 2 * high_hz for f in starts)):
+        raise ValueError(
+            f"--start-hz is {start_hz!r}; expected {modes.replace(',', ' to ')} resonances (--modes) "
+            f"between {low_hz:g} and {2 * high_hz:g} Hz"
+        )
     if delays not in ("none", "common", "each"):
         raise ValueError(f"--delays is {delays!r}; expected none, common or each")
     if mains_hz is not None and not mains_hz > 0.0:
@@ -322,7 +334,8 @@ def frf(
 
     options = FrfOptions(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
-        modes=tuple(range(int(ends[0]), int(ends[-1]) + 1)), delays=delays, mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
+        modes=tuple(range(int(ends[0]), int(ends[-1]) + 1)), start_hz=starts, delays=delays,
+        mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with progress() as tell:
         result = identify_from_motors(read, options, tell)

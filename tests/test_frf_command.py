@@ -57,6 +57,13 @@ def test_stiffness_comes_from_motor_signals_and_is_written(campaign, tmp_path):
     found = json.loads((out / "frf.json").read_text())
     assert found["schema"] == 1 and found["left_out"] == []
     assert found["poses"][0]["pose_rad"] == pytest.approx([0.0, 0.5 * np.pi, 1.0], abs=1e-3)
+    transfer = found["poses"][0]["transfer_functions"]
+    assert [one["modes"] for one in transfer["stabilisation"]] == [5]
+    poles = [one["value"] for one in transfer["stabilisation"][0]["poles"]]
+    kept = [one["value"] for one in transfer["resonances"]]
+    away = [one for one in transfer["refused"] if one["kind"] == "resonance"]
+    assert sorted(kept + [one["value"] for one in away]) == poles and all(one["why"] for one in away)
+    assert "direct" in transfer["residual_terms"]
     parameters = found["grey_box"]["parameters"]
     declared = load_robot("rx90b_3dof")
     for effect in declared.effects:
@@ -108,6 +115,8 @@ def test_bad_input_is_one_line_and_nothing_is_written(campaign, tmp_path, monkey
     for arguments, words in (
         ([str(tmp_path / "none.toml")], "none.toml"),
         ([str(campaign), "--low-hz", "50", "--high-hz", "20"], "--low-hz and --high-hz are 50 and 20"),
+        ([str(campaign), "--start-hz", "20"], "--start-hz is '20'; expected 2 to 8 resonances"),
+        ([str(campaign), "--start-hz", "2,30"], "between 8 and 160 Hz"),
         ([str(campaign), "--controller", str(tmp_path / "c.toml")], "no such controller file"),
     ):
         monkeypatch.setattr("sys.argv", ["rx90b-flex", "frf", *arguments, "--out", str(tmp_path / "out")])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -10,14 +12,8 @@ from two_drives import FREE, HZ, LOCKED, MASS, STIFFNESS, noisy, truth
 
 import rx90b_flex as rf
 from rx90b_flex.identify.starting_values import starting_poles, symmetric_data
-from rx90b_flex.identify.transfer_function import (
-    Bounds,
-    TransferFit,
-    TransferFunctions,
-    _delayed_jacobian,
-    _TermLayout,
-    fit_transfer_functions,
-)
+from rx90b_flex.identify.transfer_function import Bounds, TransferFit, fit_transfer_functions
+from rx90b_flex.identify.transfer_model import TermLayout, TransferFunctions, delayed_jacobian
 
 
 def errors(fit: TransferFit) -> np.ndarray:
@@ -49,7 +45,7 @@ def test_the_rigid_mass_matrix_is_the_gain_below_the_resonances() -> None:
 @pytest.mark.parametrize("delays", [0, 1, 2])
 def test_the_jacobian_is_the_derivative(delays: int) -> None:
     rng = np.random.default_rng(3)
-    layout = _TermLayout(3, 2, 80.0, delays)
+    layout = TermLayout(3, 2, 80.0, delays)
     x = layout.pack(
         TransferFunctions(
             np.array([20.0, 30.0, 45.0]),
@@ -57,13 +53,15 @@ def test_the_jacobian_is_the_derivative(delays: int) -> None:
             rng.normal(size=(3, 2)) + 1j * rng.normal(size=(3, 2)),
             np.eye(2),
             1e-4 * np.eye(2),
+            np.array([[2e-6, 1e-6], [1e-6, 3e-6]]),
+            np.array([[50.0, 10.0], [10.0, 30.0]]),
             0.5,
             np.array([[2.0, 0.3], [0.3, 1.0]]),
             np.full(2, 1e-3),
         )
     )
     s = 2j * np.pi * HZ
-    told = _delayed_jacobian(layout, layout.unpack(x), s)
+    told = delayed_jacobian(layout, layout.unpack(x), s)
     for place in range(layout.count):
         step = np.zeros_like(x)
         step[place] = 1e-6 * max(abs(x[place]), 1e-2)
@@ -98,9 +96,7 @@ def test_an_initial_model_of_the_user_leads_to_the_same_fit() -> None:
     measured = noisy(truth(HZ), HZ, 0.02, np.random.default_rng(6))
     own = fit_transfer_functions(measured, 3)
     m = own.model
-    away = TransferFunctions(
-        1.02 * m.frequency_hz, 1.3 * m.damping_ratio, 0.9 * m.shape, m.direct, m.slope, m.decay_hz, m.drag, m.delay
-    )
+    away = replace(m, frequency_hz=1.02 * m.frequency_hz, damping_ratio=1.3 * m.damping_ratio, shape=0.9 * m.shape)
     again = fit_transfer_functions(measured, start=away)
     assert again.candidates[0].started == "given"
     # both stopped where a step would lower the cost by less than 0.01: a tenth of a standard deviation

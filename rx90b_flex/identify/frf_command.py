@@ -29,6 +29,7 @@ from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_model import poses_along
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
 from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between
+from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
@@ -66,6 +67,8 @@ class FrfOptions:
         Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
+    start_hz : tuple of float
+        Resonances from which the transfer functions of as many modes set out as well, Hz.
     delays : str
         Of the transfer functions: ``none``, ``common`` or ``each`` (`fit_transfer_functions`).
     references : Path or None
@@ -85,6 +88,7 @@ class FrfOptions:
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
+    start_hz: tuple[float, ...] = ()
     delays: str = "none"
     references: Path | None = None
     mains_hz: float | None = None
@@ -353,7 +357,9 @@ def _at_pose(
     transfer = run(
         "transfer functions",
         0.3,
-        lambda: fit_transfer_functions(_there(measured), options.modes, delays=options.delays),
+        lambda: fit_transfer_functions(
+            _there(measured), options.modes, delays=options.delays, start_hz=options.start_hz
+        ),
     )
     validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
     drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
@@ -499,7 +505,8 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
     Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m;
-    ``replayed_response`` the same without the distortion that the replay explains, null without one.
+    ``replayed_response`` the same without the distortion that the replay explains, null without one. Of ``transfer_functions``,
+    ``refused`` has modes and antiresonances that do not count, each with its reason, and ``stabilisation`` the modes of every order.
     ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
     was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
     it. ``grey_box`` is fitted to the responses as measured, ``replay`` to them without the distortion that the replay explains.
@@ -578,20 +585,83 @@ def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
 def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[str, Any] | None:
     if fit is None:
         return None
-    zeros = {}
-    for j, joint in enumerate(fit.response.joints):
-        hz, std = fit.antiresonances(j)
-        zeros[joint] = [_quantity(f, s, "Hz") for f, s in zip(hz, std, strict=True)]
-    both = zip(fit.resonances_hz, fit.resonances_std_hz(), fit.model.damping_ratio, strict=True)
+    resonances = list(_resonances_json(fit))
+    zeros = {joint: list(_zeros_json(fit, j)) for j, joint in enumerate(fit.response.joints)}
+    refused = [{"kind": "resonance", **one, "why": why} for one, why in resonances if why]
+    refused += [
+        {"kind": "antiresonance", "joint": joint, **one, "why": why}
+        for joint, each in zeros.items()
+        for one, why in each
+        if why
+    ]
     return {
-        "resonances": [{**_quantity(f, s, "Hz"), "damping_ratio": float(z)} for f, s, z in both],
-        "antiresonances": zeros,
+        "resonances": [one for one, why in resonances if not why],
+        "antiresonances": {joint: [one for one, why in each if not why] for joint, each in zeros.items()},
+        "refused": refused,
+        "residual_terms": list(fit.residual_terms),
+        "residual_flexibility": _flexibility_json(fit),
+        "stabilisation": _stabilisation_json(fit),
         "torque_delays": _delays_json(fit),
         "cost": float(fit.cost),
         "validation": None
         if tests is None
         else [{"test": c.name, "passed": bool(c.passed), "found": c.found, "implies": c.implies} for c in tests.checks],
     }
+
+
+def _resonances_json(fit: TransferFit) -> Iterable[tuple[dict[str, Any], str]]:
+    """Each mode, and why it does not count."""
+    both = zip(
+        fit.resonances_hz,
+        fit.resonances_std_hz(),
+        fit.model.damping_ratio,
+        fit.damping_std(),
+        fit.refused,
+        strict=True,
+    )
+    for f, s, z, z_std, why in both:
+        yield {**_quantity(f, s, "Hz"), "damping_ratio": float(z), "damping_ratio_std": float(z_std)}, why
+
+
+def _zeros_json(fit: TransferFit, drive: int) -> Iterable[tuple[dict[str, Any], str]]:
+    """Each antiresonance of a drive point, and why it does not count."""
+    hz, std = fit.antiresonances(drive)
+    for f, s, why in zip(hz, std, fit.refused_antiresonances(drive), strict=True):
+        yield _quantity(f, s, "Hz"), why
+
+
+def _flexibility_json(fit: TransferFit) -> dict[str, Any] | None:
+    """Of the modes above the band, rows and columns in the order of the response's joints; null where the term does not pay."""
+    if "flexibility" not in fit.residual_terms:
+        return None
+    value, std = fit.residual_flexibility()
+    return {"value": value.tolist(), "std": std.tolist(), "unit": "rad/(N m)"}
+
+
+def _stabilisation_json(fit: TransferFit) -> list[dict[str, Any]]:
+    """Modes of each order that was tried, and which of them are known well enough and found again at the next order."""
+    return [
+        {
+            "modes": one.modes,
+            "poles": [
+                {
+                    **_quantity(f, s, "Hz"),
+                    "damping_ratio": float(z),
+                    "damping_ratio_std": float(z_std),
+                    "stable": bool(held),
+                }
+                for f, s, z, z_std, held in zip(
+                    one.resonances_hz,
+                    one.resonances_std_hz(),
+                    one.model.damping_ratio,
+                    one.damping_std(),
+                    stable(place, fit.candidates),
+                    strict=True,
+                )
+            ],
+        }
+        for place, one in enumerate(fit.candidates)
+    ]
 
 
 def _delays_json(fit: TransferFit) -> list[dict[str, Any]] | None:

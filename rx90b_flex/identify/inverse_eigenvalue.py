@@ -197,7 +197,7 @@ class DriveIdentification:
         M_ee, kg m^2 (5.52).
     rigid_mass_std : array, shape (n, n)
     decay_rate, decay_rate_std : array, shape (m,)
-        ``-Re(p)`` of each mode: its damping, rad/s.
+        ``-Re(p)`` of each mode that counts: its damping, rad/s.
     """
 
     joints: tuple[str, ...]
@@ -213,25 +213,28 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
     """Drive inertias and stiffnesses, the rigid mass matrix and the modes' damping, with the fit's covariance carried through.
 
     Each drive's inertia comes from its gain at low frequency, without friction, and its resonances and antiresonances above the
-    lowest line, ``J = prod(mu_r / w_r)^2 / (M_ee^-1)_jj``; its stiffness from the traces.
+    lowest line, ``J = prod(mu_r / w_r)^2 / (M_ee^-1)_jj``; its stiffness from the traces. What the fit refuses does not count
+    (`TransferFit.refused`, `TransferFit.refused_antiresonances`).
 
     Raises
     ------
     ValueError
-        A drive without a resonance and an antiresonance above the lowest line.
+        A drive without a resonance and an antiresonance above the lowest line that count.
     """
     n, at = len(fit.response.joints), fit.response.hz[0]
     by_inverse = fit.rigid_inverse_derivatives()
     inverse, mass = fit.model.rigid_inverse(), np.linalg.inv(fit.model.rigid_inverse()).astype(float)
     resonances, by_resonance = fit.resonance_derivatives()
-    kept = resonances > at * 1.001  # not on the bound
+    kept = fit.counted & (resonances > at * 1.001)  # not on the bound
     drives, counts = [], []
     for j in range(n):
         zeros, by_zero = fit.antiresonance_derivatives(j)
-        above = zeros > at
+        above = np.array([not why for why in fit.refused_antiresonances(j)], bool) & (zeros > at)
         count = min(int(kept.sum()), int(above.sum()))
         if count == 0:
-            raise ValueError(f"{fit.response.joints[j]} has no resonance and antiresonance above {at:.4g} Hz")
+            raise ValueError(
+                f"{fit.response.joints[j]} has no resonance and antiresonance above {at:.4g} Hz that count"
+            )
         w, mu = (2 * np.pi * x[:count] for x in (resonances[kept], zeros[above]))
         by_w, by_mu = (2 * np.pi * x[:count] for x in (by_resonance[kept], by_zero[above]))
         inertia = float(np.prod((mu / w) ** 2) / inverse[j, j])
@@ -251,8 +254,8 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
         tuple(counts),
         mass,
         _spread(by_mass, fit.covariance),
-        rate,
-        _spread(by_rate, fit.covariance),
+        rate[fit.counted],
+        _spread(by_rate[fit.counted], fit.covariance),
     )
 
 

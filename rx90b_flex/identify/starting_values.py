@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -67,11 +68,13 @@ def whitening(response: FrequencyResponse) -> ComplexArray:
     return (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
 
 
+@lru_cache
 def symmetric_basis(n: int) -> Array:
-    """Symmetric n x n matrices with one independent entry each, shape (n (n + 1) / 2, n, n)."""
+    """Symmetric n x n matrices with one independent entry each, shape (n (n + 1) / 2, n, n); not to be written to."""
     rows, columns = np.triu_indices(n)
     basis = np.zeros((len(rows), n, n))
     basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
+    basis.setflags(write=False)
     return basis
 
 
@@ -120,7 +123,7 @@ def symmetric_data(response: FrequencyResponse) -> SymmetricData:
 def starting_poles(data: SymmetricData, orders: Iterable[int], powers: Sequence[float] = POWERS) -> tuple[PoleSet, ...]:
     """Poles of common-denominator fits by iterated weighted least squares (6.41), for every order and power.
 
-    ``min sum |C^-1/2 (N(s) - A(s) P)|^2 / |A_before(s)|^w`` over symmetric numerators N, one degree above A, and the
+    ``min sum |C^-1/2 (N(s) - A(s) P)|^2 / |A_before(s)|^w`` over symmetric numerators N, two degrees above A, and the
     denominator A of unit norm. Both are written in polynomials orthonormal over the lines (Arnoldi), so that the
     condition of the problem does not grow with the order as it does in powers of s. Poles on the right are mirrored.
 
@@ -137,7 +140,7 @@ def starting_poles(data: SymmetricData, orders: Iterable[int], powers: Sequence[
     """
     orders = tuple(orders)
     unit = float(np.abs(data.s).max())
-    basis, hessenberg = _orthonormal(data.s / unit, max(orders) + 1)
+    basis, hessenberg = _orthonormal(data.s / unit, max(orders) + 2)
     return tuple(_iterated(order, power, basis, hessenberg, data, unit) for order in orders for power in powers)
 
 
@@ -145,10 +148,10 @@ def _iterated(
     order: int, power: float, basis: ComplexArray, hessenberg: Array, data: SymmetricData, unit: float
 ) -> PoleSet:
     lines, free = data.target.shape
-    numerators = np.einsum("fak,fd->fakd", data.weight, basis[:, : order + 2]).reshape(lines, free, -1)
+    numerators = np.einsum("fak,fd->fakd", data.weight, basis[:, : order + 3]).reshape(lines, free, -1)
     rows = np.concatenate([numerators, -data.target[:, :, None] * basis[:, None, : order + 1]], axis=2)
     scale, best = np.ones(lines), PoleSet(order, power, np.empty(0, complex), np.inf)
-    split = free * (order + 2)
+    split = free * (order + 3)
     for _ in range(ITERATIONS):
         x = real_rows(rows * scale[:, None, None])
         gram = x.T @ x
@@ -170,9 +173,9 @@ def _iterated(
 
 
 def residue_fit(data: SymmetricData, poles: ComplexArray) -> tuple[Array, float]:
-    """Best symmetric constant, slope and residues over given poles, and the cost they leave (with the unexplained rest).
+    """Best symmetric terms in powers of s and residues over given poles, and the cost they leave (with the unexplained rest).
 
-    The coefficients, shape (k, 2 + poles), belong to the columns of `partial_fractions`.
+    The coefficients, shape (k, 4 + poles), belong to the columns of `partial_fractions`.
     """
     fractions = partial_fractions(data.s, poles)
     size = np.linalg.norm(fractions, axis=0)
@@ -186,11 +189,11 @@ def residue_fit(data: SymmetricData, poles: ComplexArray) -> tuple[Array, float]
 
 
 def partial_fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """1, s and the real and imaginary parts' columns of each pole, with real coefficients; shape (F, 2 + poles)."""
+    """1 / s^2, 1, s, s^2 and the real and imaginary parts' columns of each pole, with real coefficients; shape (F, 4 + poles)."""
     above, real = poles[poles.imag > 0], poles[poles.imag == 0]
     one, other = 1 / (s[:, None] - above), 1 / (s[:, None] - above.conj())
     return np.concatenate(
-        [np.ones((len(s), 1)), s[:, None], 1 / (s[:, None] - real), one + other, 1j * (one - other)], axis=1
+        [s[:, None] ** np.array([-2, 0, 1, 2]), 1 / (s[:, None] - real), one + other, 1j * (one - other)], axis=1
     )
 
 

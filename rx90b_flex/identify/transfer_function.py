@@ -4,25 +4,28 @@ Chapter 6 fits numerators and a common denominator. Their coefficients are ill-c
 gives every pole a residue of rank n, where a mode of a structure has one of rank one. Here each mode is its pole and its
 shape at the drives, so that symmetry, the common denominator and the rank hold by construction:
 
-    P(s) = (D + s E - R / (s + a) + sum_r [u_r u_r^T / (s - p_r) + conj.]) diag(exp(-s T))
+    P(s) = (D + s E + s^2 F - R / (s + a) + Q / s^2 + sum_r [u_r u_r^T / (s - p_r) + conj.]) diag(exp(-s T))
 
-D and E (symmetric) stand for the modes above the band, R / (s + a) (symmetric) for friction on the rigid-body motion
-below it, T for delays of the logged torques. Antiresonances are the zeros of the drive points ``P_jj``.
+D, E and F (symmetric) stand for the modes above the band: far below its resonance a mode's acceleration over torque grows with
+s^2, so that F is a residual flexibility. R / (s + a) (symmetric) stands for friction on the rigid-body motion below the band, Q / s^2
+(symmetric) for gravity on it and for friction that is not in proportion to inertia. E, F and Q are kept where they pay. T are delays
+of the logged torques. Antiresonances are the zeros of the drive points ``P_jj``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import cached_property
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.stability import model_weights, nearest, refusals, spread, zero_refusals
 from rx90b_flex.identify.starting_values import (
     POWERS,
     PoleSet,
@@ -34,185 +37,40 @@ from rx90b_flex.identify.starting_values import (
     symmetric_data,
     whitening,
 )
+from rx90b_flex.identify.transfer_model import (
+    POWERS_OF_S,
+    TERMS,
+    TURN,
+    FittedModel,
+    TermLayout,
+    TransferFunctions,
+    delayed_jacobian,
+    zero_derivatives,
+)
 
-TURN = 2 * np.pi
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
 BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: what lies beside the band may need one
+FEWER = ((-2, 0, 2), (-2, 0), (0, 1, 2), (0, 2), (0,))  # powers of s that may do instead of all
+ADDED = ("one mode more", "a mode above the band")  # where starts come from that add to a fit with a mode less
+WEAK = 0.1  # times the shape of such a mode: a hundredth of its residue
+SURELY = 10.0  # times its price: a mode worth as much by its covariance is worth it
+START_DAMPING = 0.05  # ratio, of modes to start from of which the frequency alone is given
 EDGE_HZ = 0.01  # by which an antiresonance may leave its bounds at a cost of 1
 
 
-@dataclass(frozen=True, eq=False)
-class TransferFunctions:
-    """P(s), drive acceleration over drive torque, from m modes at n drives.
-
-    Attributes
-    ----------
-    frequency_hz : array, shape (m,)
-        Distance of each pole from the origin: the undamped resonances (5.41), ascending.
-    damping_ratio : array, shape (m,)
-    shape : complex array, shape (m, n)
-        u: residues are ``u u^T``. rad/s^2 per N m, times rad/s.
-    direct, slope : array, shape (n, n)
-        D, rad/s^2 per N m; E, the same times s.
-    decay_hz : float
-        a / (2 pi).
-    drag : array, shape (n, n)
-        R.
-    delay : array, shape (n,)
-        T of each torque, s.
-    """
-
-    frequency_hz: Array
-    damping_ratio: Array
-    shape: ComplexArray
-    direct: Array
-    slope: Array
-    decay_hz: float
-    drag: Array
-    delay: Array
-
-    @property
-    def poles(self) -> ComplexArray:
-        """Above the real axis, shape (m,), rad/s."""
-        z = self.damping_ratio
-        return TURN * self.frequency_hz * (-z + 1j * np.sqrt(1 - z**2))
-
-    def frf(self, hz: Array) -> ComplexArray:
-        """Frequency response, shape (F, n, n), rad/s^2 per N m."""
-        s = 2j * np.pi * np.asarray(hz, float)
-        return self._undelayed(s) * np.exp(-s[:, None, None] * self.delay)
-
-    def _undelayed(self, s: ComplexArray) -> ComplexArray:
-        q, p = np.einsum("mj,mk->mjk", self.shape, self.shape), self.poles
-        modes = np.einsum("fm,mjk->fjk", 1 / (s[:, None] - p), q)
-        modes += np.einsum("fm,mjk->fjk", 1 / (s[:, None] - p.conj()), q.conj())
-        s = s[:, None, None]
-        return self.direct + s * self.slope - self.drag / (s + TURN * self.decay_hz) + modes
-
-    def zeros(self, row: int, column: int | None = None) -> ComplexArray:
-        """Finite zeros of one entry, a drive point where no column is given; rad/s, by distance from the origin.
-
-        They are the eigenvalues of the pencil of its realisation, found without forming polynomials.
-        """
-        column = row if column is None else column
-        m = len(self.frequency_hz)
-        size = 2 * m + 1
-        a = np.zeros((size + 1, size + 1))
-        p, q = self.poles, self.shape[:, row] * self.shape[:, column]
-        for r in range(m):
-            a[2 * r : 2 * r + 2, 2 * r : 2 * r + 2] = [[p[r].real, p[r].imag], [-p[r].imag, p[r].real]]
-        a[: 2 * m : 2, size] = 2.0
-        a[size, : 2 * m : 2], a[size, 1 : 2 * m : 2] = q.real, q.imag
-        a[size - 1, size - 1], a[size - 1, size] = -TURN * self.decay_hz, 1.0
-        a[size, size - 1], a[size, size] = -self.drag[row, column], self.direct[row, column]
-        e = np.eye(size + 1)
-        e[size, size] = -self.slope[row, column]
-        found = linalg.eigvals(a, e)
-        found = found[np.isfinite(found)]
-        return found[np.argsort(np.abs(found))]
-
-    def antiresonances_hz(self, drive: int) -> Array:
-        """Undamped antiresonances of a drive point (5.41), ascending, Hz: the distance of its complex zeros from the origin."""
-        return np.abs(self.complex_zeros(drive)) / TURN
-
-    def complex_zeros(self, drive: int) -> ComplexArray:
-        """Zeros of a drive point above the real axis, rad/s, by distance from the origin."""
-        z = self.zeros(drive)
-        return z[z.imag > 1e-6 * np.abs(z)]
-
-    def rigid_inverse(self) -> Array:
-        """Inverse of the rigid mass matrix (5.52): the gain below the first resonance without friction, shape (n, n)."""
-        return self.direct - 2 * np.einsum("mj,mk,m->jk", self.shape, self.shape, 1 / self.poles).real
-
-
-# ---- parameters -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _TermLayout:
-    """Where each parameter stands in the vector: modes (frequency, damping, Re u, Im u), D, E, a, R, T."""
-
-    modes: int
-    size: int
-    high_hz: float  # unit of E
-    delays: int  # 0, 1 for all torques alike, or one each
-
-    @property
-    def entries(self) -> int:
-        return self.size * (self.size + 1) // 2
-
-    @property
-    def count(self) -> int:
-        return self.modes * (2 + 2 * self.size) + 3 * self.entries + 1 + self.delays
-
-    def pack(self, model: TransferFunctions) -> Array:
-        upper = np.triu_indices(self.size)
-        own = [model.frequency_hz[:, None], model.damping_ratio[:, None], model.shape.real, model.shape.imag]
-        slope = model.slope[upper] * TURN * self.high_hz
-        delay = model.delay[: self.delays]
-        return np.concatenate(
-            [np.hstack(own).ravel(), model.direct[upper], slope, [model.decay_hz], model.drag[upper], delay]
-        )
-
-    def unpack(self, x: Array) -> TransferFunctions:
-        n, k = self.size, self.entries
-        own, rest = np.split(x, [self.modes * (2 + 2 * n)])
-        own = own.reshape(self.modes, -1)
-        direct, slope, decay, drag, delay = np.split(rest, np.cumsum([k, k, 1, k]))
-        full = symmetric_basis(n)
-        return TransferFunctions(
-            own[:, 0],
-            own[:, 1],
-            own[:, 2 : 2 + n] + 1j * own[:, 2 + n :],
-            np.tensordot(direct, full, 1),
-            np.tensordot(slope, full, 1) / (TURN * self.high_hz),
-            float(decay[0]),
-            np.tensordot(drag, full, 1),
-            np.broadcast_to(delay, n) if self.delays else np.zeros(n),
-        )
-
-    def jacobian(self, model: TransferFunctions, s: ComplexArray) -> ComplexArray:
-        """Derivatives of the upper entries of P without delay, shape (F, entries, parameters but delays)."""
-        n, k = self.size, self.entries
-        rows, columns = np.triu_indices(n)
-        p, u = model.poles, model.shape
-        z = model.damping_ratio
-        q = u[:, rows] * u[:, columns]  # (m, k)
-        one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
-        out = np.zeros((len(s), k, self.count - self.delays), complex)
-        own = out[:, :, : self.modes * (2 + 2 * n)].reshape(len(s), k, self.modes, 2 + 2 * n)
-        squares = np.einsum("fm,mk->fkm", one**2, q), np.einsum("fm,mk->fkm", other**2, q.conj())
-        by_frequency, by_damping = p / model.frequency_hz, TURN * model.frequency_hz * (-1 - 1j * z / np.sqrt(1 - z**2))
-        for place, step in enumerate((by_frequency, by_damping)):
-            own[..., place] = squares[0] * step + squares[1] * step.conj()
-        pick = np.eye(n)
-        by_shape = pick[rows][None] * u[:, columns, None] + pick[columns][None] * u[:, rows, None]  # (m, k, n)
-        left, right = np.einsum("fm,mkn->fkmn", one, by_shape), np.einsum("fm,mkn->fkmn", other, by_shape.conj())
-        own[..., 2 : 2 + n], own[..., 2 + n :] = left + right, 1j * (left - right)
-        out[:, :, : self.modes * (2 + 2 * n)] = own.reshape(len(s), k, -1)
-        at = self.modes * (2 + 2 * n)
-        decay = 1 / (s + TURN * model.decay_hz)
-        for fraction in (np.ones_like(s), s / (TURN * self.high_hz)):
-            out[:, np.arange(k), at + np.arange(k)] = fraction[:, None]
-            at += k
-        out[:, :, at] = TURN * (decay**2)[:, None] * model.drag[rows, columns]
-        out[:, np.arange(k), at + 1 + np.arange(k)] = -decay[:, None]
-        return out
-
-
-def _start(data: SymmetricData, poles: ComplexArray, layout: _TermLayout, decay_hz: float) -> TransferFunctions:
+def _start(data: SymmetricData, poles: ComplexArray, layout: TermLayout, decay_hz: float) -> TransferFunctions:
     """Model over given poles: the best residues, each replaced by its nearest of rank one."""
     n = layout.size
     found, _ = residue_fit(data, np.concatenate([poles, [-TURN * decay_hz]]))
     full = symmetric_basis(n)
-    direct, slope, drag = (np.tensordot(c, full, 1) for c in found.T[:3])
+    restoring, direct, slope, flexibility, drag = (np.tensordot(c, full, 1) for c in found.T[:5])
     m = len(poles)
-    residues = np.einsum("km,kab->mab", found[:, 3 : 3 + m] + 1j * found[:, 3 + m :], full)
+    residues = np.einsum("km,kab->mab", found[:, 5 : 5 + m] + 1j * found[:, 5 + m :], full)
     left = np.linalg.svd(residues)[0][:, :, 0]
     size = np.einsum("ma,mab,mb->m", left.conj(), residues, left.conj())
     shape = left * np.sqrt(size)[:, None]
-    p = poles
-    return TransferFunctions(np.abs(p) / TURN, -p.real / np.abs(p), shape, direct, slope, decay_hz, -drag, np.zeros(n))
+    f, z = np.abs(poles) / TURN, -poles.real / np.abs(poles)
+    return TransferFunctions(f, z, shape, direct, slope, flexibility, restoring, decay_hz, -drag, np.zeros(n))
 
 
 # ---- fit ------------------------------------------------------------------------------------------------------
@@ -240,16 +98,13 @@ class Bounds:
     antiresonances: tuple[tuple[str, float, float], ...] = ()
 
 
-@dataclass(frozen=True)
-class CandidateModel:
-    """A number of modes that was tried.
+@dataclass(frozen=True, eq=False)
+class CandidateModel(FittedModel):
+    """A model that was tried, of some number of modes and terms beside the band.
 
     Attributes
     ----------
     modes : int
-    cost : float
-        (6.35): weighted sum of squares.
-    parameters : int
     criterion : float
         What decides; the lowest is chosen.
     started : str
@@ -260,128 +115,86 @@ class CandidateModel:
     """
 
     modes: int
-    cost: float
-    parameters: int
     criterion: float
     started: str
     bound: bool
 
 
 @dataclass(frozen=True, eq=False)
-class TransferFit:
+class TransferFit(FittedModel):
     """Transfer functions with their uncertainty, and how they were found.
 
     Attributes
     ----------
-    model : TransferFunctions
     response : FrequencyResponse
         The lines that were fitted.
-    covariance : array, shape (p, p)
-        Of the parameters (6.46), for weights estimated with the response's degrees of freedom; see `inflation`.
-    cost : float
-        V of (6.35), over n*n entries a line.
-    inflation : float
-        Covariances were multiplied by it, at least 1: the cost over its expected value. Errors of the model and
-        nonlinear bias raise it above 1; (6.46) alone would keep silent about them.
-    parameters : int
-    candidates : tuple of Candidate
+    candidates : tuple of CandidateModel
+        The best of each number of modes tried, ascending.
+    alternatives : tuple of CandidateModel
+        All that were tried: each number of modes with every choice of terms. Standard deviations of resonances, damping ratios and
+        antiresonances hold what these differ by (`stability.spread`).
     pole_sets : tuple of PoleSet
-        Of the linear fits, for a stabilisation diagram.
+        Of the linear fits.
+    worth : array, shape (m,)
+        By how much the cost rises without each mode, over what a mode has to save by the criterion that decides: below 1 the
+        fit is as good without it.
     """
 
-    model: TransferFunctions
     response: FrequencyResponse
-    covariance: Array
-    cost: float
-    inflation: float
-    parameters: int
     candidates: tuple[CandidateModel, ...]
+    alternatives: tuple[CandidateModel, ...]
     pole_sets: tuple[PoleSet, ...]
-    _layout: _TermLayout
-
-    @property
-    def resonances_hz(self) -> Array:
-        """Undamped resonances, ascending, shape (m,)."""
-        return self.model.frequency_hz
-
-    def torque_delays(self) -> tuple[Array, Array]:
-        """By how much torques were logged later than angles, and standard deviations, s; as many as delays were fitted."""
-        count = self._layout.delays
-        spread = np.diag(self.covariance)[len(self.covariance) - count :]
-        return -self.model.delay[:count], np.asarray(np.sqrt(spread))
+    worth: Array
 
     def resonances_std_hz(self) -> Array:
-        """Standard deviations of `resonances_hz`, shape (m,)."""
-        return self._spread(self.resonance_derivatives()[1])
+        """Standard deviations of `resonances_hz`, the choice of the model included, shape (m,)."""
+        return self._resonance_spread[0]
 
     def damping_std(self) -> Array:
-        """Standard deviations of the damping ratios, shape (m,)."""
-        return self._spread(self._of_modes(1))
+        """Standard deviations of the damping ratios, the choice of the model included, shape (m,)."""
+        return self._resonance_spread[1]
 
-    def _spread(self, derivatives: Array) -> Array:
-        return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, self.covariance, derivatives))
+    def antiresonances(self, drive: int) -> tuple[Array, Array]:
+        """Antiresonances of a drive point (5.41) and standard deviations, the choice of the model included, ascending, Hz."""
+        hz, std = super().antiresonances(drive)
+        others = [one.antiresonances(drive) for one, _ in self._weighted]
+        return hz, spread(hz, std, others, [weight for _, weight in self._weighted])
 
-    def _of_modes(self, place: int) -> Array:
-        width = 2 + 2 * self._layout.size
-        return np.eye(self._layout.count)[place : self._layout.modes * width : width]
+    @cached_property
+    def _weighted(self) -> list[tuple[CandidateModel, float]]:
+        """Alternatives that the data leave open, with their weights."""
+        weights = model_weights(self.alternatives, efficiency(self.response)[0], self.inflation)
+        return [pair for pair in zip(self.alternatives, weights, strict=True) if pair[1] > 0.0]
 
-    def resonance_derivatives(self) -> tuple[Array, Array]:
-        """Resonances, Hz, and their derivatives by the parameters, shapes (m,) and (m, p)."""
-        return self.model.frequency_hz, self._of_modes(0)
+    @cached_property
+    def _resonance_spread(self) -> tuple[Array, Array]:
+        f, own, damping = self.resonances_hz, super().resonances_std_hz(), super().damping_std()
+        weights = [weight for _, weight in self._weighted]
+        others = [(one.resonances_hz, one.resonances_std_hz()) for one, _ in self._weighted]
+        ratios = [(one.model.damping_ratio, one.damping_std()) for one, _ in self._weighted]
+        return spread(f, own, others, weights), spread(
+            self.model.damping_ratio, damping, ratios, weights, nearest(f, own, others)
+        )
 
-    def decay_derivatives(self) -> tuple[Array, Array]:
-        """Decay rates ``-Re(p)``, rad/s, and their derivatives by the parameters, shapes (m,) and (m, p)."""
-        f, z = TURN * self.model.frequency_hz, self.model.damping_ratio
-        return f * z, TURN * z[:, None] * self._of_modes(0) + f[:, None] * self._of_modes(1)
+    @cached_property
+    def refused(self) -> tuple[str, ...]:
+        """Why a mode does not count, one text each, empty where it does: too uncertain, needless, or not found at other orders."""
+        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
+        return refusals(own, self.worth, self.candidates)
 
-    def rigid_inverse_derivatives(self) -> Array:
-        """Derivatives of `TransferFunctions.rigid_inverse` by the parameters, shape (n, n, p)."""
-        layout = self._layout
-        upper = layout.jacobian(self.model, np.zeros(1, complex))[0].real
-        at = layout.modes * (2 + 2 * layout.size) + 2 * layout.entries
-        upper[:, at : at + 1 + layout.entries] = 0.0  # without friction
-        out = np.zeros((layout.size, layout.size, layout.count))
-        out[..., : upper.shape[1]] = np.tensordot(symmetric_basis(layout.size), upper, ((0,), (0,)))
-        return out
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Which modes count, shape (m,)."""
+        return np.array([not why for why in self.refused], bool)
+
+    def refused_antiresonances(self, drive: int) -> tuple[str, ...]:
+        """Why an antiresonance of a drive point does not count: too uncertain, or that beside a mode that does not."""
+        zeros = self.antiresonance_zeros(drive)
+        return zero_refusals(zeros, self.antiresonances(drive)[1], self.model.poles, self.refused)
 
     def in_band(self, hz: Array) -> NDArray[np.bool_]:
         """Which frequencies lie between the lines: those outside only stand for what is beyond."""
         return (np.asarray(hz) >= self.response.hz[0]) & (np.asarray(hz) <= self.response.hz[-1])
-
-    def antiresonances(self, drive: int) -> tuple[Array, Array]:
-        """Undamped antiresonances of a drive point (5.41) and their standard deviations, ascending, Hz."""
-        hz, by = self.antiresonance_derivatives(drive)
-        return hz, self._spread(by)
-
-    def antiresonance_derivatives(self, drive: int) -> tuple[Array, Array]:
-        """Antiresonances of a drive point, Hz, and their derivatives by the parameters, shapes (z,) and (z, p).
-
-        A zero moves with the parameters by ``dz = -(dP/dtheta) / (dP/ds)``.
-        """
-        z = self.model.complex_zeros(drive)
-        along = (z.conj() / np.abs(z))[:, None] * _zero_derivatives(self._layout, self.model, drive, z)
-        return np.abs(z) / TURN, along.real / TURN
-
-    def frf_std(self, hz: Array) -> Array:
-        """Standard deviation of the fitted FRF (6.48), ``sqrt(E |d|^2)``, shape (F, n, n), rad/s^2 per N m."""
-        s = 2j * np.pi * np.asarray(hz, float)
-        by = _delayed_jacobian(self._layout, self.model, s)
-        return np.sqrt(np.einsum("fap,pq,faq->fa", by, self.covariance, by.conj()).real).reshape(
-            len(s), self._layout.size, -1
-        )
-
-
-def _zero_derivatives(layout: _TermLayout, model: TransferFunctions, drive: int, z: ComplexArray) -> ComplexArray:
-    """Derivatives of zeros z of a drive point by the parameters, shape (z, p)."""
-    free = layout.count - layout.delays
-    rows, columns = np.triu_indices(layout.size)
-    entry = int(np.flatnonzero((rows == drive) & (columns == drive))[0])
-    out = np.zeros((len(z), layout.count), complex)
-    out[:, :free] = layout.jacobian(model, z)[:, entry]
-    q, p = model.shape[:, drive] ** 2, model.poles
-    by_s = model.slope[drive, drive] + model.drag[drive, drive] / (z + TURN * model.decay_hz) ** 2
-    by_s = by_s - (q / (z[:, None] - p) ** 2 + q.conj() / (z[:, None] - p.conj()) ** 2).sum(axis=1)
-    return -out / by_s[:, None]
 
 
 def fit_transfer_functions(
@@ -391,6 +204,7 @@ def fit_transfer_functions(
     delays: str = "none",
     leave_out_hz: Sequence[tuple[float, float]] = (),
     start: TransferFunctions | None = None,
+    start_hz: Sequence[float] = (),
     bounds: Bounds | None = None,
     criterion: str = "mdl",
     powers: Sequence[float] = POWERS,
@@ -414,7 +228,9 @@ def fit_transfer_functions(
     leave_out_hz : pairs (centre, half width)
         Lines not to use, such as those at the mains frequency.
     start : TransferFunctions, optional
-        Initial model; then its number of modes counts and no other start is tried.
+        Initial model; then its number of modes and its terms beside the band count, and no other start is tried.
+    start_hz : sequence of float
+        Resonances, Hz, from which the fit of as many modes sets out as well.
     bounds : Bounds, optional
     criterion : str
         ``mdl`` (minimum description length) or ``aic``.
@@ -423,17 +239,20 @@ def fit_transfer_functions(
     Raises
     ------
     ValueError
-        Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds.
+        Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds; resonances to
+        start from that are outside them, or of which there are as many as no number of modes.
     """
     if delays not in ("none", "common", "each"):
         raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
     if criterion not in ("mdl", "aic"):
         raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
     response = _without(response, leave_out_hz)
-    n, high = len(response.joints), float(response.hz[-1]) if len(response.hz) else 1.0
+    n = len(response.joints)
+    low, high = (float(response.hz[0]), float(response.hz[-1])) if len(response.hz) else (0.0, 1.0)
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
     count = {"none": 0, "common": 1, "each": n}[delays]
-    layouts = {m: _TermLayout(m, n, high, count) for m in tried}
+    terms = POWERS_OF_S if start is None else tuple(p for p in POWERS_OF_S if p == 0 or getattr(start, TERMS[p]).any())
+    layouts = {m: TermLayout(m, n, high, count, terms, low) for m in tried}
     rows = 2 * len(response.hz) * n * n
     needed = max((layout.count for layout in layouts.values()), default=0)
     if not tried or min(tried) < 1 or rows < 2 * needed:
@@ -442,32 +261,107 @@ def fit_transfer_functions(
             "expected modes from 1 on and twice as many numbers as parameters"
         )
     bounds = _filled(bounds or Bounds(), response)
+    _check_start_hz(start_hz, tried, bounds)
     problem = _TransferFunctionProblem(response, _zero_bounds(bounds, response))
     sets: tuple[PoleSet, ...] = ()
     if start is None:
         sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
     price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
-    spread = efficiency(response)[0]
-    best: tuple[float, Array, float, _TermLayout] | None = None
-    candidates: list[CandidateModel] = []
-    before: TransferFunctions | None = None
+    wholes: list[_Climbed] = []
     for m in tried:
-        layout = layouts[m]
-        fits = []
-        for told, model in _starts(problem, layout, sets, before, bounds, start):
-            fits.append((*_climb(problem, layout, layout.pack(model), bounds), told))
-        x, cost, told = min(fits, key=lambda fit: fit[1])
-        before = layout.unpack(x)
-        on_bound, value = _on_bound(layout, x, bounds), float(cost / spread + price * layout.count)
-        candidates.append(CandidateModel(m, cost, layout.count, value, told, on_bound))
-        score = value * (BOUND_PRICE if on_bound else 1.0)
-        if best is None or score < best[0]:
-            best = (score, x, cost, layout)
-        elif m - best[3].modes >= 2:
+        before = next((one for one in wholes if one.layout.modes == m - 1), None)
+        starts = _starts(problem, layouts[m], sets, None if before is None else before.model, bounds, start)
+        if m == len(start_hz):
+            starts.append(_start_at(problem, start_hz, layouts[m], bounds))
+        wholes.append(_of_order(problem, layouts[m], starts, before, bounds, price))
+        if m - min(wholes, key=lambda one: one.score).layout.modes >= 2:
             break
-    assert best is not None
-    _, x, cost, layout = best
-    return _result(problem, layout, x, cost, tuple(candidates), sets)
+    every = _with_fewer_terms(problem, wholes, bounds, price) if start is None else [[one] for one in wholes]
+    found = [min(order, key=lambda one: one.score) for order in every]
+    best = min(found, key=lambda one: one.score)
+    return _result(problem, best, found, list(chain(*every)), sets, _worth(problem, best, bounds, price))
+
+
+@dataclass(frozen=True, eq=False)
+class _Climbed:
+    """Where the likelihood's climb ended: parameters, cost, criterion, whether a mode sits on a bound, and from where it set out."""
+
+    layout: TermLayout
+    x: Array
+    cost: float
+    criterion: float
+    bound: bool
+    started: str
+
+    @property
+    def model(self) -> TransferFunctions:
+        return self.layout.unpack(self.x)
+
+    @property
+    def score(self) -> float:
+        return self.criterion * (BOUND_PRICE if self.bound else 1.0)
+
+
+def _ended(
+    problem: _TransferFunctionProblem,
+    layout: TermLayout,
+    model: TransferFunctions,
+    told: str,
+    bounds: Bounds,
+    price: float,
+) -> _Climbed:
+    x, cost = _climb(problem, layout, layout.pack(model), bounds)
+    criterion = float(cost / efficiency(problem.response)[0] + price * layout.count)
+    return _Climbed(layout, x, cost, criterion, _on_bound(layout, x, bounds), told)
+
+
+def _of_order(
+    problem: _TransferFunctionProblem,
+    layout: TermLayout,
+    starts: Sequence[tuple[str, TransferFunctions]],
+    before: _Climbed | None,
+    bounds: Bounds,
+    price: float,
+) -> _Climbed:
+    """Best model of one number of modes with all terms beside the band, from each start."""
+
+    def ended(model: TransferFunctions, told: str) -> _Climbed:
+        return _ended(problem, layout, model, told, bounds, price)
+
+    whole = min((ended(model, told) for told, model in starts), key=lambda one: one.cost)
+    if (
+        before is not None and whole.cost > before.cost
+    ):  # a mode more cannot fit worse: all starts ended beside the best
+        more = [ended(_with_weak_mode(before.model, model), told) for told, model in starts if told in ADDED]
+        whole = min([whole, *more], key=lambda one: one.cost)
+    return whole
+
+
+def _with_fewer_terms(
+    problem: _TransferFunctionProblem, wholes: Sequence[_Climbed], bounds: Bounds, price: float
+) -> list[list[_Climbed]]:
+    """Models of each order: the whole one, and where its order may be the best one's, those with fewer terms."""
+    lowest = min(one.criterion for one in wholes)
+    out = []
+    for whole in wholes:
+        saved = price * (len(POWERS_OF_S) - 1) * whole.layout.entries
+        fewer = [replace(whole.layout, powers=powers) for powers in FEWER] if whole.criterion - saved < lowest else []
+        found = [_ended(problem, layout, whole.model, whole.started, bounds, price) for layout in fewer]
+        better = min([whole, *found], key=lambda one: one.cost)
+        if better is not whole:  # all terms cannot fit worse than some: that climb ended beside the best
+            whole = _ended(problem, whole.layout, better.model, better.started, bounds, price)
+        out.append([whole, *found])
+    return out
+
+
+def _with_weak_mode(before: TransferFunctions, start: TransferFunctions) -> TransferFunctions:
+    """A fitted model with a start's last mode, too weak to spoil the fit."""
+    return replace(
+        before,
+        frequency_hz=np.append(before.frequency_hz, start.frequency_hz[-1]),
+        damping_ratio=np.append(before.damping_ratio, start.damping_ratio[-1]),
+        shape=np.vstack([before.shape, WEAK * start.shape[-1:]]),
+    )
 
 
 def _without(response: FrequencyResponse, leave_out_hz: Sequence[tuple[float, float]]) -> FrequencyResponse:
@@ -534,12 +428,12 @@ class _TransferFunctionProblem:
         self.n = len(response.joints)
         self.upper = np.triu_indices(self.n)
 
-    def cost(self, layout: _TermLayout, x: Array) -> float:
+    def cost(self, layout: TermLayout, x: Array) -> float:
         model = layout.unpack(x)
         r, beyond = self.residual(layout, model), self.beyond(layout, model)[0]
         return float((np.abs(r) ** 2).sum() + beyond @ beyond) + (0.0 if layout.delays else self.data.rest)
 
-    def beyond(self, layout: _TermLayout, model: TransferFunctions) -> tuple[Array, Array]:
+    def beyond(self, layout: TermLayout, model: TransferFunctions) -> tuple[Array, Array]:
         """How far each bounded antiresonance is out of its bounds, over `EDGE_HZ`, and its derivatives, (z,) and (z, p)."""
         values, slopes = [], []
         for drive, low, high in self.zeros:
@@ -549,12 +443,12 @@ class _TransferFunctionProblem:
             nearest = int(np.argmin(np.abs(out))) if len(out) else -1
             if nearest >= 0 and out[nearest] != 0.0:
                 one = z[nearest : nearest + 1]
-                by = (one.conj() / np.abs(one) @ _zero_derivatives(layout, model, drive, one)).real / TURN
+                by = (one.conj() / np.abs(one) @ zero_derivatives(layout, model, drive, one)).real / TURN
                 values.append(out[nearest] / EDGE_HZ)
                 slopes.append(by / EDGE_HZ)
         return np.array(values), np.array(slopes).reshape(len(values), layout.count)
 
-    def residual(self, layout: _TermLayout, model: TransferFunctions) -> ComplexArray:
+    def residual(self, layout: TermLayout, model: TransferFunctions) -> ComplexArray:
         """Whitened model minus data: of the n*n entries with delays, of what a symmetric model reaches without."""
         s = self.data.s
         if layout.delays:
@@ -563,12 +457,12 @@ class _TransferFunctionProblem:
         upper = model._undelayed(s)[:, self.upper[0], self.upper[1]]
         return np.einsum("fak,fk->fa", self.data.weight, upper) - self.data.target
 
-    def jacobian(self, layout: _TermLayout, model: TransferFunctions) -> ComplexArray:
+    def jacobian(self, layout: TermLayout, model: TransferFunctions) -> ComplexArray:
         if layout.delays:
-            return self.white @ _delayed_jacobian(layout, model, self.data.s)
+            return self.white @ delayed_jacobian(layout, model, self.data.s)
         return self.data.weight @ layout.jacobian(model, self.data.s)
 
-    def normal_equations(self, layout: _TermLayout, x: Array) -> tuple[Array, Array]:
+    def normal_equations(self, layout: TermLayout, x: Array) -> tuple[Array, Array]:
         """Gauss-Newton Hessian and gradient of half the cost."""
         model = layout.unpack(x)
         j, r = self.jacobian(layout, model), self.residual(layout, model)
@@ -577,30 +471,15 @@ class _TransferFunctionProblem:
         return rows.T @ rows, rows.T @ target
 
 
-def _delayed_jacobian(layout: _TermLayout, model: TransferFunctions, s: ComplexArray) -> ComplexArray:
-    """Derivatives of all n*n entries of P, delays included, shape (F, n*n, parameters)."""
-    n = layout.size
-    expand = symmetric_basis(n).reshape(-1, n * n).T  # entries from upper entries
-    late = np.exp(-s[:, None] * model.delay)[:, np.tile(np.arange(n), n)]
-    out = np.zeros((len(s), n * n, layout.count), complex)
-    free = layout.count - layout.delays
-    out[:, :, :free] = late[:, :, None] * (expand @ layout.jacobian(model, s))
-    if layout.delays:
-        value = -s[:, None] * late * model._undelayed(s).reshape(len(s), -1)
-        columns = np.tile(np.arange(n), n) if layout.delays > 1 else np.zeros(n * n, int)
-        out[:, np.arange(n * n), free + columns] = value
-    return out
-
-
-def _limits(layout: _TermLayout, bounds: Bounds) -> tuple[Array, Array]:
+def _limits(layout: TermLayout, bounds: Bounds) -> tuple[Array, Array]:
     assert bounds.frequency_hz is not None and bounds.decay_hz is not None
     low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
-    width = 2 + 2 * layout.size
+    width = layout.width
     end = layout.modes * width
     places: list[tuple[slice, tuple[float, float]]] = [
         (slice(0, end, width), bounds.frequency_hz),
         (slice(1, end, width), bounds.damping_ratio),
-        (slice(end + 2 * layout.entries, end + 2 * layout.entries + 1), bounds.decay_hz),
+        (slice(layout.decay, layout.decay + 1), bounds.decay_hz),
         (slice(layout.count - layout.delays, layout.count), bounds.delay_s),
     ]
     for place, (least, most) in places:
@@ -608,16 +487,16 @@ def _limits(layout: _TermLayout, bounds: Bounds) -> tuple[Array, Array]:
     return low, high
 
 
-def _on_bound(layout: _TermLayout, x: Array, bounds: Bounds) -> bool:
+def _on_bound(layout: TermLayout, x: Array, bounds: Bounds) -> bool:
     """Whether a mode not above the lines sits on a bound. Above them a broad one may stand for all that lies there."""
     low, high = _limits(layout, bounds)
-    width = 2 + 2 * layout.size
+    width = layout.width
     at = ((x <= low) | (x >= high))[: layout.modes * width].reshape(layout.modes, width).any(axis=1)
     return bool(np.any(at & (x[: layout.modes * width : width] <= layout.high_hz)))
 
 
 def _climb(
-    problem: _TransferFunctionProblem, layout: _TermLayout, x: Array, bounds: Bounds, iterations: int = 150
+    problem: _TransferFunctionProblem, layout: TermLayout, x: Array, bounds: Bounds, iterations: int = 150
 ) -> tuple[Array, float]:
     """Levenberg-Marquardt within bounds, until a step would lower the cost by less than a hundredth.
 
@@ -652,7 +531,7 @@ def _climb(
 
 def _starts(
     problem: _TransferFunctionProblem,
-    layout: _TermLayout,
+    layout: TermLayout,
     sets: Sequence[PoleSet],
     before: TransferFunctions | None,
     bounds: Bounds,
@@ -690,10 +569,7 @@ def _starts(
         low, high = problem.response.hz[0], problem.response.hz[-1]
         typical = float(np.median(before.damping_ratio))
         inside, above = np.geomspace(low, high, 30), np.geomspace(1.05 * high, bounds.frequency_hz[1], 6)[:-1]
-        for told, places, damping in (
-            ("one mode more", inside, (typical,)),
-            ("a mode above the band", above, (typical, 0.2, 0.4)),
-        ):
+        for told, places, damping in zip(ADDED, (inside, above), ((typical,), (typical, 0.2, 0.4)), strict=True):
             for centre, ratio in product(places.tolist(), damping):
                 pole = np.array([TURN * centre * (-ratio + 1j * np.sqrt(1 - ratio**2))], complex)
                 add(told, np.concatenate([before.poles, pole]))
@@ -708,31 +584,90 @@ def _starts(
     return [(told, _start(problem.data, poles, layout, decay)) for _, told, poles in chosen]
 
 
+def _check_start_hz(start_hz: Sequence[float], tried: Sequence[int], bounds: Bounds) -> None:
+    if not start_hz:
+        return
+    assert bounds.frequency_hz is not None
+    low, high = bounds.frequency_hz
+    if len(start_hz) not in tried:
+        numbers = ", ".join(str(m) for m in tried)
+        raise ValueError(f"{len(start_hz)} resonances to start from; expected as many as a number of modes: {numbers}")
+    bad = [f for f in start_hz if not low <= f <= high]
+    if bad:
+        raise ValueError(f"resonance to start from is {bad[0]:g} Hz; expected {low:.4g} to {high:.4g} Hz")
+
+
+def _start_at(
+    problem: _TransferFunctionProblem, start_hz: Sequence[float], layout: TermLayout, bounds: Bounds
+) -> tuple[str, TransferFunctions]:
+    assert bounds.decay_hz is not None
+    damping = float(np.clip(START_DAMPING, *bounds.damping_ratio))
+    poles = TURN * np.sort(np.array(start_hz, float)) * (-damping + 1j * np.sqrt(1 - damping**2))
+    return "given resonances", _start(problem.data, poles, layout, float(np.sqrt(np.prod(bounds.decay_hz))))
+
+
 def _result(
     problem: _TransferFunctionProblem,
-    layout: _TermLayout,
-    x: Array,
-    cost: float,
-    candidates: tuple[CandidateModel, ...],
+    best: _Climbed,
+    found: Sequence[_Climbed],
+    every: Sequence[_Climbed],
     sets: tuple[PoleSet, ...],
+    worth: Array,
 ) -> TransferFit:
-    order = np.argsort(layout.unpack(x).frequency_hz)
-    own = x[: layout.modes * (2 + 2 * layout.size)].reshape(layout.modes, -1)[order]
-    x = np.concatenate([own.ravel(), x[own.size :]])
+    fitted = {id(one): _with_covariance(problem, one) for one in every}
+    tried = {
+        id(one): CandidateModel(*fitted[id(one)], one.layout.modes, one.criterion, one.started, one.bound)
+        for one in every
+    }
+    candidates = tuple(tried[id(one)] for one in sorted(found, key=lambda one: one.layout.modes))
+    order = np.argsort(best.model.frequency_hz)
+    return TransferFit(*fitted[id(best)], problem.response, candidates, tuple(tried.values()), sets, worth[order])
+
+
+def _worth(problem: _TransferFunctionProblem, best: _Climbed, bounds: Bounds, price: float) -> Array:
+    """`TransferFit.worth`: by the fit without each mode, or by the shape's covariance where that says it is worth far more.
+
+    Of a residue ``u u^T``, half of the square of u over its deviation, ``u^T C^-1 u / 4``, is twice the cost that it saves.
+    """
+    layout, m = best.layout, best.layout.modes
+    hessian, _ = problem.normal_equations(layout, best.x)
+    model, price = best.model, price * layout.width * efficiency(problem.response)[0]
+    out = np.full(m, np.inf)
+    for r in range(m) if m > 1 else ():
+        own = np.arange(r * layout.width + 2, (r + 1) * layout.width)
+        rest = np.setdiff1d(np.arange(layout.count), own)
+        across = hessian[np.ix_(own, rest)]
+        inverse = (
+            hessian[np.ix_(own, own)] - across @ np.linalg.pinv(hessian[np.ix_(rest, rest)], hermitian=True) @ across.T
+        )
+        u = best.x[own]
+        out[r] = float(u @ inverse @ u) / 4 / price
+        if out[r] < SURELY:
+            kept = np.arange(m) != r
+            less = replace(
+                model,
+                frequency_hz=model.frequency_hz[kept],
+                damping_ratio=model.damping_ratio[kept],
+                shape=model.shape[kept],
+            )
+            fewer = replace(layout, modes=m - 1)
+            out[r] = (_climb(problem, fewer, fewer.pack(less), bounds)[1] - best.cost) / price
+    return out
+
+
+def _with_covariance(
+    problem: _TransferFunctionProblem, one: _Climbed
+) -> tuple[TransferFunctions, Array, float, float, int, TermLayout]:
+    """The fields of `FittedModel`, modes by frequency."""
+    layout = one.layout
+    order = np.argsort(layout.unpack(one.x).frequency_hz)
+    own = one.x[: layout.modes * layout.width].reshape(layout.modes, -1)[order]
+    x = np.concatenate([own.ravel(), one.x[own.size :]])
     hessian, _ = problem.normal_equations(layout, x)
     scale = np.sqrt(np.diag(hessian)) + 1e-300
     inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     mean, _, loss = efficiency(problem.response)
     expected = mean * (len(problem.response.hz) * problem.n**2 - layout.count / 2)
-    inflation = max(1.0, cost / expected) if np.isfinite(expected) else 1.0
-    return TransferFit(
-        layout.unpack(x),
-        problem.response,
-        inverse / 2 * (loss if np.isfinite(loss) else 1.0) * inflation,
-        cost,
-        inflation,
-        layout.count,
-        candidates,
-        sets,
-        layout,
-    )
+    inflation = max(1.0, one.cost / expected) if np.isfinite(expected) else 1.0
+    covariance = inverse / 2 * (loss if np.isfinite(loss) else 1.0) * inflation
+    return layout.unpack(x), covariance, one.cost, inflation, layout.count, layout

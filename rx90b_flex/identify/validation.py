@@ -168,14 +168,17 @@ def _white(fit: TransferFit, white: Whiteness) -> Check:
 def _modes(fit: TransferFit) -> Check:
     f, std = fit.resonances_hz, fit.resonances_std_hz()
     width = f * fit.model.damping_ratio
-    inside = fit.in_band(f)
+    inside = fit.in_band(f) & fit.counted
     loose = [f"{x:.1f} Hz" for x in f[inside & (std > 0.5 * width)]]
+    refused = [f"{x:.1f} Hz" for x in f[fit.in_band(f) & ~fit.counted]]
     found = f"{int(inside.sum())} modes in the band, frequencies to {std[inside].max(initial=0.0):.2f} Hz (one sigma)"
-    implies = (
-        f"the modes at {', '.join(loose)} are hardly determined: fewer modes, or more data"
-        if loose
-        else "each mode's frequency is known to less than half its own half width"
-    )
+    if refused:
+        found += f"; {len(refused)} more refused"
+    implies = "each mode's frequency is known to less than half its own half width"
+    if loose:
+        implies = f"the modes at {', '.join(loose)} are hardly determined: fewer modes, or more data"
+    if refused:
+        implies += f"; terms at {', '.join(refused)} are no modes that the data show"
     return Check("modes", not loose, found, implies)
 
 

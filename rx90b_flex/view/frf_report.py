@@ -12,6 +12,7 @@ from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
 from rx90b_flex.identify.grey_model import SLOPE, Delay
 from rx90b_flex.identify.replay import ReplayedGreyBox
+from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.report import unit_text
@@ -266,19 +267,7 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
     fit, tests = at.transfer, at.validation
     if fit is None:
         return None
-    both = zip(fit.resonances_hz, fit.resonances_std_hz(), fit.model.damping_ratio, strict=True)
-    head = ("mode", "resonance, Hz", "std, Hz", "damping ratio, -")
-    resonances = PageTable(
-        head,
-        tuple((str(k), f"{f:.2f}", f"{s:.2f}", f"{z:.3f}") for k, (f, s, z) in enumerate(both, 1)),
-        "Resonances, undamped",
-    )
-    zeros = []
-    for j, joint in enumerate(fit.response.joints):
-        hz, std = fit.antiresonances(j)
-        zeros += [(joint.replace("_", " "), f"{f:.2f}", f"{s:.2f}") for f, s in zip(hz, std, strict=True)]
-    antiresonances = PageTable(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped")
-    tables = [resonances, antiresonances]
+    tables = _mode_tables(fit)
     if tests is not None:
         rows = tuple((c.name, "pass" if c.passed else "fail", c.found, c.implies) for c in tests.checks)
         tables.append(PageTable(("test", "", "found", "what it implies"), rows, "Validation", ()))
@@ -288,9 +277,56 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
         "Correlation of the residuals along the lines",
         zoom=True,
     )
-    stable = image(transfer_plots.stabilisation(fit), "Poles of fits of several orders", "Stabilisation diagram")
-    text = f"{len(fit.resonances_hz)} modes, chosen from {', '.join(str(c.modes) for c in fit.candidates)}."
-    return Section(f"{_named(result, at)}Transfer functions", (text,), tuple(tables), (correlation, stable))
+    stable = image(
+        transfer_plots.stabilisation(fit),
+        "Modes of fits of several orders",
+        "Stabilisation diagram: modes of the fits of every order that was tried, and the mean response",
+    )
+    terms = {"restoring": "1/s²", "direct": "a constant", "slope": "s", "flexibility": "s² (residual flexibility)"}
+    text = (
+        f"{sum(fit.counted)} modes count, of {len(fit.counted)} in the fit chosen from "
+        f"{', '.join(str(c.modes) for c in fit.candidates)}. Beside them stand, for what lies beside the band: "
+        f"{', '.join(terms[name] for name in fit.residual_terms)}.",
+        "Standard deviations hold noise, distortion, and by how much fits with other numbers of modes and terms differ, as far "
+        "as the data leave the choice open.",
+    )
+    return Section(f"{_named(result, at)}Transfer functions", text, tuple(tables), (correlation, stable))
+
+
+def _mode_tables(fit: TransferFit) -> list[PageTable]:
+    """Resonances and antiresonances that count; those that do not, with their reasons."""
+    modes = zip(
+        fit.resonances_hz,
+        fit.resonances_std_hz(),
+        fit.model.damping_ratio,
+        fit.damping_std(),
+        fit.refused,
+        strict=True,
+    )
+    resonances: list[tuple[str, ...]] = []
+    zeros: list[tuple[str, ...]] = []
+    refused: list[tuple[str, ...]] = []
+    for f, s, z, z_std, why in modes:
+        if why:
+            refused.append(("mode", f"{f:.2f}", f"{s:.2f}", why))
+        else:
+            resonances.append((str(len(resonances) + 1), f"{f:.2f}", f"{s:.2f}", f"{z:.3f}", f"{z_std:.3f}"))
+    for j, joint in enumerate(fit.response.joints):
+        name = joint.replace("_", " ")
+        for f, s, why in zip(*fit.antiresonances(j), fit.refused_antiresonances(j), strict=True):
+            if why:
+                refused.append((f"antiresonance of {name}", f"{f:.2f}", f"{s:.2f}", why))
+            else:
+                zeros.append((name, f"{f:.2f}", f"{s:.2f}"))
+    head = ("mode", "resonance, Hz", "std, Hz", "damping ratio, -", "std, -")
+    tables = [
+        PageTable(head, tuple(resonances), "Resonances, undamped"),
+        PageTable(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped"),
+    ]
+    if refused:
+        caption = "Refused: terms of the fit that are no modes or antiresonances which the data show"
+        tables.append(PageTable(("", "frequency, Hz", "std, Hz", "why"), tuple(refused), caption, (1, 2)))
+    return tables
 
 
 def _residuals(result: MotorIdentification) -> Section | None:

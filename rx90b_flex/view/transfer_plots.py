@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray
+from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.identify.validation import LEVEL, whiteness
 from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN
@@ -80,25 +81,36 @@ def residual_correlation(fit: TransferFit) -> Figure:
 
 
 def stabilisation(fit: TransferFit) -> Figure:
-    """Poles of the linear fits over their order, and the modes that the likelihood kept."""
-    figure = Figure(figsize=(WIDTH_IN, 3.0), layout="constrained")
+    """Modes of the fits of every order over frequency, and behind them the mean response (root mean square of its entries)."""
+    figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
     ax = figure.subplots()
     _plain_axes(ax)
-    orders = sorted({one.order for one in fit.pole_sets})
-    for colour, mark, power in zip(
-        (AFTER, BEFORE, FLOOR, MEASURED), "osx+", sorted({one.power for one in fit.pole_sets}), strict=False
-    ):
-        chosen = [one for one in fit.pole_sets if one.power == power]
-        f = np.concatenate([one.frequencies_hz for one in chosen])
-        order = np.concatenate([np.full(len(one.poles), one.order) for one in chosen])
-        ax.plot(f, order, mark, color=colour, markersize=4, fillstyle="none", label=f"w = {power:g}")
-    for f in fit.resonances_hz:
-        ax.axvline(f, color=MEASURED, linewidth=0.8, zorder=0)
-    ax.set_xlim(0, 1.15 * fit.response.hz[-1])
-    ax.set_yticks(orders)
-    ax.set_xlabel("frequency of the pole, Hz (lines: modes of the fit)", fontsize=9)
-    ax.set_ylabel("order of the linear fit", fontsize=9)
-    ax.legend(fontsize=8, frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    behind = ax.twinx()
+    hz = fit.response.hz
+    behind.semilogy(
+        hz, np.sqrt((np.abs(fit.response.value) ** 2).mean(axis=(1, 2))), color=MEASURED, alpha=0.35, linewidth=1.0
+    )
+    behind.set_ylabel("mean response, rad/s² per N m", fontsize=9)
+    behind.tick_params(labelsize=8)
+    behind.spines["top"].set_visible(False)
+    ax.set_zorder(behind.get_zorder() + 1)
+    ax.patch.set_visible(False)
+    f = np.concatenate([one.resonances_hz for one in fit.candidates])
+    std = np.concatenate([one.resonances_std_hz() for one in fit.candidates])
+    order = np.concatenate([np.full(one.modes, one.modes) for one in fit.candidates])
+    held = np.concatenate([stable(place, fit.candidates) for place in range(len(fit.candidates))])
+    right = 1.1 * hz[-1]
+    sure, rest = held & (f < right), ~held & (f < right)
+    ax.errorbar(f[sure], order[sure], xerr=std[sure], fmt="o", color=AFTER, markersize=5, linewidth=0.8, label="stable")
+    ax.plot(
+        f[rest], order[rest], "x", color=BEFORE, markersize=5, label="not found again at the next order, or uncertain"
+    )
+    ax.axhline(len(fit.resonances_hz), color=FLOOR, linewidth=0.8, linestyle=":", label="chosen")
+    ax.set_xlim(0.9 * hz[0], right)
+    ax.set_yticks([one.modes for one in fit.candidates])
+    ax.set_xlabel("frequency, Hz (bars: one standard deviation of what is stable)", fontsize=9)
+    ax.set_ylabel("modes of the fit", fontsize=9)
+    ax.legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     return figure
 
 
