@@ -5,6 +5,7 @@ Nothing of the arm is the package's but its robot file, whose values are wrong b
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,9 @@ SEED = 1
 
 
 def run(*arguments: object) -> None:
+    """A command; figures of the report of frequency responses take longer than all else, and are not what this is about."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rx90b_flex.view.frf_report.write_frf_report", lambda result, path: path.write_text("report"))
         patch.setattr("sys.argv", ["rx90b-flex", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
             cli.main()
@@ -36,26 +39,16 @@ def recorded(
     poses: tuple[str, ...] = ONE_POSE,
     period_s: float = 4.096,
     realisations: int = 3,
+    declared: Arm | None = None,
+    guess: float = 0.2,
 ) -> Path:
-    """A campaign that the arm has played; `known`: whether its controller is described."""
+    """A campaign that the arm has played; `known`: whether its controller is described; `declared`: what its robot file is of."""
     folder.mkdir(parents=True, exist_ok=True)
-    robot = write_robot(arm, folder)
+    robot = write_robot(declared or arm, folder, guess=guess)
     how = ("--controller", write_controller(arm, folder / "own.toml")) if known else ("--rate-hz", 500)
     turned = [x for pose in poses for x in ("--pose", pose)]
-    run(
-        "excite",
-        robot,
-        *turned,
-        "--by",
-        by,
-        *how,
-        "--realisations",
-        realisations,
-        "--periods",
-        2,
-        "--out",
-        folder / "runs",
-    )
+    size = ("--realisations", realisations, "--periods", 2, "--period-s", period_s)
+    run("excite", robot, *turned, "--by", by, *how, *size, "--out", folder / "runs")
     campaign = folder / "runs" / "campaign.toml"
     for number, reference in enumerate(sorted((folder / "runs" / "references").rglob("*.csv"))):
         play(arm, reference, folder / "runs" / "logs" / reference.parent.name / reference.name, 2, number)
@@ -82,6 +75,13 @@ def identified(campaign: Path, *options: object) -> dict[str, Any]:
     run("frf", campaign, "--out", out, "--jobs", 1, "--bending-alike-std", 0, *options)
     found: dict[str, Any] = json.loads((out / "frf.json").read_text())
     assert found["left_out"] == [] and found["replay"] is not None
+    return found
+
+
+def closed_loop(folder: Path, robot: Path) -> dict[str, Any]:
+    """The content of ``closed_loop.json`` on what `identified` wrote."""
+    run("close-loop", folder / "frf", "--robot", robot, "--out", folder / "closed")
+    found: dict[str, Any] = json.loads((folder / "closed" / "closed_loop.json").read_text())
     return found
 
 
@@ -114,3 +114,27 @@ def test_by_motion_alone_the_drives_of_an_unknown_arm_are_found(tmp_path: Path) 
     arm = Arm.drawn(SEED)
     campaign = recorded(arm, tmp_path, by="reference", known=False, period_s=2.048, realisations=2)
     assert_found(arm, identified(campaign, "--modes", 6))
+
+
+@pytest.mark.slow
+def test_two_poses_tell_a_known_loop_s_arm_and_that_nothing_is_missing(tmp_path: Path) -> None:
+    """Torques are fed forward, and logged a millisecond late: the skew is taken out and no cause is named."""
+    arm = Arm.drawn(3, torque_late_s=1e-3)
+    campaign = recorded(arm, tmp_path, by="torque", known=True, poses=TWO_POSES)
+    assert_found(arm, identified(campaign, "--modes", 6))
+    closed = closed_loop(tmp_path, write_robot(arm, tmp_path, guess=0.0))
+    assert closed["verdict"] == "nothing_missing" and closed["effects"] == []
+
+
+@pytest.mark.slow
+def test_a_softer_drive_is_found_and_nothing_else(tmp_path: Path) -> None:
+    as_declared = Arm.drawn(3)
+    drives = list(as_declared.drives)
+    drives[1] = dataclasses.replace(drives[1], stiffness=0.6 * drives[1].stiffness)
+    arm = dataclasses.replace(as_declared, drives=tuple(drives))
+    campaign = recorded(arm, tmp_path, by="torque", known=True, declared=as_declared, guess=0.0)
+    identified(campaign, "--modes", 6)
+    closed = closed_loop(tmp_path, tmp_path / "arm.toml")
+    (effect,) = closed["effects"]
+    assert (effect["type"], effect["place"]) == ("drive_flexibility", "shoulder")
+    assert effect["parameters"]["drive_stiffness"]["value"] == pytest.approx(0.6, abs=0.02)
