@@ -113,9 +113,8 @@ class Arm:
         for joint, d, (link, (mass, centre, moments)) in zip(
             reversed(JOINTS), reversed(self.drives), reversed(LINKS.items()), strict=True
         ):
-            tool = (
-                f'<geom type="sphere" size="0.03" mass="{self.tool_kg}" pos="{_text(TIP)}"/>' if link == "lower" else ""
-            )
+            ball = f'<inertial mass="{self.tool_kg}" pos="0 0 0" diaginertia="0.002 0.002 0.002"/>'
+            tool = f'<body pos="{_text(TIP)}">{ball}</body>' if link == "lower" and self.tool_kg else ""
             at_motor = (d.dry, d.viscous) if self.friction == "motor" else (0.0, 0.0)
             first, second = BENDS[joint]
             body = f"""<body name="{link}" pos="{_text(PLACES[joint])}">
@@ -128,7 +127,7 @@ class Arm:
             if self.friction == "joint":
                 tendons += f"""<fixed name="{joint}" frictionloss="{d.dry}" damping="{d.viscous}" solreffriction="0.001 1"
                   solimpfriction="0.99 0.99 1"><joint joint="{joint}" coef="1"/><joint joint="{joint}_twist" coef="1"/></fixed>"""
-        return f"""<mujoco><compiler angle="radian" autolimits="false" inertiafromgeom="false"/>
+        return f"""<mujoco><compiler angle="radian" autolimits="false"/>
           <option timestep="{1.0 / CONTROL_HZ}" integrator="RK4" jacobian="dense"><flag contact="disable" limit="disable"/></option>
           <worldbody>{body}</worldbody><tendon>{tendons}</tendon></mujoco>"""
 

@@ -138,3 +138,16 @@ def test_a_softer_drive_is_found_and_nothing_else(tmp_path: Path) -> None:
     (effect,) = closed["effects"]
     assert (effect["type"], effect["place"]) == ("drive_flexibility", "shoulder")
     assert effect["parameters"]["drive_stiffness"]["value"] == pytest.approx(0.6, abs=0.02)
+
+
+@pytest.mark.slow
+def test_a_tool_that_nobody_declared_is_found_beside_a_skew_and_nothing_else(tmp_path: Path) -> None:
+    as_declared = Arm.drawn(5)
+    arm = dataclasses.replace(as_declared, tool_kg=2.0, torque_late_s=5e-4)
+    campaign = recorded(arm, tmp_path, by="reference", known=True, declared=as_declared, guess=0.0)
+    identified(campaign, "--modes", 6)
+    closed = closed_loop(tmp_path, tmp_path / "arm.toml")
+    (effect,) = closed["effects"]
+    assert effect["type"] == "payload"
+    mass = effect["parameters"]["mass"]
+    assert abs(mass["value"] - 2.0) < 3.0 * mass["std"] and mass["std"] < 0.1
