@@ -385,7 +385,22 @@ def excite(
         bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")
     ] = False,
     controller: Annotated[
-        Path | None, typer.Option(help="Controller file (TOML), for --white and --simulate; the CS8's otherwise.")
+        Path | None,
+        typer.Option(
+            help="Controller file (TOML): for --white, --simulate, references that order torques, and frf's replay."
+        ),
+    ] = None,
+    by: Annotated[
+        str, typer.Option(help="What carries the excitation: torque (fed forward), reference (motion alone) or both.")
+    ] = "torque",
+    speed_peak: Annotated[
+        str | None,
+        typer.Option(
+            help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."
+        ),
+    ] = None,
+    rate_hz: Annotated[
+        float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")
     ] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
@@ -408,7 +423,7 @@ def excite(
     request = ExciteRequest(
         robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
         _numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
-        not one_sign, white, controller, seed,
+        not one_sign, white, controller, seed, by, _numbers("speed-peak", speed_peak) if speed_peak else (), rate_hz,  # type: ignore[arg-type]
     )  # fmt: skip
     with progress() as tell:
         said = excite_into(request, out, simulate, tell, overwrite)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rx90b_flex.robot import Robot
     from rx90b_flex.signals import Campaign
     from rx90b_flex.simulate import CampaignPlan, Noise, Simulation, Trajectory
+    from rx90b_flex.simulate.campaign import By
     from rx90b_flex.simulate.excite import Matrix
     from rx90b_flex.view import Run, View
 
@@ -216,6 +217,9 @@ def excite(
     both_signs: bool = True,
     white: bool = False,
     controller: str | os.PathLike[str] | None = None,
+    by: By = "torque",
+    speed_peak: Sequence[float] = (),
+    rate_hz: float | None = None,
     simulate: bool = False,
     seed: int = 0,
     overwrite: bool = False,
@@ -247,7 +251,13 @@ def excite(
     white : bool
         Whether the drive torques are white.
     controller : path, optional
-        For `white` and `simulate`.
+        For `white`, `simulate` and references that order torques.
+    by : ``torque``, ``reference`` or ``both``
+        What carries the excitation: torques that are fed forward, references that vibrate, or each half.
+    speed_peak : sequence of float, rad/s
+        Largest speed that is added to references, one for all or one a joint, where no controller file is given.
+    rate_hz : float, optional
+        Of the references; the controller file's where not given.
     simulate : bool
         Whether the logs are simulated and written, too.
     seed : int
@@ -279,7 +289,7 @@ def excite(
     request = ExciteRequest(
         loaded.name, tuple(tuple(np.deg2rad(pose).tolist()) for pose in poses_deg), tuple(joints), matrix, tuple(peak), band_hz,
         PERIOD_S if period_s is None else period_s, realisations=realisations, periods=periods, both_signs=both_signs, white=white,
-        controller=None if controller is None else Path(controller), seed=seed,
+        controller=None if controller is None else Path(controller), seed=seed, by=by, speed_peak=tuple(speed_peak), rate_hz=rate_hz,
     )  # fmt: skip
     if out is not None:
         excite_into(request, Path(out), simulate, progress or (lambda _text, _part: None), overwrite, loaded)

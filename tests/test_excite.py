@@ -143,9 +143,78 @@ def test_a_long_period_has_finer_lines_and_more_swings_keep_the_joints_near() ->
         square_wave(load_robot("rx90b_3dof"), np.zeros(3), swings=2)
 
 
+CASCADE = """
+reference_rate_hz = 500.0
+controller_rate_hz = 2000.0
+log_rate_hz = 500.0
+log_cutoff_hz = 180.0
+"""
+
+
+def cascades(folder: Path) -> Path:
+    """A controller file of somebody's own."""
+    loops = "position_loop = 20.0\nvelocity_loop = 400.0\nintegral_time_s = 0.05\ntorque_limit = 500.0\n"
+    file = folder / "own.toml"
+    file.write_text(CASCADE + "".join(f'[[cascade]]\nname = "joint_{k}"\n{loops}' for k in (1, 2, 3)))
+    return file
+
+
+@pytest.mark.parametrize(("by", "share"), [("reference", 1.0), ("both", 0.5)])
+def test_references_vibrate_so_that_the_controller_orders_the_torques(by: str, share: float, tmp_path: Path) -> None:
+    own = cascades(tmp_path)
+    plans = {
+        kind: excitation_plans(ExciteRequest("rx90b_3dof", realisations=1, periods=1, controller=own, by=kind))[0]  # type: ignore[arg-type]
+        for kind in ("torque", by)
+    }
+    for key in plans[by].runs:
+        meant, sent = (plans[kind].trajectory(key) for kind in ("torque", by))
+        np.testing.assert_allclose(sent.torque, (1.0 - share) * meant.torque, atol=1e-9)
+        vibration, speed = sent.position - meant.position, sent.velocity - meant.velocity
+        # Kv (Kp (1 + 1/(Ti s)) r) with no speed fed forward: its integral by sums over the period, which has no mean
+        asked = 20.0 * vibration
+        integral = np.cumsum(asked, axis=0) / 500.0
+        integral -= integral.mean(axis=0) + 0.5 * asked / 500.0  # trapezoids
+        ordered = 400.0 * (asked + integral / 0.05)
+        missing = np.linalg.norm(ordered - share * meant.torque) / np.linalg.norm(share * meant.torque)
+        assert missing < 0.01  # trapezoids of 80 Hz at 500 Hz
+        assert np.abs(np.gradient(vibration, 1.0 / 500.0, axis=0) - speed).max() < 0.2 * np.abs(speed).max()
+
+
+def test_without_a_controller_file_references_have_a_speed_and_a_rate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    more = ("--by", "reference", "--rate-hz", "500", "--speed-peak", "0.05,0.06,0.07", "--realisations", "1")
+    assert (
+        run(monkeypatch, "excite", "example-robot-data:ur5", "--out", str(out), *more, "--pose", "0,-90,60,0,0,0") == 0
+    )
+    assert "Its speed at most, rad/s: shoulder_pan_joint 0.05, shoulder_lift_joint 0.06, elbow_joint 0.07" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    plus, minus = (pd.read_csv(out / "references" / "runs" / f"run_000_1_{sign}.csv") for sign in ("plus", "minus"))
+    assert plus["time"][1] == pytest.approx(1.0 / 500.0)
+    assert np.abs(plus["v_elbow_joint"] - minus["v_elbow_joint"]).max() == pytest.approx(0.14, abs=1e-6)
+    assert not plus["ff_elbow_joint"].any()
+    assert not (out / "controller.toml").exists()  # nobody knows it: a replay goes by the logged torques
+    listed = tomllib.loads((out / "campaign.toml").read_text())
+    assert listed["sample_rate_hz"] == 500.0
+    assert list(listed["signals"]) == ["motor_position", "torque", "reference_position"]
+    head = (out / "campaign.toml").read_text()
+    assert "Between rows references go along the cubic" in head and "early or late is identified" in head
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["--by", "force"], "--by is 'force'; expected torque, reference, both"),
+        (
+            ["--by", "both", "--one-sign"],
+            "--one-sign with --by both: only both signs tell the excitation from the motion",
+        ),
+        (["--by", "reference", "--speed-peak", "0.1,0.2"], "2 peak speeds for 3 joints; expected one, or one a joint"),
+        (["--by", "reference", "--speed-peak", "-1"], "--speed-peak is -1; expected more than 0"),
+        (["--by", "reference", "--speed-peak", "9"], "joint_1 moves at 9"),
+        (["--rate-hz", "0"], "--rate-hz is 0; expected 1 to 100000"),
         (["--pose", "0,90"], "pose 1 has 2 angles; expected 3"),
         (["--pose", "0,ninety,0"], "pose is '0,ninety,0'; expected numbers"),
         (["--pose", "0,136,0"], "pose 1: joint_2 moves from 129.9 to 142.1 degrees; its limits are -137.5 and 137.5"),

@@ -233,6 +233,43 @@ def test_what_cannot_be_used_at_all_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+def test_references_that_vibrate_tell_the_experiments_as_torques_do() -> None:
+    """Runs without a torque input: lines, realisations, experiments and signs are told by what the references differ by."""
+    swing = 0.1 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / SAMPLES)[:, None]
+
+    def by_reference(r: Recording) -> Recording:
+        assert r.feedforward_torque is not None
+        asked = np.resize(swing + 1e-5 * r.feedforward_torque[:SAMPLES], r.torque.shape)
+        return dataclasses.replace(r, feedforward_torque=np.zeros_like(r.torque), reference_position=asked)
+
+    told, usual = (estimate_frequency_response(runs) for runs in ([by_reference(r) for r in SMALL], SMALL))
+    assert told.places == usual.places
+    assert np.array_equal(told.hz, usual.hz) and np.array_equal(told.value, usual.value)
+
+
+def test_logs_that_show_references_begin_where_these_do(tmp_path: Path) -> None:
+    time = np.arange(SAMPLES) / RATE
+    angle = 2.0 * np.pi * time[:, None] * np.array([1.0, 3.0, 5.0]) / (SAMPLES / RATE)
+    position, velocity = 0.1 * np.sin(angle), 0.1 * np.cos(angle) * np.gradient(angle, 1.0 / RATE, axis=0)
+    sent = Trajectory("run_000_1_plus", ROBOT.joints, RATE, position, velocity, None, SAMPLES / RATE)
+    write_reference(sent, tmp_path / "run_000_1_plus.csv")
+    log = dataclasses.replace(
+        SMALL[0], source=tmp_path / "run_000_1_plus.csv", feedforward_torque=None,
+        reference_position=np.resize(np.roll(position, -300, axis=0), SMALL[0].torque.shape),
+    )  # fmt: skip
+    found = frf_command.with_reference(log, tmp_path)
+    assert found.reference_velocity is not None
+    np.testing.assert_allclose(found.reference_velocity[:SAMPLES], np.roll(velocity, -300, axis=0), atol=1e-8)
+    alone = frf_command._with_speed(log)  # without the file that was sent
+    assert alone.reference_velocity is not None
+    np.testing.assert_allclose(alone.reference_velocity[:SAMPLES], np.roll(velocity, -300, axis=0), atol=1e-8)
+    other = dataclasses.replace(
+        log, reference_position=-2.0 * position[: len(log.torque)].repeat(2, axis=0)[: len(log.torque)]
+    )
+    with pytest.raises(ValueError, match=r"references are not those that run_000_1_plus was given"):
+        frf_command.with_reference(other, tmp_path)
+
+
 def test_logs_without_feedforward_take_it_from_the_references_that_were_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -106,6 +106,23 @@ def test_a_torque_at_its_limit_ends_the_run_and_says_when() -> None:
     assert len(runs[1].time) == len(true.time)
 
 
+def test_references_that_vibrate_are_excitations_like_torques() -> None:
+    plain = [t.with_feedforward(None) for t in excited(2, 0.5)]
+    time = np.arange(len(plain[0].position))[:, None] / plain[0].rate_hz
+    wave = 2e-4 * np.sin(2.0 * np.pi * np.array([11.0, 17.0, 23.0, 0.0]) * time)  # joint 4 is at rest
+    slope = np.gradient(wave, 1.0 / plain[0].rate_hz, axis=0)
+    shaken = [
+        dataclasses.replace(t, position=t.position + sign * wave, velocity=t.velocity + sign * slope)
+        for sign, t in zip((1.0, -1.0), plain, strict=True)
+    ]
+    true, found = [simulate(ROBOT, CONTROLLER, t) for t in shaken], perturb_lanes(ROBOT, CONTROLLER, shaken)
+    moved = true[0].recording.position - true[1].recording.position
+    apart = found[0].recording.position - found[1].recording.position
+    assert np.linalg.norm(apart - moved) < 0.02 * np.linalg.norm(moved)
+    for t, run in zip(shaken, found, strict=True):
+        assert np.array_equal(run.recording.reference_position, t.position)
+
+
 def test_excitations_of_different_motions_are_refused() -> None:
     a, b = excited(1, 0.2)[0], straight_line(ROBOT).part(0.0, 0.2)
     with pytest.raises(ValueError, match="other references"):

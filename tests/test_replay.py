@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import resample
 
+from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
 from rx90b_flex.identify.grey_box import GreyBox, grey_box
@@ -85,6 +86,29 @@ def test_the_response_without_distortion_is_the_linear_one(
     was, left = (np.median(np.abs(x - line) / np.abs(line), axis=0) for x in (measured.value, plain.value))
     assert (np.diag(left) < 0.1 * np.diag(was)).all()
     assert (doubted.std() >= plain.std()).all()
+
+
+def test_steps_of_a_slow_controller_are_known_and_no_distortion(replay: Replay) -> None:
+    """At rest, with viscous friction, a simulation in steps of 1 ms shows a response that is known and not the robot's."""
+    robot = load_robot("rx90b_3dof")
+    viscous = [ViscousFriction(joint=j, coefficient=c, side="motor") for j, c in SLOPES.items()]
+    robot = robot.with_effects([*(e for e in robot.effects if e.part != "friction"), *viscous])
+    pose = np.array([0.0, 0.5 * np.pi, 0.0])
+    resting = tuple(
+        dataclasses.replace(t, position=np.tile(pose, (len(t.position), 1)), velocity=np.zeros_like(t.velocity))
+        for t in replay.trajectories
+    )
+    controller = dataclasses.replace(load_cs8().for_joints(robot.joints), controller_rate_hz=1000.0).ideal()
+    slow = dataclasses.replace(replay, trajectories=resting, controller=controller)
+    shown = slow.responses(robot).mean(axis=0)
+
+    def line(hz: np.ndarray) -> np.ndarray:
+        return linear_response(robot, robot.joints, pose, SLOPES, hz)
+
+    plain, known = (np.abs(shown - x) for x in (line(slow.measured.hz), slow.by_steps(line)))
+    assert plain.max() > 0.02
+    # the transient of the first period has died to 1e-4 in the second
+    assert known.max() < 1e-3 * plain.max()
 
 
 @pytest.mark.slow

@@ -175,13 +175,15 @@ def _control_lanes(
     lower, upper, fastest, longest = loop.lower[j], loop.upper[j], loop.speed[j], loop.overload_samples
     row, part = k // inputs.up, (k % inputs.up) / inputs.up
     start, end = inputs.feedforward[row, j], inputs.feedforward[row + 1, j]
-    reference, rate = inputs.position[k, j, 0], inputs.velocity[k, j, 0]
+    references, rates = inputs.position[k, j], inputs.velocity[k, j]
+    apart = 1 if len(references) > 1 else 0
     noise = inputs.noise[k if inputs.noise.shape[0] > 1 else 0]
     seen_angle, seen_speed, seen_torque = logs.measured[k, 0, j], logs.measured[k, 1, j], logs.measured[k, 2, j]
     integral, current, held, counts = lanes.integral[j], lanes.current[j], lanes.held[j], lanes.overloaded[j]
     for c in range(len(angle)):
         a, v = angle[c] + noise[0, j, c], speed[c] + noise[1, j, c]
         forward = start[c] + part * (end[c] - start[c])
+        reference, rate = references[apart * c], rates[apart * c]
         a, v, whole, now, mean, limited = command(joint, a, v, reference, rate, forward, integral[c], current[c])
         seen_angle[c], seen_speed[c], seen_torque[c] = a, v, 0.5 * (held[c] + mean)
         integral[c], current[c], held[c], torque[c] = whole, now, mean, mean

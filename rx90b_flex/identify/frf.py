@@ -25,6 +25,7 @@ from rx90b_flex.identify.mains import without_mains
 from rx90b_flex.signals import Campaign, Recording
 from rx90b_flex.signals.stated import Accelerometer
 
+SHAKEN = 1e-6  # rad by which references of runs must differ to be an excitation
 EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of the largest
 USED = 1e-4  # a joint is excited where its feed-forward exceeds this part of the largest joint's
 SAME = 0.99  # correlation over lines from which two feed-forward spectra are the same multisine's
@@ -174,19 +175,19 @@ def group_poses(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...],
 
 
 def group_recordings(recordings: Sequence[Recording]) -> tuple[Place, ...]:
-    """Tell realisation, experiment and sign of each recording from what was fed forward.
+    """Tell realisation, experiment and sign of each recording from what excited it (`excitations`).
 
-    Recordings share a realisation if some joint's feed-forward spectrum in one is a multiple of some joint's in the other;
-    within one, two whose feed-forward torques are each other's negative are a pair. Where no feed-forward was logged, from
-    names such as ``run_000_1_plus``.
+    Recordings share a realisation if some joint's excitation spectrum in one is a multiple of some joint's in the other;
+    within one, two whose excitations are each other's negative are a pair. Where none was logged, from names such as
+    ``run_000_1_plus``.
 
     Raises
     ------
     ValueError
         Neither tells; a run is there twice.
     """
-    logged = all(r.feedforward_torque is not None for r in recordings)
-    places = _from_feedforward(recordings) if logged else _from_names(recordings)
+    waves = excitations(recordings)
+    places = _from_names(recordings) if waves is None else _from_excitations(recordings, waves)
     twice = [key for key, count in Counter((p.realisation, p.experiment, p.sign) for p in places).items() if count > 1]
     if twice:
         names = [p.recording for p in places if (p.realisation, p.experiment, p.sign) == twice[0]]
@@ -194,8 +195,26 @@ def group_recordings(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     return places
 
 
-def _from_feedforward(recordings: Sequence[Recording]) -> tuple[Place, ...]:
-    spectra = np.stack([_period_mean_spectrum(r) for r in recordings])  # (runs, lines, joints)
+def excitations(recordings: Sequence[Recording]) -> list[Array] | None:
+    """One period of what excited each run about a pose, (period, n); None where that was not logged.
+
+    Feed-forward torques, N m; where there are none, or they rest, what the references differ by from their mean over all runs, rad:
+    both signs of an excitation leave the motion that all share.
+    """
+    fed = [r.feedforward_torque for r in recordings]
+    torques = [_periods(x, r).mean(axis=0) for x, r in zip(fed, recordings, strict=True) if x is not None]
+    if len(torques) == len(fed) and any(np.ptp(x, axis=0).any() for x in torques):
+        return torques
+    asked = [_periods(r.reference_position, r).mean(axis=0) for r in recordings if r.reference_position is not None]
+    if len(asked) == len(fed) and len({x.shape for x in asked}) == 1:
+        apart = np.array(asked) - np.mean(asked, axis=0)
+        if np.abs(apart).max() > SHAKEN:
+            return list(apart)
+    return torques if len(torques) == len(fed) else None
+
+
+def _from_excitations(recordings: Sequence[Recording], waves: Sequence[Array]) -> tuple[Place, ...]:
+    spectra = np.stack([_spectrum_of_wave(wave) for wave in waves])  # (runs, lines, joints)
     size = np.sqrt(np.sum(np.abs(spectra) ** 2, axis=1))  # (runs, joints)
     silent = [r.name for r, s in zip(recordings, size, strict=True) if not s.any()]
     if silent:
@@ -229,9 +248,7 @@ def _from_feedforward(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     return tuple(places)
 
 
-def _period_mean_spectrum(recording: Recording) -> ComplexArray:
-    assert recording.feedforward_torque is not None
-    wave = _periods(recording.feedforward_torque, recording).mean(axis=0)
+def _spectrum_of_wave(wave: Array) -> ComplexArray:
     return np.asarray(np.fft.rfft(wave - wave.mean(axis=0), axis=0))
 
 
@@ -241,7 +258,7 @@ def _from_names(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     if unknown:
         raise ValueError(
             f"recording {unknown[0]!r}: neither feedforward_torque nor its name tells realisation, experiment and sign; "
-            "log the feed-forward torque, name recordings as run_000_1_plus, or give `places`"
+            "log the feed-forward torque or the references, name recordings as run_000_1_plus, or give `places`"
         )
     orders = list(dict.fromkeys(match["realisation"] for match in found if match))
     return tuple(
@@ -302,7 +319,8 @@ def estimate_frequency_response(
     _check_alike(recordings)
     design = tuple(places) if places is not None else group_recordings(recordings)
     first = recordings[0]
-    chosen = _excited_joints(recordings) if joints is None else tuple(joints)
+    waves = excitations(recordings)
+    chosen = _excited_joints(first.joints, waves) if joints is None else tuple(joints)
     unknown = [j for j in chosen if j not in first.joints]
     if unknown:
         raise ValueError(f"joint {unknown[0]!r} is not recorded; there are {', '.join(first.joints)}")
@@ -317,9 +335,9 @@ def estimate_frequency_response(
     period = first.period_samples or 1
     all_hz = np.arange(period // 2 + 1) * first.sample_rate_hz / period
     acceleration = -((2.0 * np.pi * all_hz[:, None]) ** 2) * angle
-    lines = _lines(recordings, columns, hz, band_hz, all_hz, remarks)
+    lines = _lines(first, None if waves is None else [x[:, columns] for x in waves], hz, band_hz, all_hz, remarks)
     lines = np.setdiff1d(lines, np.round(np.array(struck) / all_hz[1]).astype(int))
-    feedforward = _feedforward(recordings, complete, columns)
+    feedforward = None if waves is None else _excitation_spectra(waves, complete, columns)
     u, y = (np.moveaxis(x, (1, 2, 3, 4), (4, 1, 2, 3)) for x in (torque[..., lines, :], acceleration[..., lines, :]))
     lines, kept = _regular(u, None if feedforward is None else feedforward[:, :, lines], lines, all_hz, remarks)
     u, y = u[:, :, kept], y[:, :, kept]  # (R, M, F, n, E)
@@ -516,12 +534,11 @@ def _pose(recordings: Sequence[Recording]) -> Array:
     return np.asarray(np.mean([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings], axis=0))
 
 
-def _excited_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    if any(r.feedforward_torque is None for r in recordings):
-        return recordings[0].joints
-    waves = [np.ptp(r.feedforward_torque, axis=0) for r in recordings if r.feedforward_torque is not None]
-    moved = np.max(waves, axis=0)
-    return tuple(j for j, size in zip(recordings[0].joints, moved, strict=True) if size > USED * moved.max())
+def _excited_joints(joints: tuple[str, ...], waves: Sequence[Array] | None) -> tuple[str, ...]:
+    if waves is None:
+        return joints
+    moved = np.max([np.ptp(x, axis=0) for x in waves], axis=0)
+    return tuple(j for j, size in zip(joints, moved, strict=True) if size > USED * moved.max())
 
 
 def _long_enough(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[Place]:
@@ -659,17 +676,15 @@ def _spectrum_of(
     return np.stack([[difference(p) for p in group] for group in groups])
 
 
-def _feedforward(recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]) -> ComplexArray | None:
-    """Feed-forward spectra, (R, E, L, n), or None where they were not logged."""
-    if any(r.feedforward_torque is None for r in recordings):
-        return None
+def _excitation_spectra(waves: Sequence[Array], groups: list[list[_Pair]], columns: list[int]) -> ComplexArray:
+    """Spectra of what excited, (R, E, L, n)."""
     rows = [[p.plus if p.plus is not None else p.minus or 0 for p in group] for group in groups]
-    return np.stack([[_period_mean_spectrum(recordings[i])[:, columns] for i in row] for row in rows])
+    return np.stack([[_spectrum_of_wave(waves[i])[:, columns] for i in row] for row in rows])
 
 
 def _lines(
-    recordings: Sequence[Recording],
-    columns: list[int],
+    first: Recording,
+    waves: Sequence[Array] | None,
     hz: Array | None,
     band_hz: tuple[float, float] | None,
     all_hz: Array,
@@ -677,14 +692,14 @@ def _lines(
 ) -> NDArray[np.intp]:
     """Places of the lines to use among all lines of the period."""
     step = all_hz[1]
-    nyquist = 0.5 * recordings[0].sample_rate_hz
+    nyquist = 0.5 * first.sample_rate_hz
     if hz is None:
-        if any(r.feedforward_torque is None for r in recordings):
+        if waves is None:
             raise ValueError(
-                f"recording {recordings[0].name!r} has no feedforward_torque, which tells the excited lines; log it or give the "
+                f"recording {first.name!r} has no feedforward_torque, which tells the excited lines; log it or give the "
                 "references that were sent, or from Python the excited lines as `hz`"
             )
-        size = np.max([np.abs(_period_mean_spectrum(r)[:, columns]).max(axis=1) for r in recordings], axis=0)
+        size = np.max([np.abs(_spectrum_of_wave(x)).max(axis=1) for x in waves], axis=0)
         lines = np.flatnonzero(size > EXCITED * size.max())
     else:
         wanted = np.asarray(hz, dtype=float)

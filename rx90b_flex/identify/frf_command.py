@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 CONTROLLER, REFERENCES = "controller.toml", "references"  # beside the campaign file
-OTHER_TORQUES = 0.1  # relative, by which torques that were logged are not those of a reference
+OTHER_TORQUES = 0.1  # relative, by which torques or references that were logged are not those of a file
 LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this far from the declared one is no start
 
 
@@ -266,27 +266,36 @@ def with_references(campaign: Campaign, folder: Path | None, remarks: list[str])
     """The recordings to identify on, with what was sent: from a folder that is given, or from that beside the campaign."""
     recordings = campaign.identification
     if folder is not None:
-        return tuple(with_reference(r, folder) for r in recordings)
+        return tuple(_with_speed(with_reference(r, folder)) for r in recordings)
     beside = campaign.path.parent / REFERENCES
-    if not beside.is_dir():
-        return recordings
-    try:
-        return tuple(with_reference(r, beside) for r in recordings)
-    except ValueError as error:
-        remarks.append(f"{beside} is left aside: {error}")
-        return recordings
+    if beside.is_dir():
+        try:
+            recordings = tuple(with_reference(r, beside) for r in recordings)
+        except ValueError as error:
+            remarks.append(f"{beside} is left aside: {error}")
+    return tuple(_with_speed(r) for r in recordings)
+
+
+def _with_speed(recording: Recording) -> Recording:
+    """With the slope of a reference that repeats and was logged without its speed."""
+    asked, samples = recording.reference_position, recording.period_samples
+    if asked is None or samples is None or recording.reference_velocity is not None:
+        return recording
+    slope = 2j * np.pi * np.arange(samples // 2 + 1)[:, None] / (recording.period_s or 1.0)
+    speed = np.fft.irfft(slope * np.fft.rfft(asked[:samples], axis=0), samples, axis=0)
+    return dataclasses.replace(recording, reference_velocity=np.resize(speed, asked.shape))
 
 
 def with_reference(recording: Recording, folder: Path) -> Recording:
     """A log with what the file holds that was sent: of its name, in the folder or in one of its own folder's name.
 
-    Where the torques fed forward were logged, they say when in the period the log began. Where not, that does not matter, as long as
-    all logs began alike; references that were logged are then replaced, too, so that they begin with the torques fed forward.
+    Where the torques fed forward were logged, or else the references, they say when in the period the log began. Where not, that does
+    not matter, as long as all logs began alike.
 
     Raises
     ------
     ValueError
-        No such file, one of another period, or with other torques than were fed forward.
+        No such file, one of another period, or with other torques or references than were logged.
     """
     fed = recording.feedforward_torque
     known = fed is not None and recording.reference_position is not None and recording.reference_velocity is not None
@@ -308,10 +317,7 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
         )
     size = recording.period_samples
     wave = values[:, 1:] if len(values) == size else resample(values[:, 1:], size, axis=0)
-    if fed is not None:
-        wave, off = _begun_with(fed[:size], wave, 2 * len(recording.joints))
-        if off > OTHER_TORQUES:
-            raise ValueError(f"{found}: its torques are not those that {recording.name} was fed ({off:.0%} off)")
+    wave = _as_logged(recording, wave, found)
     position, velocity, torque = (np.resize(part, recording.torque.shape) for part in np.split(wave, 3, axis=1))
     return dataclasses.replace(
         recording,
@@ -321,11 +327,31 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
     )
 
 
-def _begun_with(fed: Array, wave: Array, first: int) -> tuple[Array, float]:
-    """A period (N, k) begun where its columns from `first` on are the torques (N, n); and how much these then differ."""
-    product = (np.fft.rfft(fed, axis=0) * np.fft.rfft(wave[:, first:], axis=0).conj()).sum(axis=1)
-    rolled = np.roll(wave, int(np.argmax(np.fft.irfft(product, len(fed)))), axis=0)
-    return rolled, float(np.linalg.norm(rolled[:, first:] - fed) / max(float(np.linalg.norm(fed)), 1e-300))
+def _as_logged(recording: Recording, wave: Array, file: Path) -> Array:
+    """A period (N, 3 n) of positions, speeds and torques begun where the log shows them to begin."""
+    fed, asked = recording.feedforward_torque, recording.reference_position
+    number, size = len(recording.joints), len(wave)
+    if fed is not None and np.ptp(fed[:size], axis=0).any():
+        rolled, off = _begun_with(fed[:size], wave, slice(2 * number, None))
+        if off > OTHER_TORQUES:
+            raise ValueError(f"{file}: its torques are not those that {recording.name} was fed ({off:.0%} off)")
+        return rolled
+    if asked is None:
+        return wave
+    rolled, off = _begun_with(asked[:size], wave, slice(0, number))
+    if off > OTHER_TORQUES:
+        raise ValueError(f"{file}: its references are not those that {recording.name} was given ({off:.0%} off)")
+    return rolled
+
+
+def _begun_with(shown: Array, wave: Array, own: slice) -> tuple[Array, float]:
+    """A period (N, k) begun where its own columns are those shown (N, n); and how much these then differ, means apart."""
+    shown = shown - shown.mean(axis=0)
+    product = (np.fft.rfft(shown, axis=0) * np.fft.rfft(wave[:, own], axis=0).conj()).sum(axis=1)
+    product[0] = 0.0
+    rolled = np.roll(wave, int(np.argmax(np.fft.irfft(product, len(shown)))), axis=0)
+    left = rolled[:, own] - rolled[:, own].mean(axis=0) - shown
+    return rolled, float(np.linalg.norm(left) / max(float(np.linalg.norm(shown)), 1e-300))
 
 
 def _of(pose: str, text: str, poses: int) -> str:

@@ -34,7 +34,7 @@ from rx90b_flex.identify.grey_model import SLOPE, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
 from rx90b_flex.simulate import CS8, Trajectory, design_cs8
-from rx90b_flex.simulate.perturbation import perturb_lanes
+from rx90b_flex.simulate.perturbation import NEAR_RAD, perturb_lanes
 from rx90b_flex.simulate.trajectories import from_recording
 
 STEP = 0.05  # relative, of a friction coefficient, for the derivative of the distortion
@@ -83,7 +83,7 @@ class Replay:
         Raises
         ------
         ValueError
-            No references in a recording, different ones, or no period.
+            No references in a recording, ones of different motions, or no period.
         """
         used = {p.recording for p in measured.places}
         kept = tuple(r for r in recordings if r.name in used)
@@ -93,7 +93,7 @@ class Replay:
                     f"recording {r.name!r} lacks references or a period; without them it cannot be replayed"
                 )
         first = np.array(kept[0].reference_position)
-        apart = [r.name for r in kept if not np.array_equal(np.array(r.reference_position), first)]
+        apart = [r.name for r in kept if not np.abs(np.array(r.reference_position) - first).max() <= NEAR_RAD]
         if apart:
             raise ValueError(
                 f"recordings {kept[0].name!r} and {apart[0]!r} differ in their references; replay one motion at a time"
@@ -138,6 +138,19 @@ class Replay:
             once = Trajectory(r.name, r.joints, rate, path, speed, torque, period)
             trajectories.append(once.repeated(3).part(0.0, 2.0 * period + TAIL_S))
         return cls(tuple(trajectories), tuple(_period(r, r, 0) for r in kept), measured, controller)
+
+    def by_steps(self, response: Callable[[Array], ComplexArray]) -> ComplexArray:
+        """What a simulation shows of a linear response: its steps end at the controller's samples, of h seconds.
+
+        The implicit midpoint rule at a frequency w has the robot's compliance at tan(w h/2)/(h/2), over cos(w h/2) for a torque that
+        is held along a step, and once more for one that is logged as the mean of the steps before and after.
+
+        Parameters
+        ----------
+        response : of Hz, (F,), to drive accelerations over torques, (F, n, n)
+        """
+        half = np.pi * self.measured.hz * self.controller.period
+        return response(np.tan(half) / (np.pi * self.controller.period)) * ((half / np.sin(half)) ** 2)[:, None, None]
 
     def responses(self, robot: Robot) -> ComplexArray:
         """Response of each realisation on that robot, shape (R, F, n, n)."""
@@ -343,7 +356,8 @@ def grey_box_by_replay(
         delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
         shifts = [late(m.hz, delay) for m in measured]  # simulated signals are logged together
         together = _simulated([(r, fitted) for r in replays], jobs)
-        simulated = [s * x for s, x in zip(together, shifts, strict=True)]
+        apart = _by_steps(replays, fitted, poses, slopes)
+        simulated = [(s - d) * x for s, d, x in zip(together, apart, shifts, strict=True)]
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
                 by_friction = _friction_derivatives(replays, fitted, friction, together, jobs)
@@ -369,6 +383,17 @@ def grey_box_by_replay(
     return ReplayedGreyBox(
         grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
     )
+
+
+def _by_steps(
+    replays: Sequence[Replay], robot: Robot, poses: Sequence[Array], slopes: dict[str, float]
+) -> list[ComplexArray]:
+    """What the simulation's steps add to a linear robot's response at each pose."""
+    out = []
+    for replay, pose in zip(replays, poses, strict=True):
+        line = partial(linear_response, robot, replay.measured.joints, pose, slopes)
+        out.append(replay.by_steps(line) - line(replay.measured.hz))
+    return out
 
 
 def _at_poses(

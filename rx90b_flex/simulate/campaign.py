@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import joblib
 import numpy as np
@@ -29,7 +29,7 @@ from rx90b_flex.signals import save_recording
 from rx90b_flex.signals.folders import claim, claimed
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
-from rx90b_flex.simulate.cs8 import CS8, save_cs8
+from rx90b_flex.simulate.cs8 import CS8, ComplexArray, save_cs8
 from rx90b_flex.simulate.perturbation import Manipulator, perturb_lanes, steps_bytes
 from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_LINES,
@@ -40,6 +40,7 @@ from rx90b_flex.simulate.trajectories import (
 )
 
 Method = Literal["nonlinear", "perturbation"]
+By = Literal["torque", "reference", "both"]
 Progress = Callable[[str, float], None]
 
 BATCH_RUNS, BATCH_BYTES = 48, 1e9  # of a worker, at most, unless the caller says otherwise
@@ -75,6 +76,7 @@ class CampaignPlan:
     """Experiments on one robot about one motion (section 6.6.2).
 
     The torque fed forward in realisation m, experiment k, sign s is ``s * input_matrix[j, k] * multisine_m(t)`` on moving joint j.
+    A controller without an input for it (`by`) is asked for a vibration of the references that makes it order the same torque.
 
     Attributes
     ----------
@@ -86,6 +88,11 @@ class CampaignPlan:
         Joints that the input matrix's rows belong to.
     input_matrix : tuple of tuples of float
         Rows are joints, columns experiments.
+    by : str
+        What carries the excitation: ``torque``, ``reference``, or ``both``, each half of it.
+    speeds : tuple of float, rad/s
+        Largest speed that is added to each moving joint's reference, its multisine one of speed; for controllers that nobody knows.
+        Empty: the references make `controller` order the torques.
     lines : tuple of int
         Of the multisine: whole cycles in the period.
     peak : float
@@ -117,6 +124,8 @@ class CampaignPlan:
     peak: float = FEEDFORWARD_PEAK
     crest: Crest = "lp"
     amplitudes: tuple[float, ...] | tuple[tuple[float, ...], ...] | None = None
+    by: By = "torque"
+    speeds: tuple[float, ...] = ()
     signs: tuple[int, ...] = (1, -1)
     realisations: int = 16
     validation: int = 0
@@ -127,6 +136,10 @@ class CampaignPlan:
     manipulator: Manipulator = "moving"
 
     def __post_init__(self) -> None:
+        if self.by not in get_args(By):
+            raise ValueError(f"by is {self.by!r}; expected {', '.join(get_args(By))}")
+        if self.by != "torque" and set(self.signs) != {1, -1}:
+            raise ValueError(f"excitation by {self.by} needs both signs: only they tell it from the motion")
         shape = np.shape(self.input_matrix)
         if len(shape) != 2 or shape[0] != len(self.moving) or shape[1] < 1:
             raise ValueError(f"input_matrix has shape {shape}; expected {len(self.moving)} rows, one a moving joint")
@@ -163,6 +176,7 @@ class CampaignPlan:
         text = [self.robot.urdf, self.robot.tip_frame, repr(self.robot.effects), repr(self.controller)]
         # a folder that was begun before there was this choice goes on
         usual = {"manipulator"} if self.manipulator == "moving" else set()
+        usual |= {"by", "speeds"} if self.by == "torque" else set()
         text += [repr((f.name, getattr(self, f.name))) for f in dataclasses.fields(self)[3:] if f.name not in usual]
         text += [repr((self.reference.joints, self.reference.rate_hz, self.reference.period_s))]
         state = hashlib.sha256("\n".join(text).encode())
@@ -182,7 +196,36 @@ class CampaignPlan:
         for place, (joint, row) in enumerate(zip(self.moving, self.input_matrix, strict=True)):
             wave = waves[:, place % waves.shape[1]]
             feedforward[:, self.robot.joints.index(joint)] = key.sign * row[key.experiment] * wave
-        return self.reference.with_feedforward(feedforward, key.name).repeated(self.periods)
+        return self._carried(feedforward, key.name).repeated(self.periods)
+
+    def _carried(self, torque: Array, name: str) -> Trajectory:
+        """One period of references and torques that bring about a torque (N, joints)."""
+        if self.by == "torque":
+            return self.reference.with_feedforward(torque, name)
+        share = 1.0 if self.by == "reference" else 0.5
+        samples = len(torque)
+        hz = np.arange(1.0, samples // 2 + 1) * (self.reference.rate_hz / samples)
+        added = self._references_over_torque(hz) * np.asarray(np.fft.rfft(share * torque, axis=0)[1:])
+        rest = np.zeros((1, torque.shape[1]))
+        position, velocity = (
+            np.fft.irfft(np.vstack([rest, x]), samples, axis=0) for x in (added, 2j * np.pi * hz[:, None] * added)
+        )
+        return dataclasses.replace(
+            self.reference,
+            name=name,
+            position=self.reference.position + position,
+            velocity=self.reference.velocity + velocity,
+            feedforward=(1.0 - share) * torque,
+        )
+
+    def _references_over_torque(self, hz: Array) -> ComplexArray:
+        """What takes the place of a torque in the references, (F, joints), rad per N m."""
+        if not self.speeds:
+            return np.asarray(1.0 / self.controller.for_joints(self.robot.joints).by_references(hz))
+        largest = self.peak * np.abs(np.asarray(self.input_matrix)).max(axis=1)
+        over = np.zeros(len(self.robot.joints))
+        over[[self.robot.joints.index(j) for j in self.moving]] = np.asarray(self.speeds) / largest
+        return np.asarray(over / (2j * np.pi * hz[:, None]))
 
     def generator(self, key: RunKey) -> np.random.Generator:
         """For the noise of a run, whatever runs beside it."""

@@ -130,6 +130,13 @@ class CS8:
         added = own[0] * (position - position[0]) + own[1] * velocity + own[2] * acceleration
         return np.asarray(added if torque is None else torque + added)
 
+    def by_references(self, hz: Array) -> ComplexArray:
+        """Torque that a reference orders over that reference, the drives held, shape (N, joints); N m/rad."""
+        s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
+        angle = self.column("position_gain") + self.column("integral_gain") / s + self.column("by_reference")
+        speed = self.column("velocity_gain") + self.column("by_reference_speed")
+        return np.asarray(angle + speed * s + self.column("by_reference_acceleration") * s**2)
+
     def ideal(self) -> CS8:
         """The same controller without quantisation."""
         exact = (

@@ -1,7 +1,8 @@
 """What ``rx90b-flex excite`` does: the references of an identification from motor signals, as files for a robot's controller.
 
-One file a run: joint references and feed-forward torque of one period, to be repeated. Beside them a campaign file that names the
-logs which the robot will bring, so that ``rx90b-flex frf`` needs nothing else; or, if asked for, simulated logs.
+One file a run: joint references of one period, to be repeated, and the torque to be fed forward; for controllers without an input for
+it, references that vibrate instead. Beside them a campaign file that names the logs which the robot will bring, so that
+``rx90b-flex frf`` needs nothing else; or, if asked for, simulated logs.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from rx90b_flex.excitation import (
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.simulate.campaign import PLAN_FILE, CampaignPlan, RunFile, campaign_text, run_campaign
+from rx90b_flex.simulate.campaign import PLAN_FILE, By, CampaignPlan, RunFile, campaign_text, run_campaign
 from rx90b_flex.simulate.closed_loop import Noise
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, save_cs8
 from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
@@ -43,7 +44,13 @@ SHARE = 0.1  # of a joint's torque limit, where no peak is given: the source's 4
 NOISE = Noise(torque=0.1, position=1e-6, velocity=1e-4)  # of a simulated log
 LONGEST_PERIOD_S = 600.0  # lines 1/300 Hz apart: finer than any resonance is wide
 MOST_DAYS = 7
-LOGGED = ("motor_position", "torque", "feedforward_torque")  # what a robot's log must hold
+FASTEST_HZ = 1e5
+# What a robot's log must hold: what moves it tells excited lines, and when in the period the log began.
+LOGGED: dict[By, tuple[str, ...]] = {
+    "torque": ("motor_position", "torque", "feedforward_torque"),
+    "reference": ("motor_position", "torque", "reference_position"),
+    "both": ("motor_position", "torque", "reference_position", "feedforward_torque"),
+}
 
 Progress = Callable[[str, float], None]
 
@@ -77,8 +84,17 @@ class ExciteRequest:
     white : bool
         Whether the spectrum is divided by the loop's sensitivity, so that the drive torques are white.
     controller : Path or None
-        Controller file, for `white` and for a simulation; the CS8's where the robot has its joints, else gains designed for it.
+        Controller file, for `white`, for references that order torques and for a simulation; the CS8's where the robot has its
+        joints, else gains designed for it.
     seed : int
+    by : ``torque``, ``reference`` or ``both``
+        What carries the excitation: torques that are fed forward, references that vibrate so that the controller orders these
+        torques, or each half.
+    speed_peak : tuple of float, rad/s
+        Largest speed that the vibration adds to a reference, one for all or one a joint, where no controller file tells what torque
+        it orders; `speed` by default.
+    rate_hz : float or None
+        Of the references, where no controller file states it; 250 by default.
     """
 
     robot: str
@@ -96,6 +112,9 @@ class ExciteRequest:
     white: bool = False
     controller: Path | None = None
     seed: int = 0
+    by: By = "torque"
+    speed_peak: tuple[float, ...] = ()
+    rate_hz: float | None = None
 
 
 def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tuple[CampaignPlan, ...]:
@@ -114,7 +133,7 @@ def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tupl
             raise ValueError(f"joint {joint!r}: {close_match(joint, robot.joints)}")
     if request.matrix not in MATRICES:
         raise ValueError(f"matrix is {request.matrix!r}; expected {', '.join(MATRICES)}")
-    controller = _controller(robot, request.controller)
+    controller = _controller(robot, request)
     low, high = request.band_hz
     nyquist = 0.5 * controller.reference_rate_hz
     lines = lines_in_band(low, high, request.period_s) if 0.0 < low < high < nyquist else ()
@@ -136,13 +155,17 @@ def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tupl
             tuple(map(tuple, matrix.tolist())),
             lines=lines,
             peak=1.0,
+            by=request.by,
+            speeds=_speeds(request, joints),
             signs=(1, -1) if request.both_signs else (1,),
             realisations=request.realisations,
             periods=request.periods,
             # poses get other multisines, as other realisations do
             seed=request.seed + 1000 * place,
         )
-        plans.append(dataclasses.replace(plan, amplitudes=white_amplitudes(plan)) if request.white else plan)
+        plan = dataclasses.replace(plan, amplitudes=white_amplitudes(plan)) if request.white else plan
+        _check_reach(robot, dataclasses.replace(plan, periods=1).trajectory(plan.runs[0]), f"pose {place + 1}")
+        plans.append(plan)
     return tuple(plans)
 
 
@@ -163,9 +186,18 @@ def _check_numbers(request: ExciteRequest) -> None:
         raise ValueError(
             f"--realisations, --periods and --period-s make {days:.3g} days of motion; expected {MOST_DAYS} at most"
         )
-    for name, numbers in (("--peak", request.peak), *(("--pose", pose) for pose in request.poses)):
+    lists = (("--peak", request.peak), ("--speed-peak", request.speed_peak))
+    for name, numbers in (*lists, *(("--pose", pose) for pose in request.poses)):
         if not np.isfinite(numbers).all():
             raise ValueError(f"{name} has a number that is not finite; expected finite ones")
+    if min(request.speed_peak, default=1.0) <= 0.0:
+        raise ValueError(f"--speed-peak is {min(request.speed_peak):g}; expected more than 0")
+    if request.rate_hz is not None and not 1.0 <= request.rate_hz <= FASTEST_HZ:
+        raise ValueError(f"--rate-hz is {request.rate_hz:g}; expected 1 to {FASTEST_HZ:g}")
+    if request.by not in get_args(By):
+        raise ValueError(f"--by is {request.by!r}; expected {', '.join(get_args(By))}")
+    if request.by != "torque" and not request.both_signs:
+        raise ValueError(f"--one-sign with --by {request.by}: only both signs tell the excitation from the motion")
 
 
 def white_amplitudes(plan: CampaignPlan) -> tuple[tuple[float, ...], ...]:
@@ -179,13 +211,34 @@ def white_amplitudes(plan: CampaignPlan) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, whitening(sensitivity).tolist()))
 
 
-def _controller(robot: Robot, file: Path | None) -> CS8:
-    if file is not None:
-        return load_cs8(file).for_joints(robot.joints)
+def _controller(robot: Robot, request: ExciteRequest) -> CS8:
+    if request.controller is not None:
+        known = load_cs8(request.controller).for_joints(robot.joints)
+        if request.rate_hz not in (None, known.reference_rate_hz):
+            raise ValueError(
+                f"--rate-hz is {request.rate_hz:g}; {request.controller} has reference_rate_hz = {known.reference_rate_hz:g}"
+            )
+        return known
     own = load_cs8()
-    if _has_own(robot, own):
-        return own.for_joints(robot.joints)
-    return design_cs8(robot)
+    controller = own.for_joints(robot.joints) if _has_own(robot, own) else design_cs8(robot)
+    if request.rate_hz is None:
+        return controller
+    rate = request.rate_hz
+    up = max(1, round(controller.controller_rate_hz / rate))
+    cutoff = controller.log_cutoff_hz / controller.log_rate_hz * rate
+    return dataclasses.replace(
+        controller, reference_rate_hz=rate, controller_rate_hz=up * rate, log_rate_hz=rate, log_cutoff_hz=cutoff
+    )
+
+
+def _speeds(request: ExciteRequest, joints: Sequence[str]) -> tuple[float, ...]:
+    """Largest speed that is added to each joint's reference; empty where a controller file says what a reference orders."""
+    if request.by == "torque" or (request.controller is not None and not request.speed_peak):
+        return ()
+    wanted = request.speed_peak or (request.speed,)
+    if len(wanted) not in (1, len(joints)):
+        raise ValueError(f"{len(wanted)} peak speeds for {len(joints)} joints; expected one, or one a joint")
+    return tuple(np.broadcast_to(np.asarray(wanted, dtype=float), len(joints)).tolist())
 
 
 def _has_own(robot: Robot, controller: CS8) -> bool:
@@ -224,6 +277,12 @@ def _reference(
         period_s=request.period_s,
         swings=request.swings,
     )
+    _check_reach(robot, reference, name)
+    return reference
+
+
+def _check_reach(robot: Robot, reference: Trajectory, name: str) -> None:
+    """Refuse references beyond the joints' limits."""
     model = robot.tree
     for j, joint in enumerate(robot.joints):
         reached = reference.position[:, j]
@@ -236,7 +295,6 @@ def _reference(
         fastest, allowed = np.abs(reference.velocity[:, j]).max(), model.velocityLimit[j]
         if 0.0 < allowed < fastest:
             raise ValueError(f"{joint} moves at {fastest:.3g} rad/s; its limit is {allowed:.3g}")
-    return reference
 
 
 # ---- files ----------------------------------------------------------------------------------------------------
@@ -276,7 +334,8 @@ def excite_into(
             for k, key in enumerate(plan.runs):
                 tell("writing references", (place + k / len(plan.runs)) / len(plans) * (0.3 if simulated else 1.0))
                 once = dataclasses.replace(plan, periods=1).trajectory(key)
-                crests.append(crest_factor(once.torque[:, [plan.robot.joints.index(j) for j in plan.moving]]).max())
+                waves = dataclasses.replace(plan, periods=1, by="torque").trajectory(key).torque
+                crests.append(crest_factor(waves[:, [plan.robot.joints.index(j) for j in plan.moving]]).max())
                 write_reference(once, at / "references" / name / f"{key.name}.csv")
                 files.append(RunFile(f"logs/{name}/{key.name}.csv", plan.role(key)))
             if simulated:
@@ -328,19 +387,38 @@ def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated
     first = plans[0]
     if simulated:
         return campaign_text(first, [RunFile(_log_of(f.file), f.role) for f in files])
-    robot = first.robot
-    columns = [f"{name}_{robot.joints[0]}, ..." for name in ("q", "tau", "ff")]
-    how = [
-        "Run each file of references/ over and over without a pause, as often as the log has periods:",
-        f"{first.periods} of {first.reference.period_s:g} s; the first one, in which the transient dies, is left out below.",
+    return "".join(f"# {line}\n" for line in _how(first)) + campaign_text(first, files, LOGGED[first.by])
+
+
+def _how(plan: CampaignPlan) -> list[str]:
+    """What to do with the references, as the head of a campaign file tells it."""
+    joint, rate = plan.robot.joints[0], plan.reference.rate_hz
+    meant = {
+        "motor_position": f"q_{joint}, ... (motor angles, rad, joint side)",
+        "torque": f"tau_{joint}, ... (motor torques, N m, joint side)",
+        "reference_position": f"ref_{joint}, ... (joint references as sent, rad)",
+        "feedforward_torque": f"ff_{joint}, ... (feed-forward torques as sent, N m)",
+    }
+    sent = (
+        f"{joint}, ... (rad), v_{joint}, ... (rad/s), ff_{joint}, ... ({'zero' if plan.by == 'reference' else 'N m'})"
+    )
+    optional = " and ".join(x for x in LOGGED[plan.by][2:])
+    return [
+        f"Run each file of references/ over and over without a pause, {plan.periods} periods of {plan.reference.period_s:g} s; the",
+        "first one, in which the transient dies, is left out below.",
+        f"Columns: {sent}; rows at {rate:g} Hz.",
+        "Between rows references go along the cubic through their positions and speeds, torques along a straight line.",
         "Log at even steps into the file of the same name under logs/, with the columns",
-        f"{columns[0]} (motor angles, rad, joint side), {columns[1]} (motor torques, N m, joint side) and",
-        f"{columns[2]} (feed-forward torques as sent, N m). Other names, sides of the gear or rates: change them here.",
-        "A log without feed-forward torques will do, too: leave them out below; frf takes them from references/, as it takes",
-        "what motion was asked for.",
-        "Filter against aliasing before the log's rate. Then: rx90b-flex frf campaign.toml --out results",
+        *(f"  {meant[key]}" for key in LOGGED[plan.by]),
+        "Other names: change them in [signals]; another rate: in sample_rate_hz; motor side: add [motor] with gear_matrix.",
+        "Torques: what the current loop is asked for, or what it measures. Best at the angles' instants; by how much they are",
+        "early or late is identified (torque_delay), as long as it is the same for all joints and runs.",
+        "Filter torques and angles alike against aliasing before the log's rate.",
+        f"A log without {optional} will do, too: take that out of [signals], and begin all logs at the same instant of the",
+        "period; frf takes what is missing from references/.",
+        "controller.toml here is taken for the robot's controller; without it the experiments are replayed by the logged torques.",
+        "Then: rx90b-flex frf campaign.toml --out results",
     ]
-    return "\n".join(f"# {line}" for line in how) + "\n" + campaign_text(first, files, LOGGED)
 
 
 def _log_of(file: str) -> str:
@@ -352,13 +430,22 @@ def _words(plans: Sequence[CampaignPlan], files: Sequence[RunFile], crest: float
     first = plans[0]
     period = first.reference.period_s or PERIOD_S
     minutes = len(files) * first.periods * period / 60.0
-    peaks = np.abs(first.trajectory(first.runs[0]).torque).max(axis=0)
-    each = ", ".join(f"{j} {p:.3g}" for j, p in zip(first.robot.joints, peaks, strict=True) if p > 0.0)
+    once = dataclasses.replace(first, periods=1).trajectory(first.runs[0])
+    said = []
+    for what, unit, x in (
+        ("Feed-forward torque", "N m", once.torque),
+        ("Vibration of references", "degrees", np.rad2deg(once.position - first.reference.position)),
+        ("Its speed", "rad/s", once.velocity - first.reference.velocity),
+    ):
+        peaks = zip(first.robot.joints, np.abs(x).max(axis=0), strict=True)
+        each = ", ".join(f"{j} {p:.3g}" for j, p in peaks if p > 0.0)
+        said += [f"{what} at most, {unit}: {each}"] if each else []
     swing = np.ptp(first.reference.position, axis=0).max()
     return [
         f"{len(files)} runs of {first.periods} periods of {period:g} s: {minutes:.0f} min of motion; "
         f"{len(plans)} pose{'s' if len(plans) > 1 else ''}",
         f"{len(first.lines)} odd lines from {first.lines[0] / period:.3g} to {first.lines[-1] / period:.3g} Hz, "
         f"{2.0 / period:.3g} Hz apart; crest factor at most {crest:.2f}",
-        f"Feed-forward torque at most, N m: {each}; joints swing by {np.rad2deg(swing):.1f} degrees",
+        *said,
+        f"Joints swing by {np.rad2deg(swing):.1f} degrees",
     ]

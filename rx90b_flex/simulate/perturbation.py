@@ -44,6 +44,7 @@ Friction = Literal["exact", "linear"]
 Manipulator = Literal["moving", "frozen"]
 
 KNOWN_BYTES = 128e6  # of steps that are kept in case the motion repeats: 97 MB for 4.096 s of 16 coordinates
+NEAR_RAD = 0.02  # references that differ by no more are excitations of one nominal motion
 PROBES = (-1.3, -0.21, 0.0, 0.37, 2.9)  # rad; a torque that is the same at these angles does not depend on the angle
 
 
@@ -68,7 +69,7 @@ def perturb_lanes(
     robot : Robot
     controller : CS8
     trajectories : sequence of Trajectory
-        All with the same references; the torques fed forward are the excitations.
+        The excitations are the torques fed forward, and what the references differ by from their mean: at most `NEAR_RAD`.
     noise, rng, raw, role, progress
         As in `simulate_lanes`.
     nominal : str
@@ -94,9 +95,8 @@ def perturb_lanes(
     """
     closed_loop._refuse(robot, controller, trajectories, noise, rng, 1)
     _refuse(robot, trajectories)
-    first = trajectories[0]
     own = controller.for_joints(robot.joints)
-    position, velocity = _nominal_motion(robot, own, first, nominal)
+    position, velocity = _nominal_motion(robot, own, mean_reference(trajectories), nominal)
     job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, role)
     children = [] if rng is None else rng.spawn(len(trajectories))
     return _PerturbationRunner(job, children, position, velocity, friction == "exact", manipulator == "frozen").run(
@@ -112,11 +112,20 @@ def _refuse(robot: Robot, trajectories: Sequence[Trajectory]) -> None:
             )
     first = trajectories[0]
     for t in trajectories:
-        if not (np.array_equal(t.position, first.position) and np.array_equal(t.velocity, first.velocity)):
+        if not np.abs(t.position - first.position).max() <= NEAR_RAD:
             raise ValueError(
-                f"trajectory {t.name!r} has other references than {first.name!r}; "
+                f"trajectory {t.name!r} has other references than {first.name!r}, by more than {NEAR_RAD:g} rad; "
                 "the perturbation method takes excitations of one nominal motion"
             )
+
+
+def mean_reference(trajectories: Sequence[Trajectory]) -> Trajectory:
+    """The motion that all are excitations of; their own where they share it, bit by bit."""
+    first = trajectories[0]
+    if all(np.array_equal(t.position, first.position) for t in trajectories):
+        return first
+    position, velocity = (np.mean([getattr(t, x) for t in trajectories], axis=0) for x in ("position", "velocity"))
+    return dataclasses.replace(first, position=position, velocity=velocity)
 
 
 def _nominal_motion(robot: Robot, controller: CS8, trajectory: Trajectory, nominal: Nominal) -> tuple[Array, Array]:
