@@ -149,7 +149,15 @@ _PATH = (*_numbers("--tolerance-mm", "--speed-mm-s", "--iterations", "--jobs"), 
 _VIEW = (*_numbers("--pose", "--count", "--magnify"), ("--tip", WORDS), ("--beside", WORDS))
 _FRF = (
     *_numbers(
-        "--low-hz", "--high-hz", "--mains-hz", "--link-mass-std", "--bending-alike-std", "--seed", "--jobs", "--modes"
+        "--low-hz",
+        "--high-hz",
+        "--mains-hz",
+        "--link-mass-std",
+        "--bending-alike-std",
+        "--seed",
+        "--jobs",
+        "--modes",
+        "--start-hz",
     ),
     ("--delays", WORDS),
 )
@@ -161,8 +169,9 @@ _EXCITE = (
     *(
         (option, tuple(x for x in NUMBERS if x != "1_000")) for option in ("--realisations", "--periods")
     ),  # a right one, of minutes
-    *(("--joints", WORDS), ("--matrix", WORDS)),
+    *(("--joints", WORDS), ("--matrix", WORDS), ("--by", WORDS)),
 )
+_BY_REFERENCE = ("--by", "reference", "--speed-peak", "0.2", "--rate-hz", "500")
 IDENTIFY = Call(("identify", "campaign.toml"), _OF_A_CAMPAIGN, (("--estimator", WORDS),))
 CALLS = (
     *(IDENTIFY,) * 6,
@@ -185,6 +194,27 @@ CALLS = (
         ("cascade.toml",),
     ),
     Call(("excite", "rx90b_3dof", "--realisations", "1", "--periods", "1"), (), _EXCITE),
+    Call(
+        ("excite", "rx90b_3dof", *_BY_REFERENCE, "--realisations", "1", "--periods", "1"),
+        (),
+        (*_numbers("--speed-peak", "--rate-hz"), *_EXCITE),
+    ),
+    Call(
+        (
+            "excite",
+            "rx90b_3dof",
+            "--by",
+            "both",
+            "--controller",
+            "cascade.toml",
+            "--realisations",
+            "1",
+            "--periods",
+            "1",
+        ),
+        ("cascade.toml",),
+        _numbers("--speed-peak", "--rate-hz"),
+    ),
     Call(("frf", "campaign.toml", "--no-replay"), _OF_A_CAMPAIGN, _numbers("--low-hz", "--high-hz", "--mains-hz")),
     Call(("close-loop", "modes.toml", "--robot", "rx90b_3dof"), ("modes.toml",), _numbers("--model-error")),
     Call(("check", "campaign.toml"), _OF_A_CAMPAIGN),
