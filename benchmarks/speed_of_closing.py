@@ -63,6 +63,12 @@ def six_joints(
     return ind.write_files(folder, arm, tables, runs, cutoff_hz=cutoff_hz)
 
 
+def repeated(m: ind.Motion, times: int) -> ind.Motion:
+    """A period so many times."""
+    step = m.time[1] - m.time[0]
+    return ind.Motion(step * np.arange(times * len(m.time)), *(np.tile(x, (times, 1)) for x in (m.q, m.v, m.a)))
+
+
 def one_hour(folder: Path) -> Path:
     """Two joints, one hour at 500 Hz in each role, with Stribeck friction hidden."""
     arm, rng = ind.two_joints(folder), np.random.default_rng(0)
@@ -73,8 +79,8 @@ def one_hour(folder: Path) -> Path:
     ]
     runs = []
     for role in ("identification", "validation"):
-        m = ind.harmonics(rng, 2, period_s=60.0, periods=60, rate_hz=500.0, lines=40)
-        runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), (0.1, 0.05)), 60.0))
+        m = repeated(ind.harmonics(rng, 2, period_s=20.0, rate_hz=500.0, lines=14), 180)
+        runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), (0.1, 0.05)), 20.0))
     return ind.write_files(folder, arm, tables, runs, cutoff_hz=20.0)
 
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from rx90b_flex.compiled.compile import Integers
 from rx90b_flex.compiled.laws import Laws, compiled_law
-from rx90b_flex.compiled.packed import Packed, accelerations, pack
+from rx90b_flex.compiled.packed import Packed, accelerations, link_torques, pack
 from rx90b_flex.compiled.scratch import scratch_size
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
@@ -47,6 +47,26 @@ def tree_of(model: pin.Model) -> Tree:
         inertia=np.ascontiguousarray(packed),
         gravity=np.array(model.gravity.linear, dtype=float),
     )
+
+
+def torque_of_links(model: pin.Model, bodies: Sequence[int], link_parameters: Array, motion: Motion) -> Array:
+    """Generalised forces that links need, whether or not a body could have their parameters; shape (N, n), N m.
+
+    Parameters
+    ----------
+    bodies : sequence of int
+        Joints that carry them.
+    link_parameters : array, shape (10 * bodies,)
+        Mass, its first moment and xx, yy, zz, xy, xz, yz of the inertia about the joint's origin.
+    """
+    tree, at = tree_of(model), np.array(bodies, dtype=np.intp) - 1
+    values = link_parameters.reshape(-1, 10)
+    tree.mass[at], tree.moment[at] = values[:, 0], values[:, 1:4]
+    tree.inertia[at] = values[:, [4, 7, 8, 7, 5, 9, 8, 9, 6]].reshape(-1, 3, 3)
+    tree.heavy[at] = values.any(axis=1)
+    packed, memory = pack(tree, laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
+    samples = (np.ascontiguousarray(x, dtype=float) for x in (motion.q, motion.v, motion.a))
+    return np.asarray(link_torques(packed.integers, packed.numbers, memory, *samples))
 
 
 def laws_of(laws: Sequence[Law], n: int) -> Laws:

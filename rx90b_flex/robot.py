@@ -226,19 +226,15 @@ class Robot:
         self,
         motion: Motion,
         link_parameters: Array,
-        regressor: Array | None = None,
         effects: Sequence[Effect] = (),
     ) -> Motion:
         """The same motion of the same tree with other link parameters and effects, as an identification finds them."""
-        if regressor is None:
-            regressor = motion.on_tree.link_regressor()
-
         before = motion.on_tree
 
         def tree(moved: Motion) -> _RobotTreeMotion:
             same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
             bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
-            return _RobotTreeMotion(self, moved, link_parameters, regressor if same else None, bodies)
+            return _RobotTreeMotion(self, moved, link_parameters, bodies)
 
         known = (e for e in effects if e.in_dynamics and e.known)
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
@@ -451,16 +447,11 @@ class _RobotTreeMotion:
     robot: Robot
     motion: Motion
     link_parameters: Array | None = None
-    regressor: Array | None = None
     bodies: dict[str, Array] = field(default_factory=dict, repr=False)
     hinged: dict[tuple[Effect, ...], Motion] = field(default_factory=dict, repr=False)
 
     def link_regressor(self) -> Array:
-        return self._regressor
-
-    @cached_property
-    def _regressor(self) -> Array:
-        return self.robot.link_regressor(self.motion) if self.regressor is None else self.regressor
+        return self.robot.link_regressor(self.motion)
 
     def load(self) -> Array:
         return self._load
@@ -469,12 +460,10 @@ class _RobotTreeMotion:
     def _load(self) -> Array:
         if self.link_parameters is None:
             return self.robot.link_torque(self.motion)
-        if self.regressor is None and "_regressor" not in self.__dict__:
-            model, motion = self._own_links(), self.motion
-            data, rnea = model.createData(), pin.rnea
-            samples = zip(motion.q, motion.v, motion.a, strict=True)
-            return np.array([rnea(model, data, q, v, a) for q, v, a in samples]).reshape(motion.q.shape)
-        return self._regressor @ self.link_parameters
+        from rx90b_flex.plant import torque_of_links
+
+        bodies = [joint for _, joint in self.robot.bodies]
+        return torque_of_links(self.robot.model, bodies, self.link_parameters, self.motion)
 
     def gravity_torque(self, direction: Array) -> Array:
         model, data = self._under_gravity(direction)

@@ -7,7 +7,7 @@ import pytest
 
 from rx90b_flex.bodies import inconsistencies, moments_about_centre, pseudo_inertia
 from rx90b_flex.identify import physical
-from rx90b_flex.identify.least_squares import solve_weighted
+from rx90b_flex.identify.normal_equations import solve_weighted
 from rx90b_flex.identify.physical import consistent_parameters
 from rx90b_flex.robot import Robot, load_robot
 

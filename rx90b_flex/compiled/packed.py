@@ -104,3 +104,14 @@ def accelerations(
     factor(s.system)
     solve(s.system, out)
     return out
+
+
+@entry
+def link_torques(integers: Integers, numbers: Array, memory: Array, q: Array, v: Array, a: Array) -> Array:
+    """Generalised forces that the links of what was packed need at samples of motion, each (N, n)."""
+    tree, _ = unpack(Packed(integers, numbers))
+    s = scratch_in(memory, q.shape[1], 0)
+    out = np.empty(q.shape)
+    for k in range(len(q)):
+        inverse_dynamics(tree, s, q[k], v[k], a[k], out[k])
+    return out

@@ -14,7 +14,7 @@ from rx90b_flex.diagnose.trial import JUST_AS_GOOD, TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.identify.coloured import scatter
-from rx90b_flex.identify.least_squares import solve_weighted
+from rx90b_flex.identify.normal_equations import solve_weighted
 
 MOST_OF_IT = 0.5  # of the named effect's gain that a look-alike explains at the least
 APART = 2.0  # standard errors between two explanations above which the data has decided

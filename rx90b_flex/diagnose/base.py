@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.identify.least_squares import NormalEquations, solve_weighted
+from rx90b_flex.identify.columns import ColumnsByJoint
+from rx90b_flex.identify.normal_equations import NormalEquations, solve_weighted
 
 LEAK = 0.02  # of a recording that is left out as a whole
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
@@ -20,7 +21,7 @@ DETERMINED = 1.0e-5  # part of a column's square that the model must leave for i
 class SharedColumns:
     """Columns of the present model and their products, which all bases have in common."""
 
-    columns: Array  # (joints, N, p): one joint's rows lie together in memory
+    columns: ColumnsByJoint
     target: Array  # (joints, N)
     weight: Array
     blocks: tuple[slice, ...]
@@ -28,7 +29,14 @@ class SharedColumns:
 
     @cached_property
     def normal(self) -> NormalEquations:
-        return NormalEquations.of(self.columns.transpose(1, 0, 2), self.target.T, self.blocks)
+        return NormalEquations.by_joint(self.columns, self.target, self.blocks, len(self.precision))
+
+    def at(self, samples: Indices) -> SharedColumns:
+        """Of some samples, in one block."""
+        blocks = (slice(0, len(samples)),)
+        return dataclasses.replace(
+            self, columns=self.columns.at(samples), target=self.target[:, samples], blocks=blocks
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +114,9 @@ class Base:
 
     def _times(self, theta: Array) -> Array:
         """The base's columns times coefficients (p,) or (p, k); shape (joints, N) or (joints, N, k)."""
-        full = np.zeros((self.shared.columns.shape[2], *theta.shape[1:]))
+        full = np.zeros((len(self.shared.precision), *theta.shape[1:]))
         full[self.kept] = theta
-        return self.shared.columns @ full
+        return self.shared.columns.times(full)
 
     @cached_property
     def squares(self) -> Array:
@@ -117,9 +125,10 @@ class Base:
 
     def with_base(self, rows: Indices, columns: Array, samples: slice = slice(None)) -> Array:
         """Weighted products of the base's columns with candidate ones (N, rows, k); shape (p, k)."""
-        out = np.zeros((self.shared.columns.shape[2], columns.shape[2]))
+        out = np.zeros((len(self.shared.precision), columns.shape[2]))
+        own = self.shared.columns
         for i, j in enumerate(rows):  # none where a candidate has nothing to act on
-            out += self.weight[j] * (self.shared.columns[j, samples].T @ columns[samples, i])
+            out[own.places[j]] += self.weight[j] * (own.columns[j][samples].T @ columns[samples, i])
         return out[self.kept]
 
     def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:

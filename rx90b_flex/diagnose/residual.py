@@ -14,9 +14,6 @@ from rx90b_flex.identify.regression import Stretch, period_noise
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass
 
-CHUNK = 20_000  # samples whose regressors are held at once when they are too many to keep
-KEPT_BYTES = 4e8
-
 
 @dataclass(frozen=True)
 class Errors:
@@ -90,32 +87,22 @@ class ReplayedTorques:
         cutoff = self.stretch.cutoff_hz
         return torque if cutoff is None else lowpass(torque, cutoff, self.recording.sample_rate_hz)
 
-    @cached_property
-    def _regressor(self) -> Array | None:
-        size = 8.0 * len(self.stretch.motion) * self.robot.model.nv * len(self.robot.link_parameters)
-        return self.robot.link_regressor(self.stretch.motion) if size < KEPT_BYTES else None
-
     def predict(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
         """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
-        motion = self.stretch.motion
-        out = np.empty_like(motion.q)
-        step = CHUNK if self._regressor is None else len(motion)
-        for at in range(0, len(motion), step):
-            part = motion if step >= len(motion) else motion.part(slice(at, at + step))
-            seen = self.robot.on_links(part, self.stretch.loaded(link_parameters), self._regressor, effects)
-            force = np.array(seen.on_tree.load())
-            for effect in (e for e in effects if e.in_dynamics):
-                factors = effect.factors(seen)
-                if factors is None:
-                    force += effect.force(seen)
-                else:
-                    port, basis = factors
-                    force += np.outer(basis @ effect.known_coefficients(), port)
-            for effect in effects:
-                if not effect.in_dynamics:
-                    force = effect.logged(seen, force)
-            out[at : at + step] = force
-        return self._filtered(out[:, self._rows])
+        loaded = self.stretch.loaded(link_parameters)
+        seen = self.robot.on_links(self.stretch.motion, loaded, effects)
+        force = np.array(seen.on_tree.load())
+        for effect in (e for e in effects if e.in_dynamics):
+            factors = effect.factors(seen)
+            if factors is None:
+                force += effect.force(seen)
+            else:
+                port, basis = factors
+                force += np.outer(basis @ effect.known_coefficients(), port)
+        for effect in effects:
+            if not effect.in_dynamics:
+                force = effect.logged(seen, force)
+        return self._filtered(force[:, self._rows])
 
 
 def noise_floor(replays: Sequence[ReplayedTorques], residuals: Sequence[Array], campaign: Campaign) -> Array | None:

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy import stats
@@ -15,11 +16,11 @@ from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
+from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
     BEYOND,
     CORRELATION_S,
     Identification,
-    absorbed_each,
     shared_values,
 )
 from rx90b_flex.identify.regression import Regression
@@ -75,6 +76,12 @@ class Search:
     sites: Sites
     kinds: Callable[[type[Effect]], bool] = laws
 
+    def after(self, other: Search) -> Search:
+        """This one with what another one has worked out of the same model."""
+        names = ("blocks", "longest_parts", "target", "shared", "present")
+        self.__dict__.update({name: other.__dict__[name] for name in names if name in other.__dict__})
+        return self
+
     @property
     def regression(self) -> Regression:
         """The data, seen by the identified links."""
@@ -96,17 +103,17 @@ class Search:
     @cached_property
     def target(self) -> Array:
         """Torque that the model's columns explain, shape (N, joints)."""
-        return np.asarray(self.model.residual + self.model.columns @ self.model.theta)
+        theta = np.concatenate([self.model.theta, np.zeros(len(self.model.shapes))])
+        return np.asarray(self.model.residual + self.model.derivatives.times(theta).T)
 
     @cached_property
     def shared(self) -> SharedColumns:
         """Columns and target in the form that trials use."""
-        columns = np.ascontiguousarray(self.model.all_columns.transpose(1, 0, 2))
         shapes = self.model.shapes
         sizes = shapes.per_step(shapes.values(self.model.effects))
         precision = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
         target = np.ascontiguousarray(self.target.T)
-        return SharedColumns(columns, target, self.model.solution.sigma**-2.0, self.blocks, precision)
+        return SharedColumns(self.model.derivatives, target, self.model.solution.sigma**-2.0, self.blocks, precision)
 
     @cached_property
     def present(self) -> Base:
@@ -127,12 +134,16 @@ class Search:
             kept = np.setdiff1d(kept, np.r_[first : first + len(replaced.coefficients), len(model.theta) + own])
         if not restored:
             return Base(self.shared, kept, theta[kept])
-        more = [self.regression.columns(e).transpose(1, 0, 2) for e in restored]
-        columns = np.concatenate([self.shared.columns[:, :, kept], *more], axis=2)
-        precision = np.concatenate([self.shared.precision[kept], np.zeros(columns.shape[2] - len(kept))])
-        shared = dataclasses.replace(self.shared, columns=np.ascontiguousarray(columns), precision=precision)
-        prior = np.concatenate([theta[kept], np.zeros(columns.shape[2] - len(kept))])
-        return Base(shared, np.arange(columns.shape[2]), prior)
+        present = self.shared.columns.kept(kept, len(theta))
+        ends = len(kept) + np.cumsum([0, *(len(e.coefficients) for e in restored)])
+        places = [np.arange(a, b) for a, b in pairwise(ends)]
+        parts = [(at, *self.regression.compact([e])) for at, e in zip(places, restored, strict=True)]
+        more = ColumnsByJoint.of(parts, len(self.target.T), len(self.target))
+        none = np.zeros(ends[-1] - len(kept))
+        shared = dataclasses.replace(
+            self.shared, columns=present.beside(more), precision=np.concatenate([self.shared.precision[kept], none])
+        )
+        return Base(shared, np.arange(ends[-1]), np.concatenate([theta[kept], none]))
 
     @cached_property
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
@@ -205,6 +216,8 @@ class Search:
                 break  # neither this one nor those behind it can win
             trials.append(self.trial(effect, base, bases[None], self.tests))
         trials += self._families(rough, trials, bases[None])
+        for stretch in self.regression.stretches:
+            stretch.motion.forget()
         return sorted(trials, key=lambda t: -t.gain)
 
     def _families(
@@ -271,12 +284,6 @@ class Search:
         return int(CORRELATION_S * self.regression.stretches[0].rate_hz)
 
     @cached_property
-    def absorbed(self) -> list[Array]:
-        """What the present model's fit took out of each joint's noise."""
-        weight = self.model.solution.sigma**-2.0
-        return absorbed_each(self.model.all_columns, weight, self.regression.spans, self.longest_lag)
-
-    @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
         return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates)
@@ -298,15 +305,39 @@ class Search:
     def _over_shapes(self, effect: Effect, starts: Array, base: Base) -> Iterable[tuple[float, Effect]]:
         shaped = [self._shaped(effect, s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
-        per_effect = 8.0 * k * sum(len(s.motion) for s in self.regression.stretches)
+        regression, base, times = self._looked_at(effect, base)
+        per_effect = 8.0 * k * sum(len(s.motion) for s in regression.stretches)
         batch = max(1, int(BATCH_BYTES / per_effect))
         for at in range(0, len(shaped), batch):
             part = shaped[at : at + batch]
-            rows, columns = self.regression.compact(part, leading=True)
+            rows, columns = regression.compact(part, leading=True)
             if len(rows) == 0:
                 yield 0.0, part[0]
                 continue
-            yield from zip(base.gains(rows, columns, k).tolist(), part, strict=True)
+            yield from zip((times * base.gains(rows, columns, k)).tolist(), part, strict=True)
+
+    def _looked_at(self, effect: Effect, base: Base) -> tuple[Regression, Base, float]:
+        """What a first look is taken at: an excerpt of a long log and a base on it, and how much longer the whole is.
+
+        A line's frequency shows over the whole time only.
+        """
+        if self.regression.excerpt is None or effect.by_clock:
+            return self.regression, base, 1.0
+        regression, samples = self.regression.excerpt
+        if base.shared not in self._excerpts:
+            self._excerpts[base.shared] = base.shared.at(samples)
+        key = (base.shared, tuple(base.kept))
+        if key not in self._bases_of_excerpts:
+            self._bases_of_excerpts[key] = dataclasses.replace(base, shared=self._excerpts[base.shared])
+        return regression, self._bases_of_excerpts[key], len(self.regression) / len(samples)
+
+    @cached_property
+    def _excerpts(self) -> dict[SharedColumns, SharedColumns]:
+        return {}
+
+    @cached_property
+    def _bases_of_excerpts(self) -> dict[tuple[SharedColumns, tuple[int, ...]], Base]:
+        return {}
 
     @cached_property
     def _other_starts(self) -> dict[Effect, list[Effect]]:
@@ -509,7 +540,7 @@ class Search:
         apart = apart.transpose(1, 0, 2)
         spans = self.regression.spans
         longest = self.longest_lag
-        absorbed = self.absorbed
+        absorbed = self.model.absorbed
         spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(residual, absorbed, strict=True)]
         meat = scatter(apart, base.weight, spectra, spans)
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)

@@ -59,6 +59,7 @@ def spring_words(model: Identification, joint: str) -> str:
 def _apart(model: Identification, columns: Array) -> tuple[Array, float]:
     """What of columns (N, joints, k) the model's own do not explain, and their weighted square before."""
     weights = model.solution.sigma**-2.0
-    with_model = np.einsum("j,njp,njk->pk", weights, model.columns, columns)
+    known = model.columns
+    with_model = np.einsum("j,njp,njk->pk", weights, known, columns)
     own = float(np.einsum("j,njk->", weights, columns**2))
-    return columns - model.columns @ (model.solution.inverse @ with_model), own
+    return columns - known @ (model.solution.inverse @ with_model), own

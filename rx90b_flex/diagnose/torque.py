@@ -139,7 +139,11 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def search(self, model: TorqueModel, kinds: Callable[[type[Effect]], bool] = laws) -> Search:
         """Everything that could be missing from a model."""
-        return Search(model.identified, self.sites, kinds)
+        new = Search(model.identified, self.sites, kinds)
+        for latest in self._searches:
+            new = new.after(latest) if latest.model is new.model else new
+        self._searches[:] = [new]
+        return new
 
     def choose(self, trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
         # first the data: of torques with another gain only the ratio shows, and the look at the data says whose it is
@@ -271,6 +275,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def alternatives(self, search: Search, model: TorqueModel, step: Addition[TorqueTrial]) -> tuple[Alternative, ...]:
         """What the data cannot tell from an addition."""
         return alternatives(search, find(model, step.trial.effect), self.compared(model, step))
+
+    @cached_property
+    def _searches(self) -> list[Search]:
+        return []
 
     @cached_property
     def _comparisons(self) -> dict[tuple[TorqueModel, TorqueTrial], list[Comparison]]:

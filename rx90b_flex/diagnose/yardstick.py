@@ -24,6 +24,7 @@ from rx90b_flex.identify.regression import Regression, Stretch
 from rx90b_flex.signals import lowpass
 
 FEWEST_SAMPLES = 200  # of a fit: with less, parts of it are too short to hold out
+LONGEST = 100_000  # samples of a role at the rate at which columns are worked out
 # of all samples, up to which a recording is held out whole, for parts of one are too alike to tell what carries over; a longer
 # one would leave too little to fit
 LARGEST_PART = 0.75
@@ -69,6 +70,10 @@ class HeldOut:
     torque: Array
     declared: Array
 
+    def beginning(self, samples: int) -> HeldOut:
+        """Its first samples."""
+        return HeldOut(self.torque[:samples], self.declared[:samples])
+
 
 def yardstick(
     declared: Identification, validation: Regression, held_out: Sequence[HeldOut], after: Errors
@@ -77,7 +82,8 @@ def yardstick(
 
     One form a joint: smooth curves of its velocity, hysteresis, load and angle, of the other joints' motion and of link
     parameters of its own; or boosted trees of the same signals. Which one, and how smooth, is told by the identification
-    recordings alone, each held out in turn (one recording: its parts). Where they show no gain the form is zero.
+    recordings alone, each held out in turn (one recording: its parts). Where they show no gain the form is zero. Of long
+    recordings the beginnings are enough.
 
     Parameters
     ----------
@@ -93,12 +99,17 @@ def yardstick(
     -------
     Explainable, or a sentence that says why nothing is known.
     """
-    fitted = declared.regression.trusting(None)
+    fitted = declared.regression.trusting(None).beginning(LONGEST)
     if len(fitted) < FEWEST_SAMPLES:
         return (
             f"Too little data for a free-form model: {len(fitted)} samples behind the low-pass; "
             f"{FEWEST_SAMPLES} or more are needed."
         )
+    whole = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
+    validation = validation.beginning(LONGEST)
+    held_out = [
+        r.beginning(len(s.motion) * s.working_factor) for r, s in zip(held_out, validation.stretches, strict=True)
+    ]
     residual = declared.residual_on(fitted)
     here, there = (_signals(r, declared) for r in (fitted, validation))
     ranges = _Ranges.of(here)
@@ -108,10 +119,22 @@ def yardstick(
     errors = Errors.of([r.torque for r in held_out], [r.declared + s for r, s in zip(held_out, said, strict=True)])
     before = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
     names = tuple(f.name for f in forms)
+    errors, before = _of_the_whole(errors, before, whole), whole
     if errors.relative_error > before.relative_error:
         # what does not carry over explains nothing: the declared model alone predicts better
         errors, names = before, (NO_FORM,) * len(forms)
     return Explainable(errors, _share(before, after, errors), names)
+
+
+def _of_the_whole(errors: Errors, before: Errors, whole: Errors) -> Errors:
+    """Errors on the beginnings of long recordings, by as much more or less as the declared model's are on the whole."""
+
+    def more(error: float, known: float, all_of_it: float) -> float:
+        return error * all_of_it / known if known > 0.0 else error
+
+    rms = zip(errors.torque_rms, before.torque_rms, whole.torque_rms, strict=True)
+    relative = more(errors.relative_error, before.relative_error, whole.relative_error)
+    return Errors(relative, tuple(more(*x) for x in rms))
 
 
 def _share(before: Errors, after: Errors, free: Errors) -> float:

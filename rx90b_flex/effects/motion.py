@@ -158,7 +158,8 @@ class Motion:
     @cached_property
     def on_tree(self) -> TreeMotion:
         """The tree's view of this motion, made once."""
-        return self.tree(self)
+        # of a copy: two that hold each other would keep all that they have worked out until the next collection of cycles
+        return self.tree(replace(self))
 
     def part(self, samples: slice | Indices) -> Motion:
         """Some of the samples."""
@@ -179,6 +180,11 @@ class Motion:
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]
+
+    def forget(self) -> None:
+        """Give back what was worked out once."""
+        for name in ("on_tree", "model_torque", "_kept"):
+            self.__dict__.pop(name, None)
 
     def model_sensitivity(self, joint: str) -> tuple[Array, ...]:
         """Change of `model_torque` per change of a joint's position, velocity and acceleration; each (N, n).

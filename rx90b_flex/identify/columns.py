@@ -57,10 +57,52 @@ class ColumnsByJoint:
         """Products with themselves, for each joint (m, m)."""
         return tuple(x.T @ x for x in self.columns)
 
-    def summed(self, count: int) -> Array:
-        """All in one array (N, joints, count), those of one place added."""
+    def merged(self) -> ColumnsByJoint:
+        """With those of one place added."""
+        pairs = []
+        for places, columns in zip(self.places, self.columns, strict=True):
+            own, at = np.unique(places, return_inverse=True)
+            if len(own) == len(places):
+                pairs.append((places, columns))
+                continue
+            out = np.zeros((len(columns), len(own)))
+            for to, column in zip(at, columns.T, strict=True):
+                out[:, to] += column
+            pairs.append((own, out))
+        return ColumnsByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
+
+    def shifted(self, by: int) -> ColumnsByJoint:
+        """In places so much further on."""
+        return ColumnsByJoint(tuple(at + by for at in self.places), self.columns)
+
+    def kept(self, which: Indices, count: int) -> ColumnsByJoint:
+        """Those in some of `count` places, in the order of these."""
+        order = np.full(count, -1)
+        order[which] = np.arange(len(which))
+        found = [order[at] for at in self.places]
+        return ColumnsByJoint(
+            tuple(at[at >= 0] for at in found),
+            tuple(x if (at >= 0).all() else x[:, at >= 0] for at, x in zip(found, self.columns, strict=True)),
+        )
+
+    def at(self, samples: Indices) -> ColumnsByJoint:
+        """At some of the samples."""
+        return ColumnsByJoint(self.places, tuple(x[samples] for x in self.columns))
+
+    def times(self, values: Array) -> Array:
+        """With coefficients (count,) or (count, k); shape (joints, N) or (joints, N, k)."""
+        return np.stack([x @ values[at] for at, x in zip(self.places, self.columns, strict=True)])
+
+    def gram(self, weight: Array, count: int) -> Array:
+        """Products with themselves, one weight a joint, (count, count); for columns of which each has its own place."""
+        out = np.zeros((count, count))
+        for w, at, own in zip(weight, self.places, self.grams, strict=True):
+            out[np.ix_(at, at)] += w * own
+        return out
+
+    def dense(self, count: int) -> Array:
+        """All in one array (N, joints, count); for columns of which each has its own place."""
         out = np.zeros((len(self.columns[0]), len(self.columns), count))
-        for j, (places, columns) in enumerate(zip(self.places, self.columns, strict=True)):
-            for place, column in zip(places, columns.T, strict=True):
-                out[:, j, place] += column
+        for j, (at, x) in enumerate(zip(self.places, self.columns, strict=True)):
+            out[:, j, at] = x
         return out

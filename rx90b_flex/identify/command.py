@@ -20,7 +20,8 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
-from rx90b_flex.identify.least_squares import Estimate, Identification, column_scale
+from rx90b_flex.identify.least_squares import Estimate, Identification
+from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved

@@ -12,15 +12,20 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices, Mask
-from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, scatter, widening
+from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, widening
 from rx90b_flex.identify.columns import ColumnsByJoint
+from rx90b_flex.identify.normal_equations import (
+    RANK_TOLERANCE,
+    NormalEquations,
+    Solution,
+    column_scale,
+    fit_weighted,
+    solve_weighted,
+)
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
-# A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
-# called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
-RANK_TOLERANCE = 1.0e-6
 MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
 SAME_MISFIT = 1.0e-4  # change of the sum of the residuals' logarithms below which a fit has settled
 TWISTS = 2.0e-3  # of the torque: drives that take so much are fitted together with the links behind them
@@ -28,146 +33,11 @@ BENT = 0.05  # of the torque: with so much left over, links that were fitted to 
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 MULTIPLIED_ROUNDS = 12  # with gains among them, which the links must follow
 SMALLEST_FACTOR = 0.02  # of a torque gain during a fit
-ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
 LARGEST_DAMPING = 1.0e7
 SETTLED = 1.0e-5  # part of the squares below which another step is not worth while
 BEYOND = 2.0  # standard deviations beyond its bound that put a coefficient where it cannot be
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Products of columns and torque, apart for each block and each joint.
-
-    Attributes
-    ----------
-    gram : array, shape (blocks, joints, p, p)
-    cross : array, shape (blocks, joints, p)
-    power : array, shape (blocks, joints)
-    counts : array, shape (blocks,)
-    """
-
-    gram: Array
-    cross: Array
-    power: Array
-    counts: Array
-
-    @staticmethod
-    def of(columns: Array, torque: Array, blocks: Sequence[slice]) -> NormalEquations:
-        """Sum up ``columns`` (N, joints, p) and ``torque`` (N, joints)."""
-        gram, cross, power = [], [], []
-        for block in blocks:
-            x = np.ascontiguousarray(columns[block].transpose(1, 0, 2))
-            y = torque[block].T
-            gram.append(x.transpose(0, 2, 1) @ x)
-            cross.append((x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0])
-            power.append((y**2).sum(axis=1))
-        return NormalEquations(
-            np.array(gram), np.array(cross), np.array(power), np.array([b.stop - b.start for b in blocks])
-        )
-
-    @cached_property
-    def total(self) -> tuple[Array, Array, Array]:
-        """Sums over blocks of gram, cross and power."""
-        return self.gram.sum(axis=0), self.cross.sum(axis=0), self.power.sum(axis=0)
-
-    def squares(self, theta: Array) -> Array:
-        """Sum of squared errors of each joint, shape (joints,)."""
-        gram, cross, power = self.total
-        return np.maximum(power - 2 * cross @ theta + np.einsum("jpq,p,q->j", gram, theta, theta), 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Solution of weighted normal equations.
-
-    Attributes
-    ----------
-    theta : array, shape (p,)
-        Where the data says nothing, as near to the prior as the rest allows.
-    sigma : array, shape (joints,)
-        Residual standard deviation a joint; the weights are ``1 / sigma^2``.
-    inverse : array, shape (p, p)
-        Pseudo-inverse of the weighted Gram matrix.
-    null : array, shape (p, m)
-        Directions that the data does not determine, in scaled parameters (orthonormal).
-    scale : array, shape (p,)
-        Scaled parameter = parameter * scale.
-    """
-
-    theta: Array
-    sigma: Array
-    inverse: Array
-    null: Array
-    scale: Array
-
-    @property
-    def rank(self) -> int:
-        """Number of parameter combinations that the data determines."""
-        return len(self.theta) - self.null.shape[1]
-
-    @property
-    def determined(self) -> Mask:
-        """Whether each parameter is determined by itself, shape (p,), bool."""
-        return np.linalg.norm(self.null, axis=1) < 1e-3
-
-
-def column_scale(squares: Array) -> Array:
-    """Lengths of columns from their squares, shape (p,).
-
-    A column of nothing but rounding gets the longest one's: brought to length one, it would count as determined.
-    """
-    largest = float(squares.max(initial=0.0))
-    return np.sqrt(np.where(squares > ROUNDING**2 * largest, squares, largest if largest > 0.0 else 1.0))
-
-
-def solve_weighted(gram: Array, cross: Array, prior: Array) -> tuple[Array, Array, Array, Array]:
-    """Least squares from normal equations, staying at the prior where they are singular.
-
-    Returns theta, the pseudo-inverse of `gram`, null directions (scaled), and the scale.
-    """
-    scale = column_scale(np.diag(gram))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    largest = values[-1] if len(values) else 0.0
-    kept = values > RANK_TOLERANCE**2 * max(largest, 1e-300)
-    # a column of zeros scales to a zero row: it falls to the null directions by itself
-    basis = vectors[:, kept]
-    inverse = (basis / values[kept]) @ basis.T / np.outer(scale, scale)
-    theta = prior + inverse @ (cross - gram @ prior)
-    return theta, inverse, vectors[:, ~kept], scale
-
-
-def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = None, rounds: int = 12) -> Solution:
-    """Weighted least squares, one weight a joint from its own residual, iterated.
-
-    Parameters
-    ----------
-    normal : NormalEquations
-    prior : array, shape (p,)
-        Values to stay near where the data says nothing.
-    sigma : array, shape (joints,), optional
-        Fixed residual standard deviations; they are iterated where not given.
-    """
-    gram, cross, power = normal.total
-    samples = int(normal.counts.sum())
-    fixed = sigma is not None
-    # noise-free data must not make one joint's weight infinite
-    smallest = 1e-9 * np.sqrt(power / samples) + 1e-12
-    current = np.sqrt(power / samples) + smallest if sigma is None else np.asarray(sigma, dtype=float)
-    for _ in range(1 if fixed else rounds):
-        weight = current**-2.0
-        theta, inverse, null, scale = solve_weighted(
-            np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross), prior
-        )
-        if fixed:
-            break
-        new = np.maximum(np.sqrt(normal.squares(theta) / samples), smallest)
-        done = np.abs(new / current - 1).max() < 1e-4
-        current = new
-        if done:
-            break
-    return Solution(theta, current, inverse, null, scale)
 
 
 @dataclass(frozen=True)
@@ -201,8 +71,8 @@ class Identification:
         Of the residual, one a joint.
     regression : Regression
         The data of the fit, seen by the identified links.
-    all_columns : array, shape (N, joints, p + s)
-        Derivatives of the torque by theta and by the shape parameters.
+    derivatives : ColumnsByJoint
+        Of the torque by theta and by the shape parameters, in p + s places.
     links_fitted : bool
     shapes : Shapes
         Where the effects' shape parameters stand among the s.
@@ -216,19 +86,22 @@ class Identification:
     residual: Array
     spectra: tuple[Spectrum, ...]
     regression: Regression
-    all_columns: Array
+    derivatives: ColumnsByJoint
     links_fitted: bool
     shapes: Shapes
 
     @property
     def columns(self) -> Array:
         """Columns of theta, shape (N, joints, p)."""
-        return self.all_columns[:, :, : len(self.theta)]
+        size = len(self.theta)
+        return self.derivatives.kept(np.arange(size), size + len(self.shapes)).dense(size)
 
-    @property
-    def shape_columns(self) -> Array:
-        """Derivative of the torque by each shape parameter, shape (N, joints, s)."""
-        return self.all_columns[:, :, len(self.theta) :]
+    @cached_property
+    def absorbed(self) -> list[Array]:
+        """What the fit took out of each joint's noise (`absorbed_by_fit`)."""
+        regression, weight = self.regression, self.solution.sigma**-2.0
+        longest = int(CORRELATION_S * regression.stretches[0].rate_hz)
+        return absorbed_each(self.derivatives, len(self.theta) + len(self.shapes), weight, regression.spans, longest)
 
     @property
     def relative_error(self) -> float:
@@ -252,9 +125,8 @@ class Identification:
     @property
     def information(self) -> Array:
         """Weighted Gram matrix of all coefficients, shape (p, p)."""
-        weighted = self.columns / self.solution.sigma[:, None]
-        flat = weighted.reshape(-1, weighted.shape[2])
-        return flat.T @ flat
+        size = len(self.theta)
+        return self.derivatives.gram(self.solution.sigma**-2.0, size + len(self.shapes))[:size, :size]
 
     def with_rest(self, change: Array) -> tuple[Effect, ...]:
         """The effects with their coefficients changed; shape (p - links,)."""
@@ -548,10 +420,6 @@ class _Fit:
         own = [np.full(len(e.coefficients), e.coefficients_follow) for e in self.effects]
         return np.concatenate([np.zeros(self._offset, bool), *own])
 
-    @property
-    def _none(self) -> Array:
-        return np.zeros((*self.regression.torque.shape, 0))
-
     @cached_property
     def goal(self) -> Array:
         """Torque less that of the coefficients which follow from their effect's shape, shape (joints, N)."""
@@ -561,11 +429,18 @@ class _Fit:
                 torque = torque - self._scaled(e) @ e.coefficients
         return np.ascontiguousarray(torque.T)
 
-    @cached_property
-    def columns(self) -> Array:
-        """All columns, shape (N, joints, p)."""
-        links = [self._link_columns] if self.fit_links else []
-        return np.concatenate([self._none, *links, *(self._scaled(e) for e in self.effects)], axis=2)
+    @property
+    def columns(self) -> ColumnsByJoint:
+        """All columns."""
+        following = [
+            (at, np.arange(len(self.regression.joints)), self._scaled(e))
+            for e, at in zip(self.effects, self._places, strict=True)
+            if e.coefficients_follow
+        ]
+        known = self.fixed.beside(self.varied)
+        if not following:
+            return known
+        return known.beside(ColumnsByJoint.of(following, len(self.regression.joints), len(self.regression)))
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -615,7 +490,7 @@ class _Fit:
     @property
     def relative_error(self) -> float:
         """Norm of what is left over the norm of the torque."""
-        left = self.target - self.columns @ self.solution.theta
+        left = self.target - self.columns.times(self.solution.theta).T
         return float(np.linalg.norm(left) / np.linalg.norm(self.regression.torque))
 
     def with_effect(self, effect: Effect) -> _Fit:
@@ -634,7 +509,7 @@ class _Fit:
     @property
     def followed(self) -> float:
         """Norm of the torque of the effects whose coefficients follow from their shapes."""
-        return float(np.linalg.norm(self.columns[:, :, self.follows] @ self.prior[self.follows]))
+        return float(np.linalg.norm(self.columns.times(np.where(self.follows, self.prior, 0.0))))
 
     @property
     def _offset(self) -> int:
@@ -669,11 +544,6 @@ class _Fit:
                 slope = (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step) * self.factors[rows]
                 parts.append((np.array([place]), rows, slope[:, :, None]))
         return ColumnsByJoint.of(parts, len(self.regression.joints), len(self.regression))
-
-    @property
-    def shape_columns(self) -> Array:
-        """Derivative of the predicted torque by each shape parameter; (N, joints, s)."""
-        return self._by_shape.summed(len(self.shapes))
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
@@ -719,40 +589,39 @@ class _Fit:
         """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
         shapes, size = len(self.shapes), len(self.prior)
         own, score, with_columns = np.zeros((shapes, shapes)), np.zeros(shapes), np.zeros((shapes, size))
-        both = self.fixed.beside(self.varied)
         for j, weight in enumerate(sigma**-2.0):
-            x, at = both.columns[j], both.places[j]
             d, s = self._by_shape.columns[j], self._by_shape.places[j]
-            residual = self.goal[j] - x @ self.solution.theta[at]
+            residual = self.goal[j]
+            for part in (self.fixed, self.varied):
+                x, at = part.columns[j], part.places[j]
+                residual = residual - x @ self.solution.theta[at]
+                np.add.at(with_columns, np.ix_(s, at), weight * d.T @ x)
             np.add.at(own, np.ix_(s, s), weight * d.T @ d)
             np.add.at(score, s, weight * d.T @ residual)
-            np.add.at(with_columns, np.ix_(s, at), weight * d.T @ x)
         gram = np.einsum("j,jpq->pq", sigma**-2.0, self.normal.total[0])
         inverse = solve_weighted(gram, np.zeros(size), np.zeros(size))[1]
         step = self.shapes.per_step(self.shape)
         return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
-        solution = self.solution
-        residual = self.target - self.columns @ solution.theta
-        spans = regression.spans
-        rate = regression.stretches[0].rate_hz
-        longest = int(CORRELATION_S * rate)
-        estimated = np.where(self.follows, 0.0, self.columns)
-        columns = np.concatenate([estimated, self.shape_columns], axis=2)
-        spectra = tuple(
-            residual_spectrum(r, spans, absorbed, longest)
-            for r, absorbed in zip(
-                (residual / np.sqrt(regression.share)).T,
-                absorbed_each(columns, solution.sigma**-2.0, spans, longest),
-                strict=True,
-            )
-        )
+        solution, spans = self.solution, regression.spans
+        columns = self.columns
+        residual = self.target - columns.times(solution.theta).T
+        derivatives = columns.beside(self._by_shape.merged().shifted(len(solution.theta)))
         size = len(solution.theta) + len(self.shape)
+        # what follows from a shape has neither a part in the noise nor a covariance of its own
+        free = np.flatnonzero(~np.concatenate([self.follows, np.zeros(len(self.shape), dtype=bool)]))
+        estimated = derivatives if len(free) == size else derivatives.kept(free, size)
+        longest = int(CORRELATION_S * regression.stretches[0].rate_hz)
+        absorbed = absorbed_each(estimated, len(free), solution.sigma**-2.0, spans, longest)
+        spectra = tuple(
+            residual_spectrum(r, spans, a, longest)
+            for r, a in zip((residual / np.sqrt(regression.share)).T, absorbed, strict=True)
+        )
         covariance = np.zeros((size, size))
         if with_covariance:
-            covariance = coloured_covariance(columns, solution.sigma, spectra, spans)
-        return Identification(
+            covariance[np.ix_(free, free)] = coloured_covariance(estimated, len(free), solution.sigma, spectra, spans)
+        found = Identification(
             self.valued,
             self.link_parameters,
             solution.theta,
@@ -761,10 +630,13 @@ class _Fit:
             residual,
             spectra,
             regression,
-            np.concatenate([self.columns, self.shape_columns], axis=2),
+            derivatives,
             self.fit_links,
             self.shapes,
         )
+        if not self.follows.any():
+            found.__dict__["absorbed"] = absorbed
+        return found
 
 
 def _damped_step(gram: Array, score: Array, damping: float) -> Array:
@@ -774,22 +646,30 @@ def _damped_step(gram: Array, score: Array, damping: float) -> Array:
     return np.asarray(np.linalg.lstsq(damped, score, rcond=None)[0], dtype=float)
 
 
-def absorbed_each(columns: Array, weight: Array, spans: Sequence[slice], longest: int) -> list[Array]:
-    """`absorbed_by_fit` of each joint, for columns (N, joints, p) fitted with the inverse variances `weight`."""
-    gram = np.einsum("j,jpq->pq", weight, np.stack([x.T @ x for x in columns.transpose(1, 0, 2)]))
+def absorbed_each(
+    columns: ColumnsByJoint, count: int, weight: Array, spans: Sequence[slice], longest: int
+) -> list[Array]:
+    """`absorbed_by_fit` of each joint, for columns in `count` places fitted with the inverse variances `weight`."""
+    gram = columns.gram(weight, count)
     scale = column_scale(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
     to_basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
-    return [absorbed_by_fit(np.sqrt(w) * (columns[:, j] @ to_basis), spans, longest) for j, w in enumerate(weight)]
+    pairs = zip(weight, columns.places, columns.columns, strict=True)
+    return [absorbed_by_fit(np.sqrt(w) * (x @ to_basis[at]), spans, longest) for w, at, x in pairs]
 
 
-def coloured_covariance(columns: Array, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]) -> Array:
-    """Covariance of weighted least-squares estimates under coloured noise: A^-1 S A^-1.
+def coloured_covariance(
+    columns: ColumnsByJoint, count: int, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]
+) -> Array:
+    """Covariance of weighted least-squares estimates of columns in `count` places under coloured noise: A^-1 S A^-1.
 
     A is the weighted Gram matrix, S the covariance of the weighted score. Undetermined directions count as zero.
     """
     weight = sigma**-2.0
-    gram = sum(w * columns[:, j].T @ columns[:, j] for j, w in enumerate(weight))
-    _, inverse, _, _ = solve_weighted(np.asarray(gram), np.zeros(columns.shape[2]), np.zeros(columns.shape[2]))
-    return widening(spectra) * inverse @ scatter(columns, weight, spectra, spans) @ inverse
+    _, inverse, _, _ = solve_weighted(columns.gram(weight, count), np.zeros(count), np.zeros(count))
+    score = np.zeros((count, count))
+    for w, at, x, spectrum in zip(weight, columns.places, columns.columns, spectra, strict=True):
+        for span in spans:
+            score[np.ix_(at, at)] += w**2 * spectrum.product(x[span])
+    return widening(spectra) * inverse @ score @ inverse

@@ -18,7 +18,8 @@ from scipy import linalg, stats
 from rx90b_flex.bodies import as_bodies, inconsistencies, pseudo_inertia
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.least_squares import RANK_TOLERANCE, Identification, column_scale
+from rx90b_flex.identify.least_squares import Identification
+from rx90b_flex.identify.normal_equations import RANK_TOLERANCE, column_scale
 from rx90b_flex.robot import Robot
 
 AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies so near to it

@@ -41,6 +41,13 @@ STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the l
 MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
+TOGETHER = 8  # columns of a long log that go through a filter at once
+LOOKED_AT = 30_000  # working samples that a first look needs at the most,
+LOOKED_AT_PART = 1 / 32  # or this part of a longer log
+PIECES = 4  # of a recording in an excerpt
+RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
+AT_ONCE = 50_000  # working samples whose regressors are held at a time
+RUN_IN_S = 0.25  # before and after each, for what remembers the motion
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next
 
 
@@ -107,6 +114,44 @@ class Stretch:
     def sampled(self) -> Motion:
         """The motion at the fit's samples."""
         return self.motion.part(np.arange(len(self.motion))[:: self.factor][self.kept])
+
+    def beginning(self, part: float) -> Stretch:
+        """A part of this one from its first sample on."""
+        return self._piece(slice(0, max(1, int(part * len(self)))), self._run_in)
+
+    def pieces(self, part: float) -> list[tuple[Stretch, int]]:
+        """A part of this one in pieces, each with its first sample; where the motion repeats, at different phases of it."""
+        length = int(part * len(self) / PIECES)
+        period = self.recording.period_s or np.inf
+        repeats = max(1, int(len(self) / (period * self.rate_hz)))
+        whole = min(period * self.rate_hz, len(self))
+        starts = (min(int((k % repeats + k / PIECES) * whole), len(self) - length) for k in range(PIECES))
+        return [(self._piece(slice(at, at + length), self._run_in), at) for at in starts]
+
+    def split(self, samples: int) -> list[Stretch]:
+        """Pieces of so many working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
+        if len(self.motion) <= samples:
+            return [self]
+        rate = self.rate_hz * self.factor
+        rings = 0 if self.cutoff_hz is None else RINGS * filters.minimum_samples(self.cutoff_hz, rate)
+        ends = np.append(np.arange(0, len(self), max(1, samples // self.factor)), len(self))
+        return [self._piece(slice(int(a), int(b)), -(-rings // self.factor)) for a, b in pairwise(ends)]
+
+    @property
+    def _run_in(self) -> int:
+        return max(self.kept.start, int(np.ceil(RUN_IN_S * self.rate_hz)))
+
+    def _piece(self, samples: slice, beside: int) -> Stretch:
+        """Some of its samples, with the motion of so many more on either side that their columns need."""
+        first, last = self.kept.start + samples.start, self.kept.start + samples.stop
+        begin, end = max(0, first - beside), last + beside
+        return dataclasses.replace(
+            self,
+            motion=self.motion.part(slice(begin * self.factor, end * self.factor)),
+            time=self.time[samples],
+            torque=self.torque[samples],
+            kept=slice(first - begin, last - begin),
+        )
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -270,6 +315,29 @@ class Regression:
         """Coordinate of each joint of the campaign, shape (joints,)."""
         return np.array([self.robot.layout.index(j) for j in self.joints])
 
+    def beginning(self, samples: int) -> Regression:
+        """The beginnings of all recordings, so many working samples at the most; of a short log all of it."""
+        part = samples / sum(len(s.motion) for s in self.stretches)
+        if part >= 1.0:
+            return self
+        return dataclasses.replace(self, stretches=tuple(s.beginning(part) for s in self.stretches), trust=None)
+
+    @cached_property
+    def excerpt(self) -> tuple[Regression, Indices] | None:
+        """Pieces of a long log, which show what is there in less time, and which samples these are; None where it is short."""
+        working = sum(len(s.motion) for s in self.stretches)
+        part = max(LOOKED_AT, LOOKED_AT_PART * working) / working
+        if part > 0.5:
+            return None
+        pairs = [
+            (p, span.start + at) for s, span in zip(self.stretches, self.spans, strict=True) for p, at in s.pieces(part)
+        ]
+        samples = np.concatenate([at + np.arange(len(p)) for p, at in pairs])
+        trust = None if self.trust is None else self.trust[samples]
+        other = dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust)
+        other.__dict__["_first_looks"] = self._first_looks_of_excerpt
+        return other, samples
+
     def columns(self, effect: Effect) -> Array:
         """Columns of an effect, shape (N, joints, k)."""
         rows, columns = self.compact([effect])
@@ -300,6 +368,10 @@ class Regression:
         for span, (here, columns) in zip(self.spans, parts, strict=True):
             out[span][:, np.searchsorted(rows, here)] = columns
         return rows, out
+
+    @cached_property
+    def _first_looks_of_excerpt(self) -> dict[Effect, tuple[Indices, Array]]:
+        return {}
 
     @cached_property
     def _first_looks(self) -> dict[Effect, tuple[Indices, Array]]:
@@ -350,7 +422,7 @@ class Regression:
                     out[span] += self._brought(stretch, change)
         return out if self.trust is None else out * self.trust[:, :, None]
 
-    @cached_property
+    @property
     def link_columns(self) -> Array:
         """Columns of the links, shape (N, joints, 10 * bodies)."""
         columns = self._untouched_links
@@ -358,7 +430,8 @@ class Regression:
 
     @cached_property
     def _untouched_links(self) -> Array:
-        return np.concatenate([self._brought(s, s.motion.on_tree.link_regressor()) for s in self.stretches])
+        pieces = (p for s in self.stretches for p in s.split(AT_ONCE))
+        return np.concatenate([self._brought(p, p.motion.on_tree.link_regressor()) for p in pieces])
 
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
         """The same regression, in which effects see a model: the tree with these link parameters and these effects."""
@@ -366,25 +439,23 @@ class Regression:
             dataclasses.replace(s, motion=self.robot.on_links(s.motion, s.loaded(link_parameters), effects=effects))
             for s in self.stretches
         )
-        other = self._sharing(dataclasses.replace(self, stretches=stretches))
-        if "link_columns" in self.__dict__:
-            other.__dict__["link_columns"] = self.link_columns
-        return other
+        return self._sharing(dataclasses.replace(self, stretches=stretches))
 
     def _sharing(self, other: Regression) -> Regression:
         """Another regression on the same motion, with the columns that depend on motion alone."""
-        other.__dict__.update(_first_looks=self._first_looks, _columns_kept=self._columns_kept)
+        kept = ("_first_looks", "_first_looks_of_excerpt", "_columns_kept")
+        other.__dict__.update({name: getattr(self, name) for name in kept})
         if "_untouched_links" in self.__dict__:
             other.__dict__["_untouched_links"] = self._untouched_links
         return other
 
     def _brought(self, stretch: Stretch, columns: Array) -> Array:
-        columns = columns[:, self.rows]
-        out = np.zeros((len(stretch), *columns.shape[1:]))
-        # most columns are zero in most rows: only the others are worth a filter
-        used = columns.any(axis=0)
-        if used.any():
-            out[:, used] = stretch.brought(columns[:, used])
+        out = np.zeros((len(stretch), len(self.rows), columns.shape[2]))
+        for j, row in enumerate(self.rows):
+            # most columns are zero in most rows: only the others are worth a filter
+            used = np.flatnonzero(columns[:, row].any(axis=0))
+            for some in np.split(used, range(TOGETHER, len(used), TOGETHER)):
+                out[:, j, some] = stretch.brought(columns[:, row, some])
         return out
 
     @cached_property

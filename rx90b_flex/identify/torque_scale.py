@@ -10,16 +10,15 @@ import numpy as np
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.coloured import residual_spectrum
+from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
     CORRELATION_S,
     Identification,
-    NormalEquations,
-    Solution,
     absorbed_each,
     coloured_covariance,
-    fit_weighted,
     identify,
 )
+from rx90b_flex.identify.normal_equations import NormalEquations, Solution, fit_weighted
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, motion
@@ -207,6 +206,7 @@ class _Bilinear:
         """Of theta and gains, allowing for coloured residuals."""
         spans = self.regression.spans
         longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
-        absorbed = absorbed_each(columns, solution.sigma**-2.0, spans, longest)
+        by_joint = ColumnsByJoint.of_dense(np.arange(columns.shape[2]), columns)
+        absorbed = absorbed_each(by_joint, columns.shape[2], solution.sigma**-2.0, spans, longest)
         spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(rest.T, absorbed, strict=True)]
-        return coloured_covariance(columns, solution.sigma, spectra, spans)
+        return coloured_covariance(by_joint, columns.shape[2], solution.sigma, spectra, spans)

@@ -1,0 +1,164 @@
+"""Weighted least squares from products of columns and torque, one weight a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.identify.columns import ColumnsByJoint
+
+# A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
+# called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
+RANK_TOLERANCE = 1.0e-6
+ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Products of columns and torque, apart for each block and each joint.
+
+    Attributes
+    ----------
+    gram : array, shape (blocks, joints, p, p)
+    cross : array, shape (blocks, joints, p)
+    power : array, shape (blocks, joints)
+    counts : array, shape (blocks,)
+    """
+
+    gram: Array
+    cross: Array
+    power: Array
+    counts: Array
+
+    @staticmethod
+    def of(columns: Array, torque: Array, blocks: Sequence[slice]) -> NormalEquations:
+        """Sum up ``columns`` (N, joints, p) and ``torque`` (N, joints)."""
+        gram, cross, power = [], [], []
+        for block in blocks:
+            x = np.ascontiguousarray(columns[block].transpose(1, 0, 2))
+            y = torque[block].T
+            gram.append(x.transpose(0, 2, 1) @ x)
+            cross.append((x.transpose(0, 2, 1) @ y[:, :, None])[:, :, 0])
+            power.append((y**2).sum(axis=1))
+        return NormalEquations(
+            np.array(gram), np.array(cross), np.array(power), np.array([b.stop - b.start for b in blocks])
+        )
+
+    @staticmethod
+    def by_joint(columns: ColumnsByJoint, torque: Array, blocks: Sequence[slice], count: int) -> NormalEquations:
+        """Sum up columns, each in its own one of `count` places, and ``torque`` (joints, N)."""
+        joints = len(torque)
+        gram, cross = np.zeros((len(blocks), joints, count, count)), np.zeros((len(blocks), joints, count))
+        for b, block in enumerate(blocks):
+            for j, (at, x) in enumerate(zip(columns.places, columns.columns, strict=True)):
+                part = x[block]
+                gram[b, j][np.ix_(at, at)] = part.T @ part
+                cross[b, j, at] = part.T @ torque[j, block]
+        power = np.array([(torque[:, block] ** 2).sum(axis=1) for block in blocks])
+        return NormalEquations(gram, cross, power, np.array([b.stop - b.start for b in blocks]))
+
+    @cached_property
+    def total(self) -> tuple[Array, Array, Array]:
+        """Sums over blocks of gram, cross and power."""
+        return self.gram.sum(axis=0), self.cross.sum(axis=0), self.power.sum(axis=0)
+
+    def squares(self, theta: Array) -> Array:
+        """Sum of squared errors of each joint, shape (joints,)."""
+        gram, cross, power = self.total
+        return np.maximum(power - 2 * cross @ theta + np.einsum("jpq,p,q->j", gram, theta, theta), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Solution of weighted normal equations.
+
+    Attributes
+    ----------
+    theta : array, shape (p,)
+        Where the data says nothing, as near to the prior as the rest allows.
+    sigma : array, shape (joints,)
+        Residual standard deviation a joint; the weights are ``1 / sigma^2``.
+    inverse : array, shape (p, p)
+        Pseudo-inverse of the weighted Gram matrix.
+    null : array, shape (p, m)
+        Directions that the data does not determine, in scaled parameters (orthonormal).
+    scale : array, shape (p,)
+        Scaled parameter = parameter * scale.
+    """
+
+    theta: Array
+    sigma: Array
+    inverse: Array
+    null: Array
+    scale: Array
+
+    @property
+    def rank(self) -> int:
+        """Number of parameter combinations that the data determines."""
+        return len(self.theta) - self.null.shape[1]
+
+    @property
+    def determined(self) -> Mask:
+        """Whether each parameter is determined by itself, shape (p,), bool."""
+        return np.linalg.norm(self.null, axis=1) < 1e-3
+
+
+def column_scale(squares: Array) -> Array:
+    """Lengths of columns from their squares, shape (p,).
+
+    A column of nothing but rounding gets the longest one's: brought to length one, it would count as determined.
+    """
+    largest = float(squares.max(initial=0.0))
+    return np.sqrt(np.where(squares > ROUNDING**2 * largest, squares, largest if largest > 0.0 else 1.0))
+
+
+def solve_weighted(gram: Array, cross: Array, prior: Array) -> tuple[Array, Array, Array, Array]:
+    """Least squares from normal equations, staying at the prior where they are singular.
+
+    Returns theta, the pseudo-inverse of `gram`, null directions (scaled), and the scale.
+    """
+    scale = column_scale(np.diag(gram))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    largest = values[-1] if len(values) else 0.0
+    kept = values > RANK_TOLERANCE**2 * max(largest, 1e-300)
+    # a column of zeros scales to a zero row: it falls to the null directions by itself
+    basis = vectors[:, kept]
+    inverse = (basis / values[kept]) @ basis.T / np.outer(scale, scale)
+    theta = prior + inverse @ (cross - gram @ prior)
+    return theta, inverse, vectors[:, ~kept], scale
+
+
+def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = None, rounds: int = 12) -> Solution:
+    """Weighted least squares, one weight a joint from its own residual, iterated.
+
+    Parameters
+    ----------
+    normal : NormalEquations
+    prior : array, shape (p,)
+        Values to stay near where the data says nothing.
+    sigma : array, shape (joints,), optional
+        Fixed residual standard deviations; they are iterated where not given.
+    """
+    gram, cross, power = normal.total
+    samples = int(normal.counts.sum())
+    fixed = sigma is not None
+    # noise-free data must not make one joint's weight infinite
+    smallest = 1e-9 * np.sqrt(power / samples) + 1e-12
+    current = np.sqrt(power / samples) + smallest if sigma is None else np.asarray(sigma, dtype=float)
+    for _ in range(1 if fixed else rounds):
+        weight = current**-2.0
+        theta, inverse, null, scale = solve_weighted(
+            np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross), prior
+        )
+        if fixed:
+            break
+        new = np.maximum(np.sqrt(normal.squares(theta) / samples), smallest)
+        done = np.abs(new / current - 1).max() < 1e-4
+        current = new
+        if done:
+            break
+    return Solution(theta, current, inverse, null, scale)
