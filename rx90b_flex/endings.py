@@ -85,7 +85,10 @@ def _status_and_words(error: Exception, usage_error: type[Exception]) -> tuple[i
         return REFUSED, f"{where}{error.strerror or error}"
     if isinstance(error, MemoryError):
         return REFUSED, f"not enough memory: {error}" if str(error) else "not enough memory"
-    package = blamed(error)
+    try:
+        package = blamed(error)
+    except MemoryError:  # what is missing may be missing for this, too
+        package = ""
     # of libraries, too, which derive their errors from it; but what NumPy says of an array is no word on somebody's input
     if isinstance(error, ValueError):
         return REFUSED, f"{error} (in package {package})" if package else str(error)

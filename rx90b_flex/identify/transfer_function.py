@@ -160,6 +160,13 @@ class TransferFit(FittedModel):
         others = [one.antiresonances(drive) for one, _ in self._weighted]
         return hz, spread(hz, std, others, [weight for _, weight in self._weighted])
 
+    def torque_delays(self) -> tuple[Array, Array]:
+        """As of one model, the standard deviations with the choice of the model included."""
+        value, std = super().torque_delays()
+        others = [one.torque_delays() for one, _ in self._weighted]
+        places = np.tile(np.arange(len(value)), (len(others), 1))
+        return value, spread(value, std, others, [weight for _, weight in self._weighted], places)
+
     @cached_property
     def _weighted(self) -> list[tuple[CandidateModel, float]]:
         """Alternatives that the data leave open, with their weights."""

@@ -206,7 +206,7 @@ def _parquet_header(path: Path) -> list[str]:
 
 def _read_parquet(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa.Table:
     names = [header[position] for position in positions]
-    return pa_parquet.read_table(path, columns=names).select(names)
+    return pa_parquet.read_table(path, columns=names, use_threads=False, pre_buffer=False).select(names)
 
 
 def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float64]:

@@ -19,7 +19,8 @@ class ParquetReader(Reader):
         import pyarrow as pa
         import pyarrow.parquet as pa_parquet
 
-        table = pa_parquet.read_table(path)
+        # a thread without memory ends the process, or waits for ever
+        table = pa_parquet.read_table(path, use_threads=False, pre_buffer=False)
         if lerobot.is_episode(table):
             return log_of(path, *lerobot.columns_of(path, table))
         names, columns = [], []
