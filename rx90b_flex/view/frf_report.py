@@ -308,16 +308,16 @@ def _mode_tables(fit: TransferFit) -> list[PageTable]:
     refused: list[tuple[str, ...]] = []
     for f, s, z, z_std, why in modes:
         if why:
-            refused.append(("mode", f"{f:.2f}", f"{s:.2f}", why))
+            refused.append(("mode", f"{f:.2f}", f"{s:.2g}", why))
         else:
-            resonances.append((str(len(resonances) + 1), f"{f:.2f}", f"{s:.2f}", f"{z:.3f}", f"{z_std:.3f}"))
+            resonances.append((str(len(resonances) + 1), f"{f:.2f}", f"{s:.2g}", f"{z:.3f}", f"{z_std:.2g}"))
     for j, joint in enumerate(fit.response.joints):
         name = joint.replace("_", " ")
         for f, s, why in zip(*fit.antiresonances(j), fit.refused_antiresonances(j), strict=True):
             if why:
-                refused.append((f"antiresonance of {name}", f"{f:.2f}", f"{s:.2f}", why))
+                refused.append((f"antiresonance of {name}", f"{f:.2f}", f"{s:.2g}", why))
             else:
-                zeros.append((name, f"{f:.2f}", f"{s:.2f}"))
+                zeros.append((name, f"{f:.2f}", f"{s:.2g}"))
     head = ("mode", "resonance, Hz", "std, Hz", "damping ratio, -", "std, -")
     tables = [
         PageTable(head, tuple(resonances), "Resonances, undamped"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray
@@ -92,6 +93,7 @@ def stabilisation(fit: TransferFit) -> Figure:
     )
     behind.set_ylabel("mean response, rad/s² per N m", fontsize=9)
     behind.tick_params(labelsize=8)
+    behind.yaxis.set_minor_formatter(NullFormatter())
     behind.spines["top"].set_visible(False)
     ax.set_zorder(behind.get_zorder() + 1)
     ax.patch.set_visible(False)
@@ -102,9 +104,7 @@ def stabilisation(fit: TransferFit) -> Figure:
     right = 1.1 * hz[-1]
     sure, rest = held & (f < right), ~held & (f < right)
     ax.errorbar(f[sure], order[sure], xerr=std[sure], fmt="o", color=AFTER, markersize=5, linewidth=0.8, label="stable")
-    ax.plot(
-        f[rest], order[rest], "x", color=BEFORE, markersize=5, label="not found again at the next order, or uncertain"
-    )
+    ax.plot(f[rest], order[rest], "x", color=BEFORE, markersize=5, label="not found again, or uncertain")
     ax.axhline(len(fit.resonances_hz), color=FLOOR, linewidth=0.8, linestyle=":", label="chosen")
     ax.set_xlim(0.9 * hz[0], right)
     ax.set_yticks([one.modes for one in fit.candidates])
