@@ -637,15 +637,7 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
 
 def _resonances_json(fit: TransferFit) -> Iterable[tuple[dict[str, Any], str]]:
     """Each mode, and why it does not count."""
-    both = zip(
-        fit.resonances_hz,
-        fit.resonances_std_hz(),
-        fit.model.damping_ratio,
-        fit.damping_std(),
-        fit.refused,
-        strict=True,
-    )
-    for f, s, z, z_std, why in both:
+    for f, s, z, z_std, why in fit.mode_rows():
         yield {**_quantity(f, s, "Hz"), "damping_ratio": float(z), "damping_ratio_std": float(z_std)}, why
 
 

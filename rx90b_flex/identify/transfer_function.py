@@ -14,7 +14,7 @@ of the logged torques. Antiresonances are the zeros of the drive points ``P_jj``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
@@ -188,6 +188,11 @@ class TransferFit(FittedModel):
         """Why a mode does not count, one text each, empty where it does: too uncertain, needless, or not found at other orders."""
         own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
         return refusals(own, self.worth, self.candidates)
+
+    def mode_rows(self) -> Iterator[tuple[float, float, float, float, str]]:
+        """Of each mode: resonance and standard deviation, Hz; damping ratio and its; why it does not count, empty where it does."""
+        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
+        return zip(*own, self.refused, strict=True)
 
     @property
     def counted(self) -> NDArray[np.bool_]:

@@ -295,18 +295,10 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
 
 def _mode_tables(fit: TransferFit) -> list[PageTable]:
     """Resonances and antiresonances that count; those that do not, with their reasons."""
-    modes = zip(
-        fit.resonances_hz,
-        fit.resonances_std_hz(),
-        fit.model.damping_ratio,
-        fit.damping_std(),
-        fit.refused,
-        strict=True,
-    )
     resonances: list[tuple[str, ...]] = []
     zeros: list[tuple[str, ...]] = []
     refused: list[tuple[str, ...]] = []
-    for f, s, z, z_std, why in modes:
+    for f, s, z, z_std, why in fit.mode_rows():
         if why:
             refused.append(("mode", f"{f:.2f}", f"{s:.2g}", why))
         else:
