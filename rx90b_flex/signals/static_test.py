@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import check_keys, suggestion
 from rx90b_flex.files.toml import read_toml
-from rx90b_flex.signals.tables import read_table, stem_of, write_whole
+from rx90b_flex.signals.tables import read_parquet, read_table, stem_of, write_whole
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -155,7 +155,7 @@ def read_static_table(
 
 
 def _read_direction(path: Path) -> Mask:
-    frame = pd.read_parquet(path) if path.suffix.lower() == ".parquet" else pd.read_csv(path, dtype=str)
+    frame = read_parquet(path).to_pandas() if path.suffix.lower() == ".parquet" else pd.read_csv(path, dtype=str)
     names = [str(name).strip() for name in frame.columns]
     if "direction" not in names:
         raise ValueError(f"{path}: no column 'direction'{suggestion('direction', names)}")

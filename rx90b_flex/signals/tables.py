@@ -200,13 +200,19 @@ def _read_csv(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa
         raise
 
 
+def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """The columns of a Parquet file, all unless named, read by this thread: another without memory would end the process, or wait."""
+    with pa_parquet.ParquetFile(path, pre_buffer=False) as file:
+        return file.read(columns=None if columns is None else list(columns), use_threads=False)
+
+
 def _parquet_header(path: Path) -> list[str]:
     return list(pa_parquet.read_schema(path).names)
 
 
 def _read_parquet(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa.Table:
     names = [header[position] for position in positions]
-    return pa_parquet.read_table(path, columns=names, use_threads=False, pre_buffer=False).select(names)
+    return read_parquet(path, names).select(names)
 
 
 def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rx90b_flex.signals import lerobot
 from rx90b_flex.signals.readers.reader import Log, Reader, log_of
+from rx90b_flex.signals.tables import read_parquet
 
 
 class ParquetReader(Reader):
@@ -17,10 +18,8 @@ class ParquetReader(Reader):
 
     def read(self, path: Path) -> Log:
         import pyarrow as pa
-        import pyarrow.parquet as pa_parquet
 
-        # a thread without memory ends the process, or waits for ever
-        table = pa_parquet.read_table(path, use_threads=False, pre_buffer=False)
+        table = read_parquet(path)
         if lerobot.is_episode(table):
             return log_of(path, *lerobot.columns_of(path, table))
         names, columns = [], []
