@@ -304,3 +304,20 @@ def test_a_log_for_which_there_is_no_memory_is_one_line(heavy: Path, megabytes: 
     assert done.returncode == 2 and done.stderr.count("\n") == 1, (done.returncode, done.stderr)
     assert "memory" in done.stderr or "log.parquet" in done.stderr
     assert set(os.listdir(heavy)) == before
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="how much memory a process has is asked of Linux")
+@pytest.mark.parametrize("megabytes", [60, 130, 290])
+def test_nor_does_a_recording_without_memory_end_the_process(heavy: Path, megabytes: int) -> None:
+    path = heavy / "run.csv"
+    if not path.exists():
+        pd.read_parquet(heavy / "log.parquet").iloc[:1_000_000].to_csv(path, index=False)
+    read = SHORT.replace(
+        "cli.main()", "cli.app = lambda **_: tables.read_table(Path(sys.argv[1]), ['time', 'moment_1'])\ncli.main()"
+    )
+    imports = "from pathlib import Path\nfrom rx90b_flex.signals import tables\n"
+    done = subprocess.run(
+        [sys.executable, "-c", imports + read, str(megabytes), str(path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, (done.returncode, done.stderr)
+    assert done.stderr.rstrip().endswith(f"{path}: cannot be read: not enough memory")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import os
 import re
 import secrets
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import IO, cast
 
 import numpy as np
 import pyarrow as pa
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 from rx90b_flex.files.keys import suggestion
 
 EXTENSIONS = (".csv", ".csv.gz", ".parquet")
+PIECE = 4 << 20  # bytes of text that are parsed at once
+ROOM = 64 * PIECE  # what the parser and its thread reserve for that, with some to spare
 LARGEST = 1e9  # of any number that is read: no signal of a robot has so many SI units
 _NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
@@ -91,17 +94,13 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
         wanted = _choose(path, header, columns, optional)
         positions = [header.index(name) for name in wanted]
         read = _read_parquet if extension == ".parquet" else _read_csv
-        arrow = read(path, header, positions)
+        values, single = read(path, header, positions)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
-        if isinstance(error, pa.ArrowInvalid) and "Empty CSV" in str(error):
-            raise ValueError(f"{path}: a header but no data rows") from error
         raise ValueError(f"{path}: cannot be read: {one_line(error)}") from error
-    if arrow.num_rows == 0:
+    except MemoryError as error:
+        raise ValueError(f"{path}: cannot be read: not enough memory") from error
+    if not len(values):
         raise ValueError(f"{path}: a header but no data rows")
-    values = np.empty((arrow.num_rows, len(wanted)))
-    for index, name in enumerate(wanted):
-        values[:, index] = _numbers(path, name, arrow.column(index))
-    single = tuple(arrow.column(index).type == pa.float32() for index in range(len(wanted)))
     return Table(path, tuple(wanted), values, single)
 
 
@@ -162,35 +161,59 @@ def _why_missing(name: str, header: Sequence[str]) -> str:
 
 
 def _csv_header(path: Path) -> list[str]:
-    def first_line(stream: TextIO) -> list[str]:
-        return next(csv.reader(stream), [])
-
-    if extension_of(path) == ".csv.gz":
-        with gzip.open(path, "rt", encoding="utf-8-sig", newline="") as stream:
-            header = first_line(stream)
-    else:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            header = first_line(stream)
+    with _opened(path) as stream:
+        header = next(csv.reader(io.TextIOWrapper(stream, encoding="utf-8-sig", newline="")), [])
     if not header:
         raise ValueError(f"{path}: the file is empty or its first line is blank; a line of column names is expected")
     return [name.strip() for name in header]
 
 
-def _read_csv(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa.Table:
+def _opened(path: Path) -> IO[bytes]:
+    return cast(IO[bytes], gzip.open(path, "rb")) if extension_of(path) == ".csv.gz" else path.open("rb")
+
+
+def _read_csv(
+    path: Path, header: Sequence[str], positions: Sequence[int]
+) -> tuple[NDArray[np.float64], tuple[bool, ...]]:
+    """Values of some columns, read in pieces: neither the text as a whole is kept nor all of what the parser makes of it."""
+    pieces = [np.empty((0, len(positions)))]
+    rows, names = 0, [header[position] for position in positions]
+    with _opened(path) as stream:
+        line = stream.readline()
+        if b"\r" in line.rstrip(b"\r\n"):  # lines end with it alone, as old programs write them
+            stream = io.BytesIO((line + stream.read()).replace(b"\r", b"\n"))
+            stream.readline()
+        for text in _pieces(stream):
+            table = _parsed(path, text, len(header), positions, rows)
+            pieces.append(
+                np.stack([_numbers(path, name, table.column(i), rows) for i, name in enumerate(names)], axis=1)
+            )
+            rows += table.num_rows
+    return np.concatenate(pieces), (False,) * len(positions)
+
+
+def _pieces(stream: IO[bytes]) -> Iterator[bytes]:
+    """The lines of a file, some at a time, where there is room for what the parser takes: without it the parser ends the process."""
+    while text := stream.read(PIECE) + stream.readline():
+        if text.strip():
+            np.empty(ROOM, np.uint8)
+            yield text
+
+
+def _parsed(path: Path, text: bytes, width: int, positions: Sequence[int], rows: int) -> pa.Table:
     invalid: list[str] = []
 
     def on_invalid_row(row: pa_csv.InvalidRow) -> str:
-        # the number counts lines of the file, the header is line 1
-        at = "a row" if row.number is None else f"data row {row.number - 1}"
+        at = "a row" if row.number is None else f"data row {rows + row.number}"
         invalid.append(f"{at} has {row.actual_columns} cells, the header has {row.expected_columns}")
         return "error"
 
     # Columns go by position here, so that names may hold blanks and unused columns may share a name.
-    keys = [str(index) for index in range(len(header))]
+    keys = [str(index) for index in range(width)]
     try:
         return pa_csv.read_csv(
-            path,
-            pa_csv.ReadOptions(column_names=keys, skip_rows=1, use_threads=False),
+            pa.BufferReader(text),
+            pa_csv.ReadOptions(column_names=keys, use_threads=False),
             pa_csv.ParseOptions(invalid_row_handler=on_invalid_row),
             pa_csv.ConvertOptions(include_columns=[keys[position] for position in positions]),
         )
@@ -210,12 +233,19 @@ def _parquet_header(path: Path) -> list[str]:
     return list(pa_parquet.read_schema(path).names)
 
 
-def _read_parquet(path: Path, header: Sequence[str], positions: Sequence[int]) -> pa.Table:
+def _read_parquet(
+    path: Path, header: Sequence[str], positions: Sequence[int]
+) -> tuple[NDArray[np.float64], tuple[bool, ...]]:
     names = [header[position] for position in positions]
-    return read_parquet(path, names).select(names)
+    table = read_parquet(path, names)
+    values = np.empty((table.num_rows, len(names)))
+    for index, name in enumerate(names):
+        values[:, index] = _numbers(path, name, table.column(name))
+    return values, tuple(table.column(name).type == pa.float32() for name in names)
 
 
-def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float64]:
+def _numbers(path: Path, name: str, column: pa.ChunkedArray, before: int = 0) -> NDArray[np.float64]:
+    """A column's numbers; `before`: rows of the file before its first."""
     kind = column.type
     if pa.types.is_floating(kind) or pa.types.is_integer(kind):
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
@@ -226,7 +256,7 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray) -> NDArray[np.float
         number = np.nan if cell is None or cell == "" else number_of(cell)
         if number is None:
             found = " ".join(str(cell).split())
-            raise ValueError(f"{path}: column {name!r}, row {row + 1}: {found[:40]!r} is not a number")
+            raise ValueError(f"{path}: column {name!r}, row {before + row + 1}: {found[:40]!r} is not a number")
         numbers[row] = number
     return numbers
 
