@@ -63,12 +63,15 @@ class _AngleError(LogEffect, PeriodicEffect):
         With delta = sin(order q): delta' = order q' cos, delta'' = order q'' cos - (order q')^2 sin.
         """
         (order,) = self.known_shape()
-        position, centripetal, ahead = motion.once((self.type_name(), self.joint), lambda: self._constant(motion))
+        position, centripetal, ahead = self._constants(motion)
         rows = slice(None) if row is None else slice(row, row + 1)
         return position[:, rows] - order**2 * centripetal[:, rows], order * ahead[:, rows]
 
-    def _constant(self, motion: Motion) -> tuple[Array, ...]:
-        """What of these does not depend on the order."""
+    def _constants(self, motion: Motion) -> tuple[Array, ...]:
+        """What of these does not depend on the order: what grows with its square, and what turns ahead with it; each (N, n)."""
+        return motion.once((self.type_name(), self.joint), lambda: self._worked_out(motion))
+
+    def _worked_out(self, motion: Motion) -> tuple[Array, ...]:
         place = self._place(motion)
         by_q, by_v, by_a, ratio = self.sensitivity(motion)
         v, a = motion.v[:, place, None], motion.a[:, place, None]
@@ -91,8 +94,8 @@ class _AngleError(LogEffect, PeriodicEffect):
         return np.sin(order * q)[:, None], np.cos(order * q)[:, None]
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
-        # gravity and ratio turn with the angle alone, the centripetal part also grows with the square of the speed
-        return np.ones_like(at.q), at.v**2
+        place = self._place(at.motion)
+        return tuple(part[:, place] for part in self._constants(at.motion))
 
     def basis(self, at: JointMotion) -> Array:
         return self.leading(at.motion)[1]
