@@ -18,6 +18,7 @@ from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.repeated import repeated
+from rx90b_flex.diagnose.faults.rigid_fit import seen_error
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
@@ -187,9 +188,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += [_fault(f) for f in found]
         faults += impossible_sizes(look, faults)
         faults += stuck(mended, np.sqrt(fit.error))
-        # what a missing spring or coupling would explain is related to the motion
-        least = np.minimum(fit.error, look.beside(with_effects=True).fit().error)
-        lost = unrelated(campaign.joints, least, moving, constant)
+        lost = unrelated(campaign.joints, *_errors_at_least(look), moving, constant)
         faults = [f for f in faults if not _of_no_use(f, lost)] + lost
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
@@ -197,7 +196,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         parameters = statuses(look, rigid, moving)
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
-        faults += unrelated(campaign.joints, np.ones(len(campaign.joints)), np.ones_like(moving), constant)
+        faults += unrelated(campaign.joints, constant + 0.0, constant + 0.0, np.ones_like(moving), constant)
     tell("done", 1.0)
     return Checked(
         all(f.usable for f in faults),
@@ -234,6 +233,12 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
         limits,
         tuple(name.startswith("P") for name in names),
     )
+
+
+def _errors_at_least(look: Look) -> tuple[Array, Array]:
+    """Of each joint, held out and on the rows of the fit: what a missing spring or coupling would explain is related to the motion."""
+    held_out = np.minimum(look.fit().error, look.beside(with_effects=True).fit().error)
+    return held_out, seen_error(look.products(look.reading), look.reading)
 
 
 def _fault(found: Found) -> DataFault:

@@ -12,11 +12,12 @@ from rx90b_flex.diagnose.faults.gains import torque_gains
 from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rates import sample_rates
-from rx90b_flex.diagnose.faults.rigid_fit import RigidFit
+from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE, RigidFit
 from rx90b_flex.diagnose.faults.shifts import shifted
 from rx90b_flex.diagnose.faults.signs import reversed_axes, reversed_positions, reversed_torques
 from rx90b_flex.diagnose.faults.swapped import swapped
 from rx90b_flex.diagnose.faults.units import other_units, outside
+from rx90b_flex.effects.motion import Array
 
 # in the order in which one is believed where several do equally well
 KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
@@ -34,6 +35,7 @@ TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
 GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
+STEADY = 4.0  # Student's t of the gains of the rows that are held out in turn: a fault is there all the time, chance now and then
 LOSS = 0.15  # that the fit with free links may lose at the same time
 THIN = 3  # rows of a first look at every hypothesis: one in so many
 SECOND_LOOKS = 2  # of each kind, at all rows and with the factor refined
@@ -68,11 +70,17 @@ def faults_of(look: Look) -> tuple[tuple[Found, ...], Look]:
 
 @dataclass(frozen=True)
 class _Gain:
-    """What a hypothesis gains: with the links fitted, and with those of the URDF, where these are worth a look."""
+    """What a hypothesis gains: with the links fitted, and with those of the URDF, where these are worth a look.
+
+    `possible` is the part of `fitted` that comes of friction and inertias which no body has; `steady` is Student's t of what the rows
+    gain that are held out in turn.
+    """
 
     fitted: float
     known: float
     credible: bool
+    possible: float
+    steady: float
 
     @property
     def total(self) -> float:
@@ -92,9 +100,18 @@ class _Bases:
         return _Bases(look, look.fit(), look.fit_of_known_links())
 
     def gain(self, hypothesis: Hypothesis) -> _Gain:
-        fitted = self.fitted.score - self.look.fit(hypothesis.reading).score
-        after = self.look.fit_of_known_links(hypothesis.reading)
-        return _Gain(fitted, self.known.score - after.score, bool((after.error < CREDIBLE).all()))
+        free, known = self.look.fit(hypothesis.reading), self.look.fit_of_known_links(hypothesis.reading)
+        credible = bool((known.error < CREDIBLE).all())
+        folds = self.fitted.scores - free.scores
+        if credible:
+            folds = folds + OF_KNOWN * (self.known.scores - known.scores)
+        return _Gain(
+            self.fitted.score - free.score,
+            self.known.score - known.score,
+            credible,
+            IMPOSSIBLE * float(self.fitted.impossible.sum() - free.impossible.sum()),
+            _students_t(folds),
+        )
 
 
 def _best(look: Look) -> Found | None:
@@ -145,14 +162,23 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
 
 def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
     """Whether a hypothesis does so much better than no fault that chance and missing effects do not explain it."""
-    if gain.fitted >= GAIN:
-        return True
-    if gain.fitted >= MODEST:
-        before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
-        if not (after[after < GAINING * before] > SMALL).any():
-            return True
+    if gain.steady < STEADY and gain.possible < GAIN:
+        return False
     on_pose = KINDS[rank] in ON_POSES
+    before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
+    gaining = after[after < GAINING * before]
+    if gain.fitted >= MODEST and not (gaining > SMALL).any():
+        return True
+    # another tree may explain a little more of torques that neither explains
+    if gain.fitted >= GAIN and not (on_pose and (gaining > CREDIBLE).any()):
+        return True
     return on_pose and gain.credible and gain.known >= GAIN_KNOWN and gain.fitted > -LOSS
+
+
+def _students_t(values: Array) -> float:
+    """The mean over its standard error."""
+    spread = float(values.std(ddof=1))
+    return float(values.mean() * np.sqrt(len(values)) / max(spread, 1e-9))
 
 
 def relative_errors(fit: RigidFit) -> tuple[float, ...]:

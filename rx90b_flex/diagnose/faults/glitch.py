@@ -15,6 +15,7 @@ WINDOW = 5  # samples whose median a sample is held against
 TIMES = 12.0  # the deviation that one sample in a hundred has
 OF_TORQUE = 1.0  # of the range of the middle 99 %: friction that turns over, and noise, deviate by less
 OF_POSITION = 0.02
+EDGE = 0.8  # of that jump, from the sample before and to the one behind: a peak that others lead up to is the motion's
 SHOWN = 20  # rows in a result
 LABELS = {"torque": "torque", "position": "motor_position"}
 
@@ -57,7 +58,14 @@ def _apart(values: Array, part: float) -> Mask:
     low, high = np.quantile(values, [0.005, 0.995], axis=0)
     # a column that never moves has no range: the deviations that it does have are its measure
     limit = np.maximum(TIMES * np.quantile(off, 0.99, axis=0), part * (high - low))
-    return np.asarray((off > limit) & (off > 1e-9 * (1.0 + np.abs(values).max(axis=0))) & (high > low))
+    bad = np.asarray((off > limit) & (off > 1e-9 * (1.0 + np.abs(values).max(axis=0))) & (high > low))
+    for k in np.flatnonzero(bad.any(axis=0)):
+        steps = np.abs(np.diff(values[:, k], prepend=values[0, k], append=values[-1, k])) > EDGE * limit[k]
+        at = np.flatnonzero(bad[:, k])
+        for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            first, last = run[0], run[-1] + 1
+            bad[run, k] = (steps[first] or first == 0) and (steps[last] or last == len(values))
+    return bad
 
 
 def _bridged(values: Array, bad: Mask) -> Array:

@@ -88,6 +88,16 @@ class Products:
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
 
+    def read(self, reading: Reading) -> tuple[Array, Array, Array]:
+        """Of the torques that a reading gives each joint: products with its columns (folds, joints, p), squares (folds, joints),
+        and squares about the mean of all rows (joints,).
+        """
+        order, scale = list(reading.torque_order), np.array(reading.torque_scale)
+        cross = self.cross[:, np.arange(self.gram.shape[1]), order] * scale[:, None]
+        power = self.power[:, order] * scale**2
+        total = power.sum(axis=0) - (self.mean_sum[:, order].sum(axis=0) * scale) ** 2 / self.rows.sum()
+        return cross, power, np.maximum(total, 1e-300)
+
 
 def columns_of(sample: Sample, reading: Reading) -> Array:
     """Columns (R, joints, p): links, then five a joint, then what else is declared."""
@@ -175,28 +185,31 @@ class RigidFit:
         How surely friction would drive a joint, or its inertia be negative, 0 to 1; zero where its torque is fitted badly, for
         then what is missing in the model decides such signs.
     products : Products
+    by_fold : array, shape (folds, joints)
+        The error of each fold's rows.
     """
 
     error: Array
     theta: Array
     impossible: Array
     products: Products
+    by_fold: Array
 
     @cached_property
     def score(self) -> float:
         """Sum over joints of the log error (a constant does no worse than 1), and of what is impossible; lower is better."""
-        return float(np.log(np.minimum(self.error, 1.0) + FLOOR).sum() + IMPOSSIBLE * self.impossible.sum())
+        return float(_log(self.error).sum() + IMPOSSIBLE * self.impossible.sum())
+
+    @property
+    def scores(self) -> Array:
+        """The score of each fold's rows, of their errors alone, shape (folds,)."""
+        return np.asarray(_log(self.by_fold).sum(axis=1))
 
     @staticmethod
     def of(products: Products, reading: Reading) -> RigidFit:
         """Weighted least squares, one weight a joint, each fold predicted from the others."""
-        n = products.gram.shape[1]
-        order, scale = list(reading.torque_order), np.array(reading.torque_scale)
-        cross = products.cross[:, np.arange(n), order] * scale[:, None]
-        power = products.power[:, order] * scale**2
-        total = power.sum(axis=0) - (products.mean_sum[:, order].sum(axis=0) * scale) ** 2 / products.rows.sum()
-        total = np.maximum(total, 1e-300)
-        error = np.ones(n)
+        cross, power, total = products.read(reading)
+        error = np.ones(len(total))
         for _ in range(ROUNDS):
             theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)))
             aside = theta[:, None, :]
@@ -205,7 +218,25 @@ class RigidFit:
             error = np.maximum(left.sum(axis=0), 0.0) / total
         rms = np.sqrt(total / products.rows.sum())
         told = np.clip(1.0 - error / ILL, 0.0, 1.0)
-        return RigidFit(error, theta, told * _impossible(products, theta, rms), products)
+        share = products.rows / products.rows.sum()
+        by_fold = np.maximum(left, 0.0) / (total * np.maximum(share, 1e-9)[:, None])
+        return RigidFit(error, theta, told * _impossible(products, theta, rms), products, by_fold)
+
+
+def seen_error(products: Products, reading: Reading) -> Array:
+    """Squared error over the torque's variance of a fit to all rows, shape (joints,)."""
+    cross, power, total = products.read(reading)
+    gram, right, square = products.gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
+    error = np.ones(len(total))
+    for _ in range(ROUNDS):
+        weight = 1.0 / (total * (error + FLOOR))
+        theta = _held(np.tensordot(weight, gram, axes=(0, 0)), weight @ right, products)
+        error = np.maximum(square + ((gram @ theta - 2 * right) * theta).sum(axis=1), 0.0) / total
+    return np.asarray(error)
+
+
+def _log(error: Array) -> Array:
+    return np.asarray(np.log(np.minimum(error, 1.0) + FLOOR))
 
 
 def _solved(products: Products, cross: Array, weight: Array) -> Array:
@@ -215,14 +246,17 @@ def _solved(products: Products, cross: Array, weight: Array) -> Array:
     whole = gram.sum(axis=0), right.sum(axis=0)
     out = []
     for f in range(len(gram)):
-        a, b = whole[0] - gram[f], whole[1] - right[f]
-        size = np.diag(a)
-        size = np.sqrt(np.where(size > 1e-12 * size.max(), size, size.max() + 1e-300))
-        a = a / np.outer(size, size) + np.diag(products.ridge)
-        held = b / size + products.ridge * size * products.prior
-        _, solved, _ = linalg.lapack.dposv(a, held)
-        out.append(solved / size)
+        out.append(_held(whole[0] - gram[f], whole[1] - right[f], products))
     return np.array(out)
+
+
+def _held(gram: Array, right: Array, products: Products) -> Array:
+    """Solution of normal equations, held by the ridge where they tell nothing, shape (p,)."""
+    size = np.diag(gram)
+    size = np.sqrt(np.where(size > 1e-12 * size.max(), size, size.max() + 1e-300))
+    scaled = gram / np.outer(size, size) + np.diag(products.ridge)
+    _, solved, _ = linalg.lapack.dposv(scaled, right / size + products.ridge * size * products.prior)
+    return np.asarray(solved / size)
 
 
 def _impossible(products: Products, theta: Array, rms: Array) -> Array:

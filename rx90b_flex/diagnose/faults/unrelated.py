@@ -10,19 +10,22 @@ from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array, Mask
 
 NOTHING = 0.9  # squared held-out error over the variance: 1 is what a constant leaves
+NOTHING_SEEN = 0.5  # the same on the rows that were fitted: where more of it goes, the motion is too short to tell
 
 
-def unrelated(joints: Sequence[str], error: Array, moving: Mask, constant: Mask) -> list[DataFault]:
+def unrelated(joints: Sequence[str], error: Array, seen: Array, moving: Mask, constant: Mask) -> list[DataFault]:
     """Moving joints whose torque the rigid model with friction predicts no better than a constant would.
 
     Parameters
     ----------
     error : array, shape (joints,)
         Squared held-out error over the torque's variance, everything else mended.
+    seen : array, shape (joints,)
+        The same of a fit to these very rows.
     moving, constant : array of bool, shape (joints,)
         Joints that move; joints whose torque never changes.
     """
-    chosen = np.flatnonzero((constant | (error > NOTHING)) & moving)
+    chosen = np.flatnonzero((constant | ((error > NOTHING) & (seen > NOTHING_SEEN))) & moving)
     if len(chosen) == 0:
         return []
     names = tuple(joints[int(k)] for k in chosen)
