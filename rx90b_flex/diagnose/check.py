@@ -236,7 +236,7 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
 
 
 def _errors_at_least(look: Look) -> tuple[Array, Array]:
-    """Of each joint, held out and on the rows of the fit: what a missing spring or coupling would explain is related to the motion."""
+    """Of each joint, held out and on the rows of the fit: what a spring or coupling would explain is related to the motion."""
     held_out = np.minimum(look.fit().error, look.beside(with_effects=True).fit().error)
     return held_out, seen_error(look.products(look.reading), look.reading)
 
