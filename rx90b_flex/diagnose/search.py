@@ -211,8 +211,7 @@ class Search:
         rough.sort(key=lambda item: -item[0])
         trials: list[TorqueTrial] = []
         for first_look, effect, base in rough[:REFINED]:
-            sure = max((t.sure_gain for t in trials if t.accepted), default=0.0)
-            if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
+            if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < _sure(trials):
                 break  # neither this one nor those behind it can win
             trials.append(self.trial(effect, base, bases[None], self.tests))
         trials += self._families(rough, trials, bases[None])
@@ -231,15 +230,19 @@ class Search:
                 kinds.setdefault(kind, []).append(item)
         liked = sorted(kinds.values(), key=lambda items: -sum(max(gain, 0.0) for gain, _, _ in items))[:FAMILIES]
         tried = {t.effect.label: t for t in known}
+        sure = _sure(known)
+        fewest = max(2, len(self.sites.joints) / 2)
         out = []
         for items in liked:
-            found = [
-                tried.get(e.label) or self.trial(e, base, present, self.tests)
-                for gain, e, base in items
-                if gain > FAMILY_GAIN
-            ]
-            members = tuple(t for t in found if t.belongs(self.tests))
-            if len(members) >= max(2, len(self.sites.joints) / 2):
+            if UNREFINED * sum(max(gain, 0.0) for gain, _, _ in items) < sure:
+                break  # neither this one nor those behind it can win
+            left = [item for item in items if item[0] > FAMILY_GAIN]
+            members: list[TorqueTrial] = []
+            while left and len(members) + len(left) >= fewest:
+                _, e, base = left.pop()  # the weakest first: it tells soonest that they are too few
+                found = tried.get(e.label) or self.trial(e, base, present, self.tests)
+                members = [found, *members] if found.belongs(self.tests) else members
+            if len(members) >= fewest:
                 out.append(family(members, len(kinds)))
         return out
 
@@ -583,6 +586,11 @@ class Search:
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"
         return ""
+
+
+def _sure(trials: Sequence[TorqueTrial]) -> float:
+    """What the best of those that may be added gains at the least."""
+    return max((t.sure_gain for t in trials if t.accepted), default=0.0)
 
 
 def _off_a_joint(before: Array, after: Array, gain: float) -> float:

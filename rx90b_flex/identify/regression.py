@@ -382,10 +382,13 @@ class Regression:
         known = self._first_looks
         if 8 * len(self) * len(known) > FIRST_LOOK_BYTES:
             known.clear()
-        for effect in effects:
-            if effect not in known:
-                known[effect] = self._made([effect], False)
-        return known[effects[0]][0], np.concatenate([known[e][1] for e in effects], axis=2)
+        new = [e for e in dict.fromkeys(effects) if e not in known]
+        if new:
+            rows, columns = self._made(new, False)
+            ends = np.cumsum([len(e.coefficients) for e in new])[:-1]
+            known.update(zip(new, ((rows, x) for x in np.split(columns, ends, axis=2)), strict=True))
+        together = known[effects[0]][0]
+        return together, np.concatenate([known[e][1] for e in effects], axis=2)
 
     @cached_property
     def _columns_kept(self) -> dict[Effect, tuple[Indices, Array]]:
