@@ -44,6 +44,7 @@ WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
 TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
+GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
 RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
@@ -326,7 +327,18 @@ class Regression:
     def excerpt(self) -> tuple[Regression, Indices] | None:
         """Pieces of a long log, which show what is there in less time, and which samples these are; None where it is short."""
         working = sum(len(s.motion) for s in self.stretches)
-        part = max(LOOKED_AT, LOOKED_AT_PART * working) / working
+        found = self._pieces(max(LOOKED_AT, LOOKED_AT_PART * working) / working)
+        if found is not None:
+            found[0].__dict__["_first_looks"] = self._first_looks_of_excerpt
+        return found
+
+    @cached_property
+    def glimpse(self) -> tuple[Regression, Indices] | None:
+        """Fewer and shorter ones, which tell shapes and effects apart that show all the time; None where they are no less work."""
+        return self._pieces(GLIMPSE / sum(len(s.motion) for s in self.stretches))
+
+    def _pieces(self, part: float) -> tuple[Regression, Indices] | None:
+        """A part of all recordings in pieces, and which samples these are; None where it is more than half."""
         if part > 0.5:
             return None
         pairs = [
@@ -334,9 +346,7 @@ class Regression:
         ]
         samples = np.concatenate([at + np.arange(len(p)) for p, at in pairs])
         trust = None if self.trust is None else self.trust[samples]
-        other = dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust)
-        other.__dict__["_first_looks"] = self._first_looks_of_excerpt
-        return other, samples
+        return dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust), samples
 
     def columns(self, effect: Effect) -> Array:
         """Columns of an effect, shape (N, joints, k)."""
@@ -355,9 +365,9 @@ class Regression:
 
     def _untouched(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         """As `compact`, before `trust`."""
-        if leading and all(_of_motion_alone(e) for e in effects):
+        if leading and all(of_motion_alone(e) for e in effects):
             return self._remembered(effects)
-        if not leading and len(effects) == 1 and _of_motion_alone(effects[0]):
+        if not leading and len(effects) == 1 and of_motion_alone(effects[0]):
             return self._kept(effects[0])
         return self._made(effects, leading)
 
@@ -480,7 +490,7 @@ class Regression:
         return tuple(out)
 
 
-def _of_motion_alone(effect: Effect) -> bool:
+def of_motion_alone(effect: Effect) -> bool:
     """Whether an effect's columns are the same for every model: those of one angle that no load enters."""
     return isinstance(effect, JointEffect | PairEffect) and not (effect.needs_load or effect.needs_model)
 
