@@ -49,7 +49,8 @@ PIECES = 4  # of a recording in an excerpt
 RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
-MOST_KEPT = 200  # effects whose columns are kept from one identification to the next
+MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
+FEWEST_KEPT, KEPT_BYTES = 16, 4e7  # of a long log fewer: so many, or what takes so much
 
 
 @dataclass(frozen=True, eq=False)
@@ -408,10 +409,11 @@ class Regression:
         """As `_untouched`, for an effect whose columns do not depend on the model: a fit asks again with other coefficients."""
         known = self._columns_kept
         key = effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
-        if key not in known:
-            if len(known) >= MOST_KEPT:
-                del known[next(iter(known))]
-            known[key] = self._made([effect], False)
+        most = min(MOST_KEPT, max(FEWEST_KEPT, int(KEPT_BYTES / (8 * len(self)))))
+        if key not in known and len(known) >= most:
+            del known[next(iter(known))]
+        # what was asked for last stands last
+        known[key] = known.pop(key) if key in known else self._made([effect], False)
         return known[key]
 
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
