@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from rx90b_flex.compiled.compile import Integers
 from rx90b_flex.compiled.laws import Laws, compiled_law
-from rx90b_flex.compiled.packed import Packed, accelerations, link_torques, pack
+from rx90b_flex.compiled.packed import Packed, accelerations, link_columns, link_torques, pack
 from rx90b_flex.compiled.scratch import scratch_size
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
@@ -67,6 +67,13 @@ def torque_of_links(model: pin.Model, bodies: Sequence[int], link_parameters: Ar
     packed, memory = pack(tree, laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
     samples = (np.ascontiguousarray(x, dtype=float) for x in (motion.q, motion.v, motion.a))
     return np.asarray(link_torques(packed.integers, packed.numbers, memory, *samples))
+
+
+def columns_of_links(model: pin.Model, bodies: Sequence[int], motion: Motion) -> Array:
+    """The same per unit of each parameter, shape (N, n, 10 * bodies)."""
+    packed, memory = pack(tree_of(model), laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
+    samples = (np.ascontiguousarray(x, dtype=float) for x in (motion.q, motion.v, motion.a))
+    return np.asarray(link_columns(packed.integers, packed.numbers, memory, np.array(bodies) - 1, *samples))
 
 
 def laws_of(laws: Sequence[Law], n: int) -> Laws:

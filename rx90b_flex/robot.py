@@ -241,16 +241,9 @@ class Robot:
 
     def link_regressor(self, motion: Motion) -> Array:
         """Regressor of the links alone, shape (N, n, 10 * bodies)."""
-        n = self.model.nv
-        columns = self.link_parameter_places
-        everything = np.array_equal(np.sort(columns), np.arange(10 * n))
-        out = np.empty((len(motion), n, 10 * n if everything else len(columns)))
-        model, data = self.model, self._data
-        regressor = pin.computeJointTorqueRegressor
-        for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
-            full = regressor(model, data, q, v, a)
-            out[k] = full if everything else full[:, columns]
-        return out[:, :, columns] if everything else out
+        from rx90b_flex.plant import columns_of_links
+
+        return columns_of_links(self.model, [joint for _, joint in self.bodies], motion)
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Inverse dynamics per unit of each parameter (equations 3.85-3.87).

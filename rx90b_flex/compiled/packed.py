@@ -10,7 +10,7 @@ from rx90b_flex.compiled.compile import Array, Integers, entry, inlined
 from rx90b_flex.compiled.laws import Laws, add_laws_to_system, law_forces
 from rx90b_flex.compiled.linear import factor, solve
 from rx90b_flex.compiled.scratch import scratch_in
-from rx90b_flex.compiled.tree import Tree, inverse_dynamics, mass_matrix
+from rx90b_flex.compiled.tree import Tree, body_columns, inverse_dynamics, mass_matrix, move, place
 from rx90b_flex.compiled.vectors import WIDTH
 
 WANTED = 4  # where the integers say how many lanes of a vector are asked for their laws
@@ -114,4 +114,24 @@ def link_torques(integers: Integers, numbers: Array, memory: Array, q: Array, v:
     out = np.empty(q.shape)
     for k in range(len(q)):
         inverse_dynamics(tree, s, q[k], v[k], a[k], out[k])
+    return out
+
+
+@entry
+def link_columns(
+    integers: Integers, numbers: Array, memory: Array, bodies: Integers, q: Array, v: Array, a: Array
+) -> Array:
+    """Generalised forces per unit of each link parameter at samples of motion, (N, n, 10 * bodies).
+
+    `bodies` are the coordinates that carry them. Parameters as in a robot file: mass, first moment, xx, yy, zz, xy, xz, yz.
+    """
+    tree, _ = unpack(Packed(integers, numbers))
+    n = q.shape[1]
+    s = scratch_in(memory, n, 0)
+    out = np.zeros((len(q), n, 10 * len(bodies)))
+    for k in range(len(q)):
+        place(tree, s, q[k])
+        move(tree, s, v[k], a[k])
+        for b in range(len(bodies)):
+            body_columns(tree, s, bodies[b], out[k], 10 * b)
     return out

@@ -112,6 +112,32 @@ def maxwell(q: Array, deflection: float) -> Array:
 
 
 @entry
+def prediction_error_filter(autocovariance: Array, samples: int) -> Array:
+    """Autoregression of the order that Akaike's criterion chooses, by Levinson's recursion; coefficients from lag zero on."""
+    orders = len(autocovariance)
+    found, before, chosen = np.zeros(orders), np.zeros(orders), np.zeros(orders)
+    found[0] = chosen[0] = 1.0
+    length, best, error = 1, np.inf, autocovariance[0]
+    for order in range(orders):
+        if error <= 1e-12 * autocovariance[0]:
+            break
+        criterion = samples * np.log(error) + 2 * order
+        if criterion < best:
+            best, length = criterion, order + 1
+            chosen[:length] = found[:length]
+        if order + 1 < orders:
+            along = 0.0
+            for i in range(order + 1):
+                along += found[i] * autocovariance[order + 1 - i]
+            reflection = -along / error
+            before[: order + 2] = found[: order + 2]
+            for i in range(order + 2):
+                found[i] = before[i] + reflection * before[order + 1 - i]
+            error *= 1.0 - reflection**2
+    return chosen[:length].copy()
+
+
+@entry
 def decimate(buffer: Array, weights: Array, stride: int, out: Array) -> None:
     """Every `stride`-th sample of a filtered signal.
 

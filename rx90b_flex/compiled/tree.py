@@ -126,7 +126,7 @@ def place(tree: Tree, s: Scratch, q: Array) -> None:
 
 
 @inlined
-def _move(tree: Tree, s: Scratch, v: Array, a: Array) -> None:
+def move(tree: Tree, s: Scratch, v: Array, a: Array) -> None:
     """Angular velocities, angular accelerations and accelerations of the origins, gravity as an upward acceleration."""
     for i in range(len(v)):
         parent = tree.parent[i]
@@ -208,7 +208,7 @@ def inverse_dynamics(tree: Tree, s: Scratch, q: Array, v: Array, a: Array, out: 
     """Generalised forces that the links need; leaves the places and own inertias of all bodies in the scratch."""
     n = len(q)
     place(tree, s, q)
-    _move(tree, s, v, a)
+    move(tree, s, v, a)
     _weigh(tree, s)
     for i in range(n):
         if tree.heavy[i]:
@@ -238,6 +238,56 @@ def inverse_dynamics(tree: Tree, s: Scratch, q: Array, v: Array, a: Array, out: 
             s.torque[parent, 0] += nx
             s.torque[parent, 1] += ny
             s.torque[parent, 2] += nz
+
+
+@inlined
+def _in_body(s: Scratch, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector of the world in body i's own axes."""
+    r = s.rotation
+    return (
+        r[i, 0, 0] * x + r[i, 1, 0] * y + r[i, 2, 0] * z,
+        r[i, 0, 1] * x + r[i, 1, 1] * y + r[i, 2, 1] * z,
+        r[i, 0, 2] * x + r[i, 1, 2] * y + r[i, 2, 2] * z,
+    )
+
+
+@inlined
+def body_columns(tree: Tree, s: Scratch, i: int, out: Array, first: int) -> None:
+    """What body i's mass, first moment and inertia (xx, yy, zz, xy, xz, yz) ask of all joints below it, per unit of each.
+
+    Into ten columns of `out` (n, ...) from `first` on; `place` and `move` come before. The wrench that one unit needs is worked out
+    in the body's own axes, and taken along the axis of each joint, there too.
+    """
+    px, py, pz = _in_body(s, i, s.spin[i, 0], s.spin[i, 1], s.spin[i, 2])
+    tx, ty, tz = _in_body(s, i, s.turn[i, 0], s.turn[i, 1], s.turn[i, 2])
+    lx, ly, lz = _in_body(s, i, s.lift[i, 0], s.lift[i, 1], s.lift[i, 2])
+    xx, yy, zz, xy, xz, yz = px * px, py * py, pz * pz, px * py, px * pz, py * pz
+    dx = dy = dz = 0.0  # of the body's origin from the joint's
+    joint = i
+    while joint >= 0:
+        wx, wy, wz = s.axis[joint, 0], s.axis[joint, 1], s.axis[joint, 2]
+        if tree.prismatic[joint]:
+            fx, fy, fz = _in_body(s, i, wx, wy, wz)
+            nx = ny = nz = 0.0
+        else:
+            nx, ny, nz = _in_body(s, i, wx, wy, wz)
+            fx, fy, fz = _in_body(s, i, wy * dz - wz * dy, wz * dx - wx * dz, wx * dy - wy * dx)
+        row = out[joint]
+        row[first] = fx * lx + fy * ly + fz * lz
+        row[first + 1] = fy * (tz + xy) + fz * (xz - ty) - fx * (yy + zz) + ny * -lz + nz * ly
+        row[first + 2] = fx * (xy - tz) + fz * (yz + tx) - fy * (xx + zz) + nx * lz - nz * lx
+        row[first + 3] = fx * (xz + ty) + fy * (yz - tx) - fz * (xx + yy) - nx * ly + ny * lx
+        row[first + 4] = nx * tx + ny * xz - nz * xy
+        row[first + 5] = ny * ty - nx * yz + nz * xy
+        row[first + 6] = nz * tz + nx * yz - ny * xz
+        row[first + 7] = nx * (ty - xz) + ny * (tx + yz) + nz * (xx - yy)
+        row[first + 8] = nx * (tz + xy) + ny * (zz - xx) + nz * (tx - yz)
+        row[first + 9] = nx * (yy - zz) + ny * (tz - xy) + nz * (ty + xz)
+        if tree.shifted[joint]:
+            dx += s.arm[joint, 0]
+            dy += s.arm[joint, 1]
+            dz += s.arm[joint, 2]
+        joint = tree.parent[joint]
 
 
 @inlined

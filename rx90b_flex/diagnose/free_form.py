@@ -75,8 +75,9 @@ def best_form(
         The part of each sample, in one or more ways to part the data; parts are held out in turn.
     """
     nothing = FreeForm(NO_FORM, np.zeros(len(residual)), np.zeros(len(signals[1])))
-    forms = [nothing, smooth_curves(families, residual, layouts), boosted_trees(signals, residual, layouts[0])]
-    return min((f for f in forms if f is not None), key=lambda form: form.error(residual))
+    curves = smooth_curves(families, residual, layouts)
+    best = nothing if curves is None else min(nothing, curves, key=lambda form: form.error(residual))
+    return boosted_trees(signals, residual, layouts[0], best.error(residual)) or best
 
 
 def sure_gain(before: Array, after: Array) -> float:
@@ -209,8 +210,10 @@ def _penalised(gram: Array, cross: Array, penalty: float) -> Array:
 # ---- boosted trees ------------------------------------------------------------------------------------------
 
 
-def boosted_trees(signals: tuple[Array, Array], residual: Array, parts: Indices) -> FreeForm | None:
-    """As many trees as parts held out ask for; None where they have no gain."""
+def boosted_trees(
+    signals: tuple[Array, Array], residual: Array, parts: Indices, error: float = np.inf
+) -> FreeForm | None:
+    """As many trees as parts held out ask for; None where they have no gain, or no smaller an error there than the given one."""
     # imported where it is used: it takes longer to load than most commands run
     from sklearn.ensemble import HistGradientBoostingRegressor
 
@@ -235,7 +238,7 @@ def boosted_trees(signals: tuple[Array, Array], residual: Array, parts: Indices)
                 held_out[i, out] = said
         squares = (residual - held_out) ** 2
         best = int(squares.sum(axis=1).argmin())
-        if sure_gain(residual**2, squares[best]) <= LEAST_GAIN * (residual**2).sum():
+        if squares[best].sum() >= error or sure_gain(residual**2, squares[best]) <= LEAST_GAIN * (residual**2).sum():
             return None
         said = np.asarray(grown(here, residual, best + 1).predict(elsewhere), dtype=float)
     return FreeForm("boosted trees", held_out[best], said)

@@ -69,10 +69,10 @@ class ReplayedTorques:
         """The recording that is replayed."""
         return self.stretch.recording
 
-    @cached_property
+    @property
     def torque(self) -> Array:
         """Measured torque after the low-pass, shape (N, joints), N m."""
-        return self._filtered(self.recording.torque)
+        return self.stretch.torque
 
     @property
     def velocity(self) -> Array:

@@ -57,8 +57,7 @@ def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) 
 
     angle, velocity = wider
     by_angle, steep = ([e for e in effects if e.remembers is known] for known in (True, False))
-    between = interpolate.CubicSpline(np.arange(len(velocity)), velocity)
-    beside = 0.5 * sum(force(steep, v=between(np.arange(len(velocity)) + half)) for half in (-0.5, 0.5))
+    beside = 0.5 * sum(force(steep, v=v) for v in _between(velocity))
     there, here = force(steep, v=velocity), force(steep)
     size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in (there - here, beside - there))
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
@@ -69,6 +68,16 @@ def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) 
         around = ndimage.uniform_filter1d(lowpass(noisy, stretch.cutoff_hz, rate) ** 2, width, axis=0, mode="nearest")
         envelope = np.hypot(envelope, np.sqrt(np.maximum(around, 0.0)))  # a running sum may end below zero
     return np.asarray(envelope[:: stretch.factor][stretch.kept])
+
+
+def _between(x: Array) -> tuple[Array, Array]:
+    """Values (N, n) half a sample before and after, one column at a time, for splines of a long log take room."""
+    before, after = np.empty_like(x), np.empty_like(x)
+    at = np.arange(len(x))
+    for i, column in enumerate(x.T):
+        spline = interpolate.CubicSpline(at, column)
+        before[:, i], after[:, i] = spline(at - 0.5), spline(at + 0.5)
+    return before, after
 
 
 def _as_noise(off: Array, stretch: Stretch) -> Array:

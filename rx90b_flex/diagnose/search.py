@@ -23,7 +23,7 @@ from rx90b_flex.identify.least_squares import (
     Identification,
     shared_values,
 )
-from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.regression import Regression, of_motion_alone
 
 FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
@@ -39,6 +39,7 @@ BEGINNINGS = 3  # of a refinement of several shapes
 REFINEMENTS = 15  # steps of a refinement
 SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
+MANY = 4  # shapes of a candidate, from which on a glimpse of the log says first whether all of it is worth a look
 BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
@@ -194,54 +195,70 @@ class Search:
         """
         candidates = self.candidates
         bases: dict[Effect | None, Base] = {None: self.present}
-        rough: list[tuple[float, Effect, Base]] = []
+        rough: list[_Rough] = []
         for i, (effect, replaced) in enumerate(candidates):
             base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
             starts = self._starts(effect, replaced)
             if len(starts) == 0:
                 continue  # this motion is too small for any of its shapes to show
-            looks = sorted(self._over_shapes(effect, starts, base), key=lambda pair: -pair[0])
-            best = looks[0]
-            self._other_starts[best[1]] = self._apart([e for _, e in looks])[1:]
             # an effect that replaces another starts from a worse base: count only what it adds to the present model
             lost = float(base.squares.sum() - bases[None].squares.sum())
-            rough.append((best[0] - lost, best[1], base))
+            rough.append(self._looked(_Rough(effect, base, starts, lost), self._glimpsed(effect, starts)))
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
-        rough.sort(key=lambda item: -item[0])
+        rough.sort(key=lambda item: -item.gain)
         trials: list[TorqueTrial] = []
-        for first_look, effect, base in rough[:REFINED]:
-            sure = max((t.sure_gain for t in trials if t.accepted), default=0.0)
-            if len(trials) >= FEWEST_REFINED and UNREFINED * first_look < sure:
+        for item in rough[:REFINED]:
+            if len(trials) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(trials):
                 break  # neither this one nor those behind it can win
-            trials.append(self.trial(effect, base, bases[None], self.tests))
+            trials.append(self._tried(item, bases[None]))
         trials += self._families(rough, trials, bases[None])
         for stretch in self.regression.stretches:
             stretch.motion.forget()
         return sorted(trials, key=lambda t: -t.gain)
 
-    def _families(
-        self, rough: Sequence[tuple[float, Effect, Base]], known: Sequence[TorqueTrial], present: Base
-    ) -> list[TorqueTrial]:
+    def _families(self, rough: Sequence[_Rough], known: Sequence[TorqueTrial], present: Base) -> list[TorqueTrial]:
         """One law on several joints, for the types that a first look at all joints together likes best."""
-        kinds: dict[type[Effect], list[tuple[float, Effect, Base]]] = {}
+        kinds: dict[type[Effect], list[_Rough]] = {}
         for item in rough:
-            kind = type(item[1])
+            kind = type(item.effect)
             if kind.on == "joint" and not (kind.repeats or kind.multiplies):
                 kinds.setdefault(kind, []).append(item)
-        liked = sorted(kinds.values(), key=lambda items: -sum(max(gain, 0.0) for gain, _, _ in items))[:FAMILIES]
+        sums = {kind: sum(max(item.gain, 0.0) for item in items) for kind, items in kinds.items()}
+        liked = sorted(kinds, key=lambda kind: -sums[kind])[:FAMILIES]
         tried = {t.effect.label: t for t in known}
+        sure = _sure(known)
+        fewest = max(2, len(self.sites.joints) / 2)
         out = []
-        for items in liked:
-            found = [
-                tried.get(e.label) or self.trial(e, base, present, self.tests)
-                for gain, e, base in items
-                if gain > FAMILY_GAIN
-            ]
-            members = tuple(t for t in found if t.belongs(self.tests))
-            if len(members) >= max(2, len(self.sites.joints) / 2):
+        for kind in liked:
+            if UNREFINED * sums[kind] < sure:
+                break  # neither this one nor those behind it can win
+            left = [item for item in kinds[kind] if item.gain > FAMILY_GAIN]
+            members: list[TorqueTrial] = []
+            while left and len(members) + len(left) >= fewest:
+                item = left.pop()  # the weakest first: it tells soonest that they are too few
+                found = tried.get(item.effect.label) or self._tried(item, present)
+                members = [found, *members] if found.belongs(self.tests) else members
+            if len(members) >= fewest:
                 out.append(family(members, len(kinds)))
         return out
+
+    def _tried(self, item: _Rough, present: Base) -> TorqueTrial:
+        """The trial of what was looked at, by more than a glimpse."""
+        closer = self._looked(item, False) if item.glimpsed else item
+        return self.trial(closer.effect, closer.base, present, self.tests)
+
+    def _looked(self, item: _Rough, glimpsed: bool) -> _Rough:
+        """With the best of its shapes and what that gains, by a glimpse of the log or a first look at it."""
+        looks = sorted(self._over_shapes(item.effect, item.starts, item.base, glimpsed), key=lambda pair: -pair[0])
+        gain, best = looks[0]
+        if not glimpsed:
+            self._other_starts[best] = self._apart([e for _, e in looks])[1:]
+        return dataclasses.replace(item, effect=best, gain=gain - item.lost, glimpsed=glimpsed)
+
+    def _glimpsed(self, effect: Effect, starts: Array) -> bool:
+        """Whether a glimpse comes before a first look: where that has to work many columns out anew in every round."""
+        return len(starts) >= MANY and not (effect.by_clock or of_motion_alone(effect))
 
     def present_without(self, effect: Effect) -> list[Effect]:
         """The model's effects without one, which gives its place back to what it stands in for."""
@@ -302,10 +319,12 @@ class Search:
             starts = np.concatenate([starts, np.clip(effect.starts_in_place_of(replaced), low, high)])
         return starts[:, free]
 
-    def _over_shapes(self, effect: Effect, starts: Array, base: Base) -> Iterable[tuple[float, Effect]]:
+    def _over_shapes(
+        self, effect: Effect, starts: Array, base: Base, glimpsed: bool = False
+    ) -> Iterable[tuple[float, Effect]]:
         shaped = [self._shaped(effect, s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
-        regression, base, times = self._looked_at(effect, base)
+        regression, base, times = self._looked_at(effect, base, glimpsed)
         per_effect = 8.0 * k * sum(len(s.motion) for s in regression.stretches)
         batch = max(1, int(BATCH_BYTES / per_effect))
         for at in range(0, len(shaped), batch):
@@ -316,27 +335,29 @@ class Search:
                 continue
             yield from zip((times * base.gains(rows, columns, k)).tolist(), part, strict=True)
 
-    def _looked_at(self, effect: Effect, base: Base) -> tuple[Regression, Base, float]:
+    def _looked_at(self, effect: Effect, base: Base, glimpsed: bool) -> tuple[Regression, Base, float]:
         """What a first look is taken at: an excerpt of a long log and a base on it, and how much longer the whole is.
 
         A line's frequency shows over the whole time only.
         """
-        if self.regression.excerpt is None or effect.by_clock:
+        pieces = self.regression.excerpt or (self.regression.glimpse if glimpsed else None)
+        if pieces is None or effect.by_clock:
             return self.regression, base, 1.0
-        regression, samples = self.regression.excerpt
-        if base.shared not in self._excerpts:
-            self._excerpts[base.shared] = base.shared.at(samples)
-        key = (base.shared, tuple(base.kept))
+        regression, samples = pieces
+        shared = base.shared, len(samples)
+        if shared not in self._excerpts:
+            self._excerpts[shared] = base.shared.at(samples)
+        key = (*shared, tuple(base.kept))
         if key not in self._bases_of_excerpts:
-            self._bases_of_excerpts[key] = dataclasses.replace(base, shared=self._excerpts[base.shared])
+            self._bases_of_excerpts[key] = dataclasses.replace(base, shared=self._excerpts[shared])
         return regression, self._bases_of_excerpts[key], len(self.regression) / len(samples)
 
     @cached_property
-    def _excerpts(self) -> dict[SharedColumns, SharedColumns]:
+    def _excerpts(self) -> dict[tuple[SharedColumns, int], SharedColumns]:
         return {}
 
     @cached_property
-    def _bases_of_excerpts(self) -> dict[tuple[SharedColumns, tuple[int, ...]], Base]:
+    def _bases_of_excerpts(self) -> dict[tuple[SharedColumns, int, tuple[int, ...]], Base]:
         return {}
 
     @cached_property
@@ -583,6 +604,23 @@ class Search:
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"
         return ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Rough:
+    """A candidate at the shape that a first look likes best, what it gains there, and what it was asked at."""
+
+    effect: Effect
+    base: Base
+    starts: Array
+    lost: float  # gain that is none, for the base is worse than the present model
+    gain: float = 0.0
+    glimpsed: bool = False
+
+
+def _sure(trials: Sequence[TorqueTrial]) -> float:
+    """What the best of those that may be added gains at the least."""
+    return max((t.sure_gain for t in trials if t.accepted), default=0.0)
 
 
 def _off_a_joint(before: Array, after: Array, gain: float) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, stats
 
+from rx90b_flex.compiled.signals import prediction_error_filter
 from rx90b_flex.effects.motion import Array
 
 LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's colour
@@ -103,7 +104,7 @@ def _smoothed(powers: Sequence[Array], sizes: Sequence[int], lags: int, total: i
     for power, size in zip(powers, sizes, strict=True):
         raw += fft.irfft(power, size)[:count]
     raw /= max(total, 1)
-    whitening = _autoregression(raw[: min(LARGEST_ORDER, lags - 1) + 1], total)
+    whitening = prediction_error_filter(raw[: min(LARGEST_ORDER, lags - 1) + 1], total)
     # the autocovariance of the prewhitened residual follows from its own: twice through the filter
     kernel = np.correlate(whitening, whitening, mode="full")
     both = np.concatenate([raw[:0:-1], raw])
@@ -144,24 +145,6 @@ def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array
         (np.abs(fft.rfft(basis[span], size, axis=0)) ** 2).sum(axis=1) for span, size in zip(spans, sizes, strict=True)
     ]
     return np.concatenate(parts)
-
-
-def _autoregression(autocovariance: Array, samples: int) -> Array:
-    """Prediction-error filter of the order that Akaike's criterion chooses (Levinson's recursion)."""
-    best, chosen = np.inf, np.ones(1)
-    error, filter_ = float(autocovariance[0]), np.ones(1)
-    for order in range(len(autocovariance)):
-        if error <= 1e-12 * autocovariance[0]:
-            break
-        criterion = samples * np.log(error) + 2 * order
-        if criterion < best:
-            best, chosen = criterion, filter_
-        if order + 1 < len(autocovariance):
-            reflection = -float(filter_ @ autocovariance[order + 1 : 0 : -1]) / error
-            padded = np.append(filter_, 0.0)
-            filter_ = padded + reflection * padded[::-1]
-            error *= 1.0 - reflection**2
-    return chosen
 
 
 def parzen(lags: int) -> Array:

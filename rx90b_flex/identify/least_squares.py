@@ -21,6 +21,7 @@ from rx90b_flex.identify.normal_equations import (
     column_scale,
     fit_weighted,
     solve_weighted,
+    squares_left,
 )
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
@@ -547,8 +548,7 @@ class _Fit:
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
-        solution = fit_weighted(self.normal, self.prior, sigma)
-        return float((self.normal.squares(solution.theta) / sigma**2).sum())
+        return squares_left(self.normal, self.prior, sigma)
 
     def refined(self, rounds: int = 100, together: bool = False) -> _Fit:
         """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).

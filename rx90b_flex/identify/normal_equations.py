@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.identify.columns import ColumnsByJoint
@@ -14,6 +15,8 @@ from rx90b_flex.identify.columns import ColumnsByJoint
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
+RIDGE = 1.0e-11  # of a column's square, where only the squares count that a solution leaves,
+CORRECTIONS = 3  # and solutions with it, each for what the last ones left
 ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 
 
@@ -132,6 +135,20 @@ def solve_weighted(gram: Array, cross: Array, prior: Array) -> tuple[Array, Arra
     return theta, inverse, vectors[:, ~kept], scale
 
 
+def _coefficients(gram: Array, cross: Array, prior: Array) -> Array:
+    """The first of what `solve_weighted` gives, without its rank: by Cholesky's factors, a touch of ridge and its correction."""
+    scale = column_scale(np.diag(gram))
+    scaled = gram / np.outer(scale, scale)
+    factor, failed = linalg.lapack.dpotrf(scaled + RIDGE * np.eye(len(scaled)))
+    if failed:
+        return solve_weighted(gram, cross, prior)[0]
+    asked = (cross - gram @ prior) / scale
+    found = np.zeros(len(prior))
+    for _ in range(CORRECTIONS):
+        found = found + linalg.lapack.dpotrs(factor, asked - scaled @ found)[0]
+    return np.asarray(prior + found / scale)
+
+
 def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = None, rounds: int = 12) -> Solution:
     """Weighted least squares, one weight a joint from its own residual, iterated.
 
@@ -149,16 +166,27 @@ def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = No
     # noise-free data must not make one joint's weight infinite
     smallest = 1e-9 * np.sqrt(power / samples) + 1e-12
     current = np.sqrt(power / samples) + smallest if sigma is None else np.asarray(sigma, dtype=float)
-    for _ in range(1 if fixed else rounds):
+
+    def weighted() -> tuple[Array, Array]:
         weight = current**-2.0
-        theta, inverse, null, scale = solve_weighted(
-            np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross), prior
-        )
-        if fixed:
-            break
-        new = np.maximum(np.sqrt(normal.squares(theta) / samples), smallest)
+        return np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross)
+
+    last = weighted()
+    for _ in range(0 if fixed else rounds):
+        last = weighted()
+        squares = normal.squares(_coefficients(*last, prior))
+        new = np.maximum(np.sqrt(squares / samples), smallest)
         done = np.abs(new / current - 1).max() < 1e-4
         current = new
         if done:
             break
+    theta, inverse, null, scale = solve_weighted(*last, prior)
     return Solution(theta, current, inverse, null, scale)
+
+
+def squares_left(normal: NormalEquations, prior: Array, sigma: Array) -> float:
+    """Sum of squares over given variances at the best coefficients."""
+    gram, cross, _ = normal.total
+    weight = sigma**-2.0
+    theta = _coefficients(np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross), prior)
+    return float(normal.squares(theta) @ weight)

@@ -44,11 +44,13 @@ WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
 TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
+GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
 RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
-MOST_KEPT = 200  # effects whose columns are kept from one identification to the next
+MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
+FEWEST_KEPT, KEPT_BYTES = 16, 4e7  # of a long log fewer: so many, or what takes so much
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +328,18 @@ class Regression:
     def excerpt(self) -> tuple[Regression, Indices] | None:
         """Pieces of a long log, which show what is there in less time, and which samples these are; None where it is short."""
         working = sum(len(s.motion) for s in self.stretches)
-        part = max(LOOKED_AT, LOOKED_AT_PART * working) / working
+        found = self._pieces(max(LOOKED_AT, LOOKED_AT_PART * working) / working)
+        if found is not None:
+            found[0].__dict__["_first_looks"] = self._first_looks_of_excerpt
+        return found
+
+    @cached_property
+    def glimpse(self) -> tuple[Regression, Indices] | None:
+        """Fewer and shorter ones, which tell shapes and effects apart that show all the time; None where they are no less work."""
+        return self._pieces(GLIMPSE / sum(len(s.motion) for s in self.stretches))
+
+    def _pieces(self, part: float) -> tuple[Regression, Indices] | None:
+        """A part of all recordings in pieces, and which samples these are; None where it is more than half."""
         if part > 0.5:
             return None
         pairs = [
@@ -334,9 +347,7 @@ class Regression:
         ]
         samples = np.concatenate([at + np.arange(len(p)) for p, at in pairs])
         trust = None if self.trust is None else self.trust[samples]
-        other = dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust)
-        other.__dict__["_first_looks"] = self._first_looks_of_excerpt
-        return other, samples
+        return dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust), samples
 
     def columns(self, effect: Effect) -> Array:
         """Columns of an effect, shape (N, joints, k)."""
@@ -355,9 +366,9 @@ class Regression:
 
     def _untouched(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         """As `compact`, before `trust`."""
-        if leading and all(_of_motion_alone(e) for e in effects):
+        if leading and all(of_motion_alone(e) for e in effects):
             return self._remembered(effects)
-        if not leading and len(effects) == 1 and _of_motion_alone(effects[0]):
+        if not leading and len(effects) == 1 and of_motion_alone(effects[0]):
             return self._kept(effects[0])
         return self._made(effects, leading)
 
@@ -382,10 +393,13 @@ class Regression:
         known = self._first_looks
         if 8 * len(self) * len(known) > FIRST_LOOK_BYTES:
             known.clear()
-        for effect in effects:
-            if effect not in known:
-                known[effect] = self._made([effect], False)
-        return known[effects[0]][0], np.concatenate([known[e][1] for e in effects], axis=2)
+        new = [e for e in dict.fromkeys(effects) if e not in known]
+        if new:
+            rows, columns = self._made(new, False)
+            ends = np.cumsum([len(e.coefficients) for e in new])[:-1]
+            known.update(zip(new, ((rows, x) for x in np.split(columns, ends, axis=2)), strict=True))
+        together = known[effects[0]][0]
+        return together, np.concatenate([known[e][1] for e in effects], axis=2)
 
     @cached_property
     def _columns_kept(self) -> dict[Effect, tuple[Indices, Array]]:
@@ -395,10 +409,11 @@ class Regression:
         """As `_untouched`, for an effect whose columns do not depend on the model: a fit asks again with other coefficients."""
         known = self._columns_kept
         key = effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
-        if key not in known:
-            if len(known) >= MOST_KEPT:
-                del known[next(iter(known))]
-            known[key] = self._made([effect], False)
+        most = min(MOST_KEPT, max(FEWEST_KEPT, int(KEPT_BYTES / (8 * len(self)))))
+        if key not in known and len(known) >= most:
+            del known[next(iter(known))]
+        # what was asked for last stands last
+        known[key] = known.pop(key) if key in known else self._made([effect], False)
         return known[key]
 
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
@@ -477,7 +492,7 @@ class Regression:
         return tuple(out)
 
 
-def _of_motion_alone(effect: Effect) -> bool:
+def of_motion_alone(effect: Effect) -> bool:
     """Whether an effect's columns are the same for every model: those of one angle that no load enters."""
     return isinstance(effect, JointEffect | PairEffect) and not (effect.needs_load or effect.needs_model)
 

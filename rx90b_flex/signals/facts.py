@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rx90b_flex.signals.filters import Array
 from rx90b_flex.signals.recording import Recording
 
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
@@ -23,19 +24,22 @@ def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
     """
     highest = LOWEST_HZ
     for recording in recordings:
-        rate = recording.sample_rate_hz
-        speed = np.diff(recording.position, axis=0)
-        speed = (speed - speed.mean(axis=0)) * np.hanning(len(speed))[:, None]
-        power = np.abs(np.fft.rfft(speed, axis=0)) ** 2
-        hz = np.fft.rfftfreq(len(speed), 1.0 / rate)
-        # white noise of the position counter rises with frequency in its differences: its share is taken out
-        slope = np.median(power[len(hz) // 2 :] / hz[len(hz) // 2 :, None] ** 2, axis=0)
-        power = np.maximum(power - 3.0 * slope * hz[:, None] ** 2, 0.0)
-        power = power / np.maximum(power.sum(axis=0), 1e-300)
-        reached = (np.cumsum(power, axis=0) < MOTION_POWER).sum(axis=0)
-        highest = max(highest, float(hz[np.minimum(reached, len(hz) - 1)].max()))
+        for position in recording.position.T:
+            highest = max(highest, _highest_hz(np.diff(position), recording.sample_rate_hz))
     rate = min(r.sample_rate_hz for r in recordings)
     return float(np.clip(OVER_MOTION * highest, LOWEST_HZ, 0.2 * rate))
+
+
+def _highest_hz(speed: Array, rate: float) -> float:
+    """Frequency below which nearly all of a velocity's power lies, (N,)."""
+    power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
+    hz = np.fft.rfftfreq(len(speed), 1.0 / rate)
+    # white noise of the position counter rises with frequency in its differences: its share is taken out
+    slope = np.median(power[len(hz) // 2 :] / hz[len(hz) // 2 :] ** 2)
+    power = np.maximum(power - 3.0 * slope * hz**2, 0.0)
+    power = power / max(power.sum(), 1e-300)
+    reached = int((np.cumsum(power) < MOTION_POWER).sum())
+    return float(hz[min(reached, len(hz) - 1)])
 
 
 def found_period_s(recording: Recording) -> float | None:
@@ -46,7 +50,7 @@ def found_period_s(recording: Recording) -> float | None:
     if not power.any():
         return None
     size = 2 ** int(np.ceil(np.log2(2 * n)))
-    spectrum = (np.abs(np.fft.rfft(q, size, axis=0)) ** 2).sum(axis=1)
+    spectrum = np.sum([np.abs(np.fft.rfft(x, size)) ** 2 for x in q.T], axis=0)
     product = np.fft.irfft(spectrum, size)[: n // 2 + 1]
     square = np.concatenate([[0.0], np.cumsum(power)])
     lags = np.arange(n // 2 + 1)

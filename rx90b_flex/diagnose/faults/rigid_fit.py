@@ -159,14 +159,15 @@ def _inertia(sample: Sample, reading: Reading, count: int, links: int) -> Array:
     robot = reading.robot
     n = len(sample.joints)
     q = sample.motion(reading).q[:: max(1, len(sample.q) // POSES)]
-    rest = np.zeros_like(q)
-    gravity = robot.link_regressor(robot.motion(q, rest, rest))
+    rows = np.array([robot.layout.index(joint) for joint in sample.joints])
+    rest = np.zeros((n + 1, *q.shape))
+    push = rest.copy()  # none, then of each joint in turn
+    push[np.arange(1, n + 1), :, rows] = 1.0
+    poses = [x.reshape(-1, q.shape[1]) for x in (np.broadcast_to(q, rest.shape), rest, push)]
+    gravity, *pushed = robot.link_regressor(robot.motion(*poses)).reshape(n + 1, *q.shape, links)
     out = np.zeros((n, count))
-    for k, joint in enumerate(sample.joints):
-        i = robot.layout.index(joint)
-        push = rest.copy()
-        push[:, i] = 1.0
-        out[k, :links] = (robot.link_regressor(robot.motion(q, rest, push)) - gravity)[:, i].mean(axis=0)
+    for k, (i, columns) in enumerate(zip(rows, pushed, strict=True)):
+        out[k, :links] = (columns - gravity)[:, i].mean(axis=0)
         out[k, links + PER_JOINT * k] = 1.0
     return out
 
