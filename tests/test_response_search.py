@@ -15,6 +15,7 @@ from modal_generator import (
     OUTSIDE,
     PLAIN,
     STRETCHED,
+    lacking,
     measured_response,
     scaled,
     share_named_wrongly,
@@ -81,6 +82,38 @@ def test_a_hidden_cause_is_named(cause):
     loop = closed(cause, 0)
     assert [f.change.label for f in loop.found] == CAUSES[cause][2]
     assert loop.verdict == ("explained" if loop.found else "nothing_missing")
+
+
+def bending_unlike(robot, joint, first, second):
+    """The robot with other stiffnesses and dampings of a joint about its two axes."""
+    factors = np.array([first, second, first, second])
+    here = f"{joint}.joint_flexibility"
+    return robot.with_effects(
+        [e.with_coefficients(factors * e.coefficients) if e.label == here else e for e in robot.effects]
+    )
+
+
+@pytest.mark.parametrize("missing", [True, False])
+def test_bendings_that_are_unlike_take_a_stiffness_each_and_nothing_else(missing):
+    """One stiffness for both leaves so much that other things are named to make up for it."""
+    true = bending_unlike(PLAIN, "joint_1", 1.5, 0.7)
+    declared = lacking(PLAIN, "joint_flexibility", "joint_1") if missing else PLAIN
+    response = measured_response(truth_of(true), np.random.default_rng(40), NOISE, STRETCHED, PLAIN.joints)
+    loop = close_response(response, declared, model_error=EXACT)
+    (found,) = loop.found
+    assert found.change.label == ("joint_1.joint_flexibility" if missing else "joint_1.joint_stiffness")
+    bending = next(e for e in true.effects if e.label == "joint_1.joint_flexibility")
+    expected = np.array(bending.stiffness) if missing else np.array([1.5, 0.7])
+    assert (np.abs(found.values - expected) < 3 * found.stds).all() and (found.stds < 0.02 * expected).all()
+    (saved,) = (e for e in loop.robot.effects if e.label == bending.label)
+    np.testing.assert_allclose(saved.stiffness, bending.stiffness, rtol=0.02)
+    assert loop.verdict == "explained"
+
+
+def test_bendings_that_are_alike_take_one_stiffness():
+    for cause, names in (("joint that bends", ("stiffness",)), ("softer joint", ("joint_stiffness",))):
+        (found,) = closed(cause, 2, held_out=3 if cause == "softer joint" else None).found
+        assert found.change.names == names
 
 
 def softer_with_its_damping(factor):
