@@ -17,7 +17,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.diagnose.likelihood import Change, FoundChange, LikelihoodResidual, LikelihoodTrial, SearchResult
+from rx90b_flex.diagnose.likelihood import (
+    RIVAL,
+    Change,
+    FoundChange,
+    LikelihoodResidual,
+    LikelihoodTrial,
+    SearchResult,
+)
 from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
 from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Indices
@@ -282,10 +289,10 @@ def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
 
 
 def _unlike(alike: Change, names: tuple[str, ...], moves: tuple[tuple[int, ...], ...]) -> Change:
-    """A change of two hinges, with the same of each for itself."""
+    """A change of two hinges, with the same of each for itself, where that is more than an alternative."""
     apart = dataclasses.replace(
         alike, names=names, units=alike.units * 2, moves=moves,
-        starts=np.repeat(alike.starts, 2, axis=1), usual=np.repeat(alike.usual, 2),
+        starts=np.repeat(alike.starts, 2, axis=1), usual=np.repeat(alike.usual, 2), charge=RIVAL,
     )  # fmt: skip
     return dataclasses.replace(alike, unlike=apart)
 

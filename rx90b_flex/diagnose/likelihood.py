@@ -2,8 +2,8 @@
 
 Models are compared by one number, the deviance ``-2 log likelihood`` with a *model error*: a scatter of unknown size beside the
 measured standard deviations, estimated with each model. What is tried is charged for its parameters and for the number of other
-changes that might have been tried instead (extended BIC: J. Chen, Z. Chen, Biometrika 95, 2008). Hinges of one effect that are alike
-take one parameter; that each has its own competes by the same number, before anything else is added.
+changes that might have been tried instead (extended BIC: J. Chen, Z. Chen, Biometrika 95, 2008). Two hinges of one effect take one
+parameter; one each competes by the same number, at odds of 1 to 20, before anything else is added.
 """
 
 from __future__ import annotations
@@ -60,6 +60,8 @@ class Change:
         Coordinates that it adds to one.
     unlike : Change, optional
         The same with a parameter for each of two hinges.
+    charge : float
+        On the criterion, beside that for its parameters: what is less to be expected takes more evidence.
     """
 
     type: str
@@ -73,6 +75,7 @@ class Change:
     moves: tuple[tuple[int, ...], ...] = ()
     frees: tuple[str, ...] = ()
     unlike: Change | None = None
+    charge: float = 0.0
 
     @property
     def label(self) -> str:
@@ -441,7 +444,8 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
     def _criterion(self, fit: LikelihoodFit) -> float:
         chosen, many = len(fit.changes), len(self.changes)
         ways = gammaln(many + 1) - gammaln(chosen + 1) - gammaln(many - chosen + 1)
-        return fit.deviance + len(fit.x) * np.log(self.size) + 2.0 * float(ways)
+        charged = sum(c.charge for c in fit.changes)
+        return fit.deviance + len(fit.x) * np.log(self.size) + 2.0 * float(ways) + charged
 
     def _refitted(self, changes: tuple[Change, ...], near: LikelihoodFit) -> LikelihoodFit:
         return near if changes == near.changes else self.fit(changes, self.begin(near))

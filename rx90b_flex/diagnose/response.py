@@ -220,17 +220,16 @@ class ResponseResidual(FlexibleResidual):
 def _nuisances(structure: Structure) -> tuple[Change, ...]:
     """What is fitted with every model: the logs' skew, friction slopes, dampings."""
     declared, slopes = len(structure.robot.effects), []
-    dampings: dict[tuple[int, int], list[int]] = {}
+    dampings: dict[int, list[int]] = {}
     for i, c in enumerate(structure.coefficients):
         if c.effect < 0:
             slopes.append(_nuisance("viscous_friction", structure.joints[c.column], "friction_slope", (i,)))
         elif structure.full.effects[c.effect].virtual and c.column >= len(structure.full.effects[c.effect].virtual):
-            # what may be added shares one damping, over that usual of its stiffness
-            of = (c.effect, c.column) if c.effect < declared else (declared, 0)
+            of = min(c.effect, declared)  # what may be added shares one damping, over that usual of its stiffness
             dampings.setdefault(of, []).append(i)
     places = {k: "_".join(e.place) or "base" for k, e in enumerate(structure.robot.effects)}
     delay = dataclasses.replace(_nuisance("torque_delay", "robot", "delay", ()), std=DELAY_STD / DELAY_UNIT)
-    losses = (_nuisance("damping", places.get(k, "all"), "damping", tuple(at)) for (k, _), at in dampings.items())
+    losses = (_nuisance("damping", places.get(k, "all"), "damping", tuple(at)) for k, at in dampings.items())
     return (delay, *slopes, *losses)
 
 
