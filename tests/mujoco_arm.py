@@ -37,6 +37,7 @@ LIMITS = (400.0, 500.0, 200.0)  # N m
 CONTROL_HZ, LOG_HZ = 2000.0, 500.0
 CUTOFF_HZ = 180.0
 COUNTS = 2**17  # of the motor's encoder, a turn
+FLOOR_LAG_S = 3e-4  # damping over stiffness
 TORQUE_NOISE = 0.001  # of the limit, at the controller's rate
 
 
@@ -70,12 +71,15 @@ class Arm:
     Attributes
     ----------
     friction : ``motor`` or ``joint``
+    floor : (about x, about y) or None
+        Stiffnesses of what the arm stands on, N m/rad.
     """
 
     drives: tuple[Drive, ...] = TYPICAL
     friction: str = "motor"
     tool_kg: float = 0.0
     torque_late_s: float = 0.0
+    floor: tuple[float, float] | None = None
     seed: int = 0
 
     @classmethod
@@ -117,7 +121,8 @@ class Arm:
             tool = f'<body pos="{_text(TIP)}">{ball}</body>' if link == "lower" and self.tool_kg else ""
             at_motor = (d.dry, d.viscous) if self.friction == "motor" else (0.0, 0.0)
             first, second = BENDS[joint]
-            body = f"""<body name="{link}" pos="{_text(PLACES[joint])}">
+            below = self._floor() if joint == JOINTS[0] else ""
+            body = f"""<body name="{link}" pos="{_text(PLACES[joint])}">{below}
               <joint name="{joint}" axis="{_text(AXES[joint])}" armature="{d.inertia}"
                      frictionloss="{at_motor[0]}" damping="{at_motor[1]}" solreffriction="0.001 1" solimpfriction="0.99 0.99 1"/>
               <joint name="{joint}_twist" axis="{_text(AXES[joint])}" stiffness="{d.stiffness}" damping="{d.damping}"/>
@@ -130,6 +135,15 @@ class Arm:
         return f"""<mujoco><compiler angle="radian" autolimits="false"/>
           <option timestep="{1.0 / CONTROL_HZ}" integrator="RK4" jacobian="dense"><flag contact="disable" limit="disable"/></option>
           <worldbody>{body}</worldbody><tendon>{tendons}</tendon></mujoco>"""
+
+    def _floor(self) -> str:
+        """Hinges at the base's origin, before the first joint."""
+        x, y, z = PLACES[JOINTS[0]]
+        stiffness = zip(("1 0 0", "0 1 0"), self.floor or (), strict=False)
+        return "".join(
+            f'<joint axis="{axis}" pos="{-x} {-y} {-z}" stiffness="{k}" damping="{FLOOR_LAG_S * k}"/>'
+            for axis, k in stiffness
+        )
 
 
 def _text(numbers: tuple[float, ...]) -> str:

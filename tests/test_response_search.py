@@ -15,6 +15,7 @@ from modal_generator import (
     OUTSIDE,
     PLAIN,
     STRETCHED,
+    lacking,
     measured_response,
     scaled,
     share_named_wrongly,
@@ -81,6 +82,42 @@ def test_a_hidden_cause_is_named(cause):
     loop = closed(cause, 0)
     assert [f.change.label for f in loop.found] == CAUSES[cause][2]
     assert loop.verdict == ("explained" if loop.found else "nothing_missing")
+
+
+def bending_unlike(robot, joint, first, second):
+    """The robot with other stiffnesses of a joint about its two axes, its dampings as declared."""
+    factors = np.array([first, second, 1.0, 1.0])
+    here = f"{joint}.joint_flexibility"
+    return robot.with_effects(
+        [e.with_coefficients(factors * e.coefficients) if e.label == here else e for e in robot.effects]
+    )
+
+
+@pytest.mark.parametrize("missing", [True, False])
+def test_bendings_that_are_unlike_take_a_stiffness_each_and_nothing_else(missing):
+    """One stiffness for both leaves so much that other things are named to make up for it."""
+    true = bending_unlike(PLAIN, "joint_1", 1.5, 0.7)
+    declared = lacking(PLAIN, "joint_flexibility", "joint_1") if missing else PLAIN
+    truth, rng = truth_of(true), np.random.default_rng(40)
+    lags = dict.fromkeys(truth.stiffness, 1e-3)
+    if not missing:
+        lags |= {"joint_1:bend_1": 1e-3 / 1.5, "joint_1:bend_2": 1e-3 / 0.7}
+    response = measured_response(truth, rng, NOISE, STRETCHED, PLAIN.joints, lag=lags)
+    loop = close_response(response, declared, model_error=EXACT)
+    (found,) = loop.found
+    assert found.change.label == ("joint_1.joint_flexibility" if missing else "joint_1.joint_stiffness")
+    bending = next(e for e in true.effects if e.label == "joint_1.joint_flexibility")
+    expected = np.array(bending.stiffness) if missing else np.array([1.5, 0.7])
+    assert (np.abs(found.values - expected) < 3 * found.stds).all() and (found.stds < 0.02 * expected).all()
+    (saved,) = (e for e in loop.robot.effects if e.label == bending.label)
+    np.testing.assert_allclose(saved.stiffness, bending.stiffness, rtol=0.02)
+    assert loop.verdict == "explained"
+
+
+def test_bendings_that_are_alike_take_one_stiffness():
+    for cause, names in (("joint that bends", ("stiffness",)), ("softer joint", ("joint_stiffness",))):
+        (found,) = closed(cause, 2, held_out=3 if cause == "softer joint" else None).found
+        assert found.change.names == names
 
 
 def softer_with_its_damping(factor):
@@ -202,6 +239,33 @@ def test_a_result_of_the_frf_command_is_read(tmp_path):
     (tmp_path / "frf.json").write_text(json.dumps(table))
     with pytest.raises(ValueError, match=r"frf\.json: key 'std' is missing"):
         load_frequency_responses(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("widths", "read"), [((0.3, 0.5), "replayed"), ((1.5, 2.0), "measured"), ((0.9, 2.0), "measured")]
+)
+def test_a_replay_that_is_told_worse_is_not_read_at_any_pose(widths, read, tmp_path):
+    """One on a robot that lacks something: what it is not trusted with is in its deviations."""
+    response = made("nothing", 5)
+
+    def stated(factor, width):
+        value, std = factor * response.value, width * np.full(response.value.shape, 0.01)
+        return {
+            "hz": response.hz.tolist(), "real": value.real.tolist(), "imag": value.imag.tolist(),
+            "std": std.tolist(), "degrees_of_freedom": 15.0,
+        }  # fmt: skip
+
+    poses = [
+        {
+            "pose_rad": response.pose.tolist(),
+            "frequency_response": stated(1.0, 1.0),
+            "replayed_response": stated(2.0, w),
+        }
+        for w in widths
+    ]
+    (tmp_path / "frf.json").write_text(json.dumps({"robot": "rx90b", "joints": list(MEASURED), "poses": poses}))
+    for r in load_frequency_responses(tmp_path)[0]:
+        np.testing.assert_array_equal(r.value, (2.0 if read == "replayed" else 1.0) * response.value)
 
 
 def test_responses_of_other_joints_are_refused():

@@ -17,7 +17,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.diagnose.likelihood import Change, FoundChange, LikelihoodResidual, LikelihoodTrial, SearchResult
+from rx90b_flex.diagnose.likelihood import (
+    RIVAL,
+    Change,
+    FoundChange,
+    LikelihoodResidual,
+    LikelihoodTrial,
+    SearchResult,
+)
 from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
 from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Indices
@@ -260,18 +267,34 @@ def _addition(
     names = tuple(effect.parameters())[:1] if single else effect.coefficient_names[: len(groups)]
     coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.virtual)
     starts = np.log(effect.starts_at_rest(sizes))
-    return Change(
+    alike = Change(
         effect.type_name(), _place(effect), True, names, effect.coefficient_units[: len(groups)],
         starts, _usual(robot, effect.type_name(), starts), std, groups, coordinates,
     )  # fmt: skip
+    if not single or len(effect.virtual) != 2:
+        return alike
+    first = min(groups[0])
+    return _unlike(alike, effect.coefficient_names[:2], ((first, first + 2), (first + 1, first + 3)))
 
 
 def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
     starts = np.log(np.array([[0.6], [1.6]]))
-    return Change(
+    alike = Change(
         effect.type_name(), place, False, (effect.rescaled,), effect.coefficient_units[:1],
         starts, np.zeros(1), FACTOR_STD, (moved,),
     )  # fmt: skip
+    if len(effect.virtual) != 2 or len(moved) != 2:
+        return alike
+    return _unlike(alike, (f"{effect.rescaled}_1", f"{effect.rescaled}_2"), ((moved[0],), (moved[1],)))
+
+
+def _unlike(alike: Change, names: tuple[str, ...], moves: tuple[tuple[int, ...], ...]) -> Change:
+    """A change of two hinges, with the same of each for itself, where that is more than an alternative."""
+    apart = dataclasses.replace(
+        alike, names=names, units=alike.units * 2, moves=moves,
+        starts=np.repeat(alike.starts, 2, axis=1), usual=np.repeat(alike.usual, 2), charge=RIVAL,
+    )  # fmt: skip
+    return dataclasses.replace(alike, unlike=apart)
 
 
 def _usual(robot: Robot, kind: str, starts: Array) -> Array:

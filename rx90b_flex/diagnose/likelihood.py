@@ -2,7 +2,8 @@
 
 Models are compared by one number, the deviance ``-2 log likelihood`` with a *model error*: a scatter of unknown size beside the
 measured standard deviations, estimated with each model. What is tried is charged for its parameters and for the number of other
-changes that might have been tried instead (extended BIC: J. Chen, Z. Chen, Biometrika 95, 2008).
+changes that might have been tried instead (extended BIC: J. Chen, Z. Chen, Biometrika 95, 2008). Two hinges of one effect take one
+parameter; one each competes by the same number, at odds of 1 to 20, before anything else is added.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ MOST_CHANGES = 6  # more than this describe the data rather than explain them
 FIRST_ERROR = 0.25  # model error that a fit begins with: wide valleys
 SCOUTED = 8  # steps from each start, at the least, before the best are followed
 STEPS = 60  # at the most
+UNLIKE = np.array([[0.5, -0.5], [-0.5, 0.5]])  # logarithms by which unlike hinges begin off alike ones
 CLOSE = 20.0  # deviance: scouted starts and changes this near the best are followed to their end
 
 
@@ -56,6 +58,10 @@ class Change:
         Of a `rx90b_flex.diagnose.flexible.Structure`, coefficients that each parameter multiplies.
     frees : tuple of str
         Coordinates that it adds to one.
+    unlike : Change, optional
+        The same with a parameter for each of two hinges.
+    charge : float
+        On the criterion, beside that for its parameters: what is less to be expected takes more evidence.
     """
 
     type: str
@@ -68,16 +74,24 @@ class Change:
     std: float
     moves: tuple[tuple[int, ...], ...] = ()
     frees: tuple[str, ...] = ()
+    unlike: Change | None = None
+    charge: float = 0.0
 
     @property
     def label(self) -> str:
         """As in ``joint_4.drive_flexibility`` for what is added, ``joint_2.drive_stiffness`` for what is changed."""
-        return f"{self.place}.{self.type if self.adds else self.names[0]}"
+        return f"{self.place}.{self._kind}"
+
+    @property
+    def _kind(self) -> str:
+        if self.adds:
+            return self.type
+        return self.names[0] if self.size == 1 else self.names[0].removesuffix("_1")
 
     @property
     def words(self) -> str:
         """In a sentence."""
-        kind = (self.type if self.adds else self.names[0]).replace("_", " ")
+        kind = self._kind.replace("_", " ")
         where = "" if self.place == "base" else f" of {self.place.replace('_', ' ')}"
         return f"{kind}{where}" if self.adds else f"another {kind}{where}"
 
@@ -203,7 +217,8 @@ class FoundChange:
         """With its values, in a sentence."""
         c = self.change
         if not c.adds:
-            return f"{c.words}: {self.values[0]:.3g} ± {self.stds[0]:.2g} times the declared value"
+            factors = " and ".join(f"{v:.3g} ± {s:.2g}" for v, s in zip(self.values, self.stds, strict=True))
+            return f"{c.words}: {factors} times the declared value"
         values = ", ".join(
             f"{n.replace('_', ' ')} {v:.4g} ± {s:.2g} {u}"
             for n, v, s, u in zip(c.names, self.values, self.stds, c.units, strict=True)
@@ -392,24 +407,28 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
     ) -> list[LikelihoodTrial]:
         """Every change beside `kept`, whose values begin near those of a fit; lowest criterion first."""
         key = frozenset(kept)
-        candidates = [c for c in self.changes if c not in kept]
+        candidates = [c for c in self.changes if c.label not in {k.label for k in kept}]
         if key not in self._rounds and candidates:
             base = self._refitted(kept, near)
             begin, error, fits = self.begin(base), min(FIRST_ERROR, 3.0 * base.model_error), []
             for i, change in enumerate(candidates):
                 told(i / len(candidates))
-                fits += self.scouted((*kept, change), begin, error)[:2]
+                alike = self.scouted((*kept, change), begin, error)[:2]
+                fits += alike
+                if change.unlike is not None:
+                    apart = begin | {change.unlike: alike[0].x[-1] + UNLIKE}
+                    fits += self.scouted((*kept, change.unlike), apart, error)[:2]
             close = min(f.deviance for f in fits) + CLOSE
             fits = [self.followed(f) if f.deviance < close else f for f in fits]
-            best = {f.changes[-1]: f for f in sorted(fits, key=lambda f: -f.deviance)}
-            tried = [self._trial(change, base, best[change]) for change in candidates]
+            best = {f.changes[-1].label: f for f in sorted(fits, key=lambda f: -self._criterion(f))}
+            tried = [self._trial(f.changes[-1], base, f) for f in best.values()]
             self._rounds[key] = sorted(tried, key=lambda t: t.criterion)
         return self._rounds.get(key, [])
 
     def _others(self, model: LikelihoodFit, change: Change) -> list[LikelihoodTrial]:
         """Every other change in the stead of one that a model holds."""
         kept = tuple(c for c in model.changes if c is not change)
-        return [t for t in self._beside(kept, model) if t.change is not change]
+        return [t for t in self._beside(kept, model) if t.label != change.label]
 
     def _trial(self, change: Change, without: LikelihoodFit, fit: LikelihoodFit) -> LikelihoodTrial:
         gain, criterion = without.deviance - fit.deviance, self._criterion(fit)
@@ -425,7 +444,8 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
     def _criterion(self, fit: LikelihoodFit) -> float:
         chosen, many = len(fit.changes), len(self.changes)
         ways = gammaln(many + 1) - gammaln(chosen + 1) - gammaln(many - chosen + 1)
-        return fit.deviance + len(fit.x) * np.log(self.size) + 2.0 * float(ways)
+        charged = sum(c.charge for c in fit.changes)
+        return fit.deviance + len(fit.x) * np.log(self.size) + 2.0 * float(ways) + charged
 
     def _refitted(self, changes: tuple[Change, ...], near: LikelihoodFit) -> LikelihoodFit:
         return near if changes == near.changes else self.fit(changes, self.begin(near))

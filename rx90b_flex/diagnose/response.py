@@ -420,7 +420,8 @@ def _response_errors(residual: ResponseResidual, fit: LikelihoodFit) -> tuple[Re
 def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[FrequencyResponse, ...], str]:
     """The responses in a folder of ``rx90b-flex frf``, one a pose, with independent errors of their entries; and the robot's name.
 
-    Where the experiments were replayed, those without the distortion that this explains.
+    Where the experiments were replayed, those without the distortion that this explains; but those as measured where they are told
+    better, for a replay on a robot that lacks something may add more distortion than it takes out.
 
     Raises
     ------
@@ -431,7 +432,11 @@ def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[Freq
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         # a campaign about one pose may stand by itself, not in a list of poses
-        responses = tuple(_read(pose, tuple(table["joints"])) for pose in table.get("poses", [table]))
+        poses, joints = table.get("poses", [table]), tuple(table["joints"])
+        responses = tuple(_read(pose, pose["frequency_response"], joints) for pose in poses)
+        if all(pose.get("replayed_response") for pose in poses):
+            replayed = tuple(_read(pose, pose["replayed_response"], joints) for pose in poses)
+            responses = _better_told(responses, replayed)
         return responses, str(table["robot"])
     except FileNotFoundError:
         raise ValueError(f"{path}: no such file; expected a folder that `rx90b-flex frf` wrote") from None
@@ -441,8 +446,15 @@ def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[Freq
         raise ValueError(f"{path}: not a result of `rx90b-flex frf`: {error}") from None
 
 
-def _read(pose: dict[str, Any], joints: tuple[str, ...]) -> FrequencyResponse:
-    measured = pose.get("replayed_response") or pose["frequency_response"]
+def _better_told(
+    measured: tuple[FrequencyResponse, ...], replayed: tuple[FrequencyResponse, ...]
+) -> tuple[FrequencyResponse, ...]:
+    """All as measured or all replayed, never mixed: friction is another slope in them."""
+    wider = [np.log(r.std() / m.std()).ravel() for r, m in zip(replayed, measured, strict=True)]
+    return measured if np.mean(np.concatenate(wider)) > 0 else replayed
+
+
+def _read(pose: dict[str, Any], measured: dict[str, Any], joints: tuple[str, ...]) -> FrequencyResponse:
     hz, std = np.array(measured["hz"], dtype=float), np.array(measured["std"], dtype=float)
     value = np.array(measured["real"], dtype=float) + 1j * np.array(measured["imag"], dtype=float)
     variance = std.reshape(len(hz), -1) ** 2

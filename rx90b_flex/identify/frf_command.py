@@ -531,7 +531,8 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
     Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m;
-    ``replayed_response`` the same without the distortion that the replay explains, null without one. Of ``transfer_functions``,
+    ``replayed_response`` the same without the distortion that the replay explains, null without one; what of that the replay is not
+    trusted with is part of its ``std``. Of ``transfer_functions``,
     ``refused`` has modes and antiresonances that do not count, each with its reason, and ``stabilisation`` the modes of every order.
     ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
     was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
@@ -589,14 +590,14 @@ def _replayed_json(result: MotorIdentification, place: int) -> dict[str, Any] | 
     """A pose's response without the distortion that the replay explains."""
     if result.replayed is None or place not in result.fitted:
         return None
-    plain = result.replayed.responses[result.fitted.index(place)]
+    replayed = result.replayed.responses[result.fitted.index(place)]
     return {
-        "joints": list(plain.joints),
-        "hz": plain.hz.tolist(),
-        "real": plain.value.real.tolist(),
-        "imag": plain.value.imag.tolist(),
-        "std": plain.std().tolist(),
-        "degrees_of_freedom": plain.degrees_of_freedom if np.isfinite(plain.degrees_of_freedom) else None,
+        "joints": list(replayed.joints),
+        "hz": replayed.hz.tolist(),
+        "real": replayed.value.real.tolist(),
+        "imag": replayed.value.imag.tolist(),
+        "std": replayed.std().tolist(),
+        "degrees_of_freedom": replayed.degrees_of_freedom if np.isfinite(replayed.degrees_of_freedom) else None,
     }
 
 

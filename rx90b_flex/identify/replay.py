@@ -270,8 +270,8 @@ class ReplayedGreyBox:
     robot : Robot
         Drives, flexibilities and links as fitted, friction as told by the distortion.
     responses : tuple of FrequencyResponse
-        Of each pose, without the distortion; the covariance holds noise and how far realisations still differ. For the grey box
-        it was widened by what a replay is not trusted with (`REPLAY_ERROR`).
+        Of each pose, without the distortion; the covariance holds noise, how far realisations still differ, and what of the
+        distortion a replay is not trusted with (`REPLAY_ERROR`, `FORM_ERROR`).
     frictions : tuple of FrictionEstimate
     slopes : dict of joint to float
         N m s/rad, of L in the last round.
@@ -380,9 +380,8 @@ def grey_box_by_replay(
     before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
     robot = _with_friction(grey.robot, joints, friction)
     grey = _less_what_is_left(first, grey, before, after)
-    return ReplayedGreyBox(
-        grey, robot, tuple(plain for plain, _ in found), frictions, slopes, before, after, number + 1
-    )
+    responses = tuple(whole for whole, _ in found)
+    return ReplayedGreyBox(grey, robot, responses, frictions, slopes, before, after, number + 1)
 
 
 def _by_steps(
@@ -471,16 +470,14 @@ def _spread(realisations: ComplexArray) -> Array:
 def _response(
     measured: MeasuredResponse, simulated: ComplexArray, line: ComplexArray, pose: Array
 ) -> tuple[FrequencyResponse, FrequencyResponse]:
-    """The measured response with L in place of what was simulated, and the same with a covariance that doubts the replay.
+    """The measured response with L in place of what was simulated; and the same as the grey box takes it.
 
     What the replay leaves of the differences between realisations beyond noise, it leaves of the distortion's mean, too, times
-    `FORM_ERROR`, and `REPLAY_ERROR` of it besides. That part of the mean is an error that `ALIKE_HZ` of lines share, so that
-    they may not average it out.
+    `FORM_ERROR`, and `REPLAY_ERROR` of it besides. That part of the mean is in the covariance; it is an error that `ALIKE_HZ` of
+    lines share, so that the grey box, which takes each line for itself, may not average it out.
     """
     realisations = measured.realisations - simulated + line
     covariance, freedom = _over_realisations(realisations, _neighbours(measured))
-    value = realisations.mean(axis=0)
-    plain = FrequencyResponse(measured.hz, value, covariance, measured.joints, pose, measured.noise_covariance, freedom)
     noise = _noise(measured)
     apart, before = (
         np.maximum(np.median(x.var(axis=0, ddof=1), axis=0) - noise, 0.0) for x in (realisations, measured.realisations)
@@ -488,9 +485,12 @@ def _response(
     # where noise hides the distortion, all of it is doubted
     share = np.divide(apart, before, out=np.ones_like(apart), where=before > apart)
     doubt = np.abs(simulated.mean(axis=0) - line) ** 2 * (FORM_ERROR**2 * share + REPLAY_ERROR**2)
+    doubted = doubt.reshape(len(doubt), -1)[:, :, None] * np.eye(doubt[0].size)
     alike = max(ALIKE_HZ / float(np.median(np.diff(measured.hz))), 1.0)
-    wider = covariance + alike * doubt.reshape(len(doubt), -1)[:, :, None] * np.eye(doubt[0].size)
-    return plain, dataclasses.replace(plain, covariance=wider)
+    whole = FrequencyResponse(
+        measured.hz, realisations.mean(axis=0), covariance + doubted, measured.joints, pose, measured.noise_covariance, freedom
+    )  # fmt: skip
+    return whole, dataclasses.replace(whole, covariance=covariance + alike * doubted)
 
 
 def _noise(measured: MeasuredResponse) -> Array | float:
