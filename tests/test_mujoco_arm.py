@@ -197,11 +197,11 @@ def assert_added(effect: dict[str, Any], kind: str, place: str, true: tuple[floa
 @pytest.mark.parametrize(
     ("kind", "joint", "seed"),
     [
-        ("joint_flexibility", "waist", 5),
         ("joint_flexibility", "waist", 34),
         ("joint_flexibility", "shoulder", 21),
-        ("joint_flexibility", "elbow", 22),
-        ("drive_flexibility", "shoulder", 27),
+        pytest.param("joint_flexibility", "waist", 5, marks=pytest.mark.long),
+        pytest.param("joint_flexibility", "elbow", 22, marks=pytest.mark.long),
+        pytest.param("drive_flexibility", "shoulder", 27, marks=pytest.mark.long),
     ],
 )
 def test_a_flexibility_that_nobody_declared_is_found_and_nothing_else(
@@ -215,6 +215,7 @@ def test_a_flexibility_that_nobody_declared_is_found_and_nothing_else(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_floor_that_gives_way_is_found_and_nothing_else(tmp_path: Path) -> None:
     arm = Arm.drawn(25, floor=(9e5, 5e5))
     (effect,) = searched(arm, tmp_path, Arm.drawn(25))["effects"]
@@ -226,9 +227,9 @@ def test_a_floor_that_gives_way_is_found_and_nothing_else(tmp_path: Path) -> Non
     ("name", "parameter", "joint", "factor", "seed"),
     [
         ("inertia", "drive_inertia", "elbow", 1.3, 28),
-        ("stiffness", "drive_stiffness", "elbow", 0.6, 24),
-        ("bending", "joint_stiffness", "shoulder", 0.6, 29),
-        ("bending", "joint_stiffness", "waist", 0.6, 30),
+        pytest.param("stiffness", "drive_stiffness", "elbow", 0.6, 24, marks=pytest.mark.long),
+        pytest.param("bending", "joint_stiffness", "shoulder", 0.6, 29, marks=pytest.mark.long),
+        pytest.param("bending", "joint_stiffness", "waist", 0.6, 30, marks=pytest.mark.long),
     ],
 )
 def test_another_value_than_declared_is_found_and_nothing_else(
@@ -242,7 +243,7 @@ def test_another_value_than_declared_is_found_and_nothing_else(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [31, 32])
+@pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.long)])
 def test_other_dampings_and_frictions_are_no_finding(seed: int, tmp_path: Path) -> None:
     declared = Arm.drawn(seed)
     joint, factors = {
