@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -616,8 +617,7 @@ def identify_command(
             write_identify_report(result, folder / "report.html")
 
         fill_folder(out, fill, IDENTIFIED, overwrite)
-    known = [e for e in result.parameters if e.value is not None]
-    rows = [(e.name, _value("", e.value, e.std, e.unit).strip()) for e in known]
+    rows = [(e.name, _value("", e.value, e.std, e.unit).strip()) for e in result.parameters if e.value is not None]
     show_table(result.source.name, rows, ("parameter", "value"))
     if checked.never_move:
         say(f"Not told, for they never move: the parameters of {', '.join(checked.never_move)}.")
@@ -631,7 +631,7 @@ def _print_result(result: Any) -> None:
 
     rows = []
     for e in result.effects:
-        values = ", ".join(_value(p.name, p.value, p.std, p.unit) for p in e.parameters)
+        values = ", ".join(_values(e.parameters))
         where = " + ".join(e.effect.joints) or "robot"
         before, after = (f"{x.relative_error:.4f}" for x in (e.before, e.after))
         rows.append((e.effect.type_name(), where, values, before, after))
@@ -656,9 +656,16 @@ def _print_result(result: Any) -> None:
         say(text)
 
 
-def _value(name: str, value: float | None, std: float | None, unit: str) -> str:
-    if value is None:
-        return f"{name} not determined"
+def _values(parameters: Sequence[Any]) -> Iterator[str]:
+    """Of an effect; what of it is not determined is said once."""
+    yield from (_value(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None)
+    missing = [p.name for p in parameters if p.value is None]
+    numbered = len({re.sub(r"_\d+$", "", name) for name in missing}) == 1 < len(missing)
+    if missing:
+        yield f"{f'{missing[0]} to {missing[-1]}' if numbered else ', '.join(missing)} not determined"
+
+
+def _value(name: str, value: float, std: float | None, unit: str) -> str:
     return f"{name} {value:.4g} ± {std:.2g} {unit}" if unit != "-" else f"{name} {value:.4g} ± {std:.2g}"
 
 

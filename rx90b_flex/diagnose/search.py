@@ -21,6 +21,7 @@ from rx90b_flex.identify.least_squares import (
     BEYOND,
     CORRELATION_S,
     Identification,
+    damped_step,
     shared_values,
 )
 from rx90b_flex.identify.regression import Regression, of_motion_alone
@@ -676,9 +677,7 @@ class _Look:
 
     def step(self, damping: float) -> Array:
         """Levenberg's step of the shape parameters."""
-        size = np.diag(self.gram)
-        damped = self.gram + damping * np.diag(np.where(size > 0, size, 1.0))
-        return np.asarray(np.linalg.lstsq(damped, self.score, rcond=None)[0])
+        return damped_step(self.gram, self.score, damping)
 
 
 def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:

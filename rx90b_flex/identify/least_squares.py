@@ -571,7 +571,7 @@ class _Fit:
             gram, score = gram * np.outer(moving, moving), score * moving
             won = False
             while damping < LARGEST_DAMPING:
-                moved = fit.shapes.moved(fit.shape, _damped_step(gram, score, damping))
+                moved = fit.shapes.moved(fit.shape, damped_step(gram, score, damping))
                 trial = fit.with_shape(moved)
                 after = trial.cost(sigma)
                 won = after < before
@@ -639,8 +639,8 @@ class _Fit:
         return found
 
 
-def _damped_step(gram: Array, score: Array, damping: float) -> Array:
-    """Levenberg's step; a parameter that the data does not tell stays."""
+def damped_step(gram: Array, score: Array, damping: float) -> Array:
+    """Levenberg's step, shape (s,), of normal equations (s, s) and (s,); a parameter that the data does not tell stays."""
     size = np.diag(gram)
     damped = gram + damping * np.diag(np.where(size > 0, size, 1.0))
     return np.asarray(np.linalg.lstsq(damped, score, rcond=None)[0], dtype=float)
