@@ -138,6 +138,8 @@ def by_links(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     by_q, by_v, by_a = (by[:, :, places] for by in motion.on_tree.derivatives())
     steps = _steps(springs, by_q[:, places], by_v[:, places], by_a[:, places], motion.time)
     further = steps.solve(-there[:, places])
+    if not np.isfinite(further).all() or np.abs(further).max() > 1e3 * LARGEST:
+        return np.zeros_like(there)  # a swing that grows: values from which a fit turns back
     out = there - motion.on_tree.link_regressor()
     for by, x in zip((by_q, by_v, by_a), (further, *_rates(further, motion.time)), strict=True):
         out += by @ x

@@ -17,6 +17,7 @@ FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched f
 HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
 # geometries from which a search begins: springs whose ends nearly meet make narrow valleys
 ANGLES, RATIOS = 16, (0.4, 0.75, 0.93)
+LARGEST_RATIO = 0.9999  # of such a spring: at 1 its ends may meet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,12 +173,14 @@ class _SearchedSpring(_SpringOfTwoLevers):
     pull: float | None = linear("N m", lower=0.0, rank=SPRING)
     slack: float | None = linear("N m", rank=SPRING)
     angle: float | None = shape("rad", start=0.0, lower=-3.0 * np.pi, upper=3.0 * np.pi)
-    ratio: float | None = shape("-", start=0.75, lower=0.02, upper=0.9999)
+    ratio: float | None = shape("-", start=0.75, lower=0.02, upper=LARGEST_RATIO)
 
     def basis(self, at: JointMotion) -> Array:
         angle, ratio = self.known_shape()
         sine = np.sin(at.q - angle)
-        return np.stack([sine, sine / np.sqrt(1.0 - ratio * np.cos(at.q - angle))], axis=1)
+        # a difference quotient by the ratio goes a little beyond its range
+        square = np.maximum(1.0 - ratio * np.cos(at.q - angle), 1.0 - LARGEST_RATIO)
+        return np.stack([sine, sine / np.sqrt(square)], axis=1)
 
     def shape_starts(self, motion: Motion) -> Array:
         angles = np.pi * (2.0 * np.arange(ANGLES) / ANGLES - 1.0)
