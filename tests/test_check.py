@@ -139,6 +139,11 @@ def _wild(x: np.ndarray) -> np.ndarray:
     return x
 
 
+def _slipped(x: np.ndarray) -> np.ndarray:
+    x[400:, ELBOW] += 0.04
+    return x
+
+
 def _standing(x: np.ndarray) -> np.ndarray:
     x[:, ELBOW] = 0.5
     return x
@@ -165,6 +170,7 @@ FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | No
     ),
     "a torque cut off": (lambda r: with_torques(r, _clipped), "clipped", (PAN,), None),
     "an encoder that stands": (lambda r: with_angles(r, _standing), "stuck", (ELBOW,), None),
+    "an encoder that slips": (lambda r: with_angles(r, _slipped), "glitch", (ELBOW,), None),
     "a wild cell": (lambda r: with_torques(r, _wild), "glitch", (LIFT,), None),
     "validation as fitted": (_repeated, "repeated_recording", (), None),
 }  # fmt: skip

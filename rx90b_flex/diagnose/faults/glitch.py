@@ -1,4 +1,4 @@
-"""Single samples that have nothing to do with their neighbours."""
+"""Single samples that have nothing to do with their neighbours, and angles that step."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array, Mask
@@ -16,6 +17,8 @@ TIMES = 12.0  # the deviation that one sample in a hundred has
 OF_TORQUE = 1.0  # of the range of the middle 99 %: friction that turns over, and noise, deviate by less
 OF_POSITION = 0.02
 EDGE = 0.8  # of that jump, from the sample before and to the one behind: a peak that others lead up to is the motion's
+OF_FASTEST = 2.0  # of the fastest motion from a sample to the next: a step that is none of the motion
+FEW = 8  # steps that are larger than it at the most
 SHOWN = 20  # rows in a result
 LABELS = {"torque": "torque", "position": "motor_position"}
 
@@ -43,8 +46,34 @@ def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Rec
             out.append(
                 DataFault("glitch", LABELS[name], joints, None, None, message, rows=tuple(int(r) for r in rows[:SHOWN]))
             )
+        out += _slips(recording)
         mended.append(dataclasses.replace(recording, **changed) if changed else recording)  # type: ignore[arg-type]
     return out, mended
+
+
+def _slips(recording: Recording) -> list[DataFault]:
+    """Angles that step from one sample to the next and go on from there: an encoder that slips, or whose zero is set anew."""
+    out = []
+    file = recording.source.name if recording.source else recording.name
+    for joint, values in zip(recording.joints, recording.position.T, strict=True):
+        step = np.diff(values)
+        if len(step) < 4 * WINDOW:
+            continue
+        off = np.abs(step - median_filter(step, WINDOW, mode="nearest"))
+        fastest = float(np.partition(np.abs(step), -FEW)[-FEW])
+        limit = max(TIMES * np.quantile(off, 0.99), OF_FASTEST * fastest)
+        rows = np.flatnonzero((off > limit) & (limit > 0))
+        # a single cell that is wrong steps there and back
+        rows = rows[[abs(values[min(i + 3, len(step))] - values[max(i - 2, 0)]) > 0.5 * limit for i in rows]]
+        if len(rows):
+            shown = ", ".join(f"{i + 2} by {step[i]:.3g}" for i in rows[:5]) + (" and others" if len(rows) > 5 else "")
+            message = (
+                f"{file}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, or a zero that was "
+                "set anew; leave that part out (start_s, end_s)."
+            )
+            at = tuple(int(i) + 2 for i in rows[:SHOWN])
+            out.append(DataFault("glitch", LABELS["position"], (joint,), None, None, message, rows=at))
+    return out
 
 
 def _apart(values: Array, part: float) -> Mask:
