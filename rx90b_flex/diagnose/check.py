@@ -196,7 +196,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         parameters = statuses(look, rigid, moving)
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
-        faults += unrelated(campaign.joints, constant + 0.0, constant + 0.0, np.ones_like(moving), constant)
+        faults += unrelated(campaign.joints, np.ones(len(constant)), np.ones(len(constant)), constant, constant)
     tell("done", 1.0)
     return Checked(
         all(f.usable for f in faults),

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter, median_filter
 
 from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array, Mask
@@ -19,6 +19,7 @@ OF_POSITION = 0.02
 EDGE = 0.8  # of that jump, from the sample before and to the one behind: a peak that others lead up to is the motion's
 OF_FASTEST = 2.0  # of the fastest motion from a sample to the next: a step that is none of the motion
 FEW = 8  # steps that are larger than it at the most
+BESIDE = [1, 1, 0, 1, 1]  # the steps that one is held against
 SHOWN = 20  # rows in a result
 LABELS = {"torque": "torque", "position": "motor_position"}
 
@@ -36,11 +37,11 @@ def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Rec
             changed[name] = _bridged(values, bad)
             rows = np.flatnonzero(bad.any(axis=1)) + 1
             joints = tuple(j for k, j in enumerate(recording.joints) if bad[:, k].any())
-            file = recording.source.name if recording.source else recording.name
             shown = ", ".join(str(r) for r in rows[:5]) + (" and others" if len(rows) > 5 else "")
             worst = float(np.abs(values[bad]).max())
             message = (
-                f"{file}: {name} of {', '.join(joints)}: {len(rows)} row(s) jump away from their neighbours (up to {worst:.4g}), "
+                f"{_file(recording)}: {name} of {', '.join(joints)}: {len(rows)} row(s) jump away from their neighbours "
+                f"(up to {worst:.4g}), "
                 f"row {shown}: correct these cells, or leave the part out (start_s, end_s)."
             )
             out.append(
@@ -51,10 +52,13 @@ def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Rec
     return out, mended
 
 
+def _file(recording: Recording) -> str:
+    return recording.source.name if recording.source else recording.name
+
+
 def _slips(recording: Recording) -> list[DataFault]:
     """Angles that step from one sample to the next and go on from there: an encoder that slips, or whose zero is set anew."""
     out = []
-    file = recording.source.name if recording.source else recording.name
     for joint, values in zip(recording.joints, recording.position.T, strict=True):
         step = np.diff(values)
         if len(step) < 4 * WINDOW:
@@ -62,13 +66,16 @@ def _slips(recording: Recording) -> list[DataFault]:
         off = np.abs(step - median_filter(step, WINDOW, mode="nearest"))
         fastest = float(np.partition(np.abs(step), -FEW)[-FEW])
         limit = max(TIMES * np.quantile(off, 0.99), OF_FASTEST * fastest)
-        rows = np.flatnonzero((off > limit) & (limit > 0))
+        # a joint that moves for a few samples of a slow log has others beside its fastest
+        beside = maximum_filter(np.abs(step), footprint=BESIDE, mode="nearest")
+        rows = np.flatnonzero((off > limit) & (off > OF_FASTEST * beside) & (limit > 0))
         # a single cell that is wrong steps there and back
         rows = rows[[abs(values[min(i + 3, len(step))] - values[max(i - 2, 0)]) > 0.5 * limit for i in rows]]
         if len(rows):
             shown = ", ".join(f"{i + 2} by {step[i]:.3g}" for i in rows[:5]) + (" and others" if len(rows) > 5 else "")
             message = (
-                f"{file}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, or a zero that was "
+                f"{_file(recording)}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, "
+                "or a zero that was "
                 "set anew; leave that part out (start_s, end_s)."
             )
             at = tuple(int(i) + 2 for i in rows[:SHOWN])
