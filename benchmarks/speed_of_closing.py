@@ -1,14 +1,15 @@
 """Time and memory of closing the loop, one process a case, beside what was asked for.
 
-    python benchmarks/speed_of_closing.py [CASE ...]
+    python benchmarks/speed_of_closing.py [CASE ...] [--cold]
 
 Recordings are made by `tests/independent.py`; the TX40's are looked for where the tests look (`RX90B_FLEX_DATA`). Times: of the
 processor (one thread) and of the clock, from the campaign file to the result, without making the data. The ratio is that of
-the processor's time to what was asked for.
+the processor's time to what was asked for. With `--cold` nothing is compiled before.
 """
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
@@ -129,11 +130,14 @@ def main() -> None:
     match sys.argv[1:]:
         case ["--one", name]:
             run(name)
-        case names:
+        case arguments:
+            names = [n for n in arguments if n != "--cold"]
             if unknown := [n for n in names if n not in CASES]:
                 raise SystemExit(f"{unknown[0]!r}: no case; there are {', '.join(CASES)}")
             for name in names or CASES:
-                subprocess.run([sys.executable, __file__, "--one", name], check=True)
+                with tempfile.TemporaryDirectory() as cache:
+                    cold = {"NUMBA_CACHE_DIR": cache} if "--cold" in arguments else {}
+                    subprocess.run([sys.executable, __file__, "--one", name], check=True, env=os.environ | cold)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -700,14 +699,3 @@ def test_a_joint_that_bears_the_name_of_a_virtual_one_is_a_clash(read):
 def test_a_flexible_base_twice_is_a_clash(read):
     with pytest.raises(ValueError, match="name 'base_"):
         fx.flexify(fx.flexify(read(TOY), [], [], base=True), [], [], base=True)
-
-
-# --------------------------------------------------------------------------------------------------------------- speed
-
-
-def test_reading_and_writing_a_ur10_takes_less_than_a_fifth_of_a_second():
-    fx.urdf_path("example-robot-data:ur10")  # imports
-    start = time.perf_counter()
-    urdf = example_robot("ur10")
-    fx.to_xml(fx.flexify(urdf, fx.moving_joints(urdf), fx.moving_joints(urdf)))
-    assert time.perf_counter() - start < 0.2
