@@ -223,7 +223,7 @@ class _Fitted:
         model, rows = search.model, search.regression.rows
 
         def of(effect: Effect) -> Array:
-            return effect.columns(motion)[:, rows]
+            return search.regression.seen(effect, effect.columns(motion))
 
         links = [motion.on_tree.link_regressor()[:, rows]] if model.links_fitted else []
         columns = [*links, *(of(e) for e in (*beside.kept, *beside.restored, *_with_slopes(rival)))]

@@ -383,7 +383,8 @@ class _Ended:
         tell("looking at what remains", 0.95)
         held_out = Regression.of(self.source, campaign.validation, campaign.cutoff_hz)
         held_out = held_out.trusting(trust(held_out, model))
-        left = ((model.regression, model.residual), (held_out, model.residual_on(held_out)))
+        of_motors = model.residual[:, : len(campaign.joints)]
+        left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
         where = dependences(left, seed)
         cautions = _cautions(self.source, campaign)
         shown = with_possible_values(declared)
@@ -418,7 +419,7 @@ class _Ended:
             known,
             "" if known else str(explainable),
             self._if_not_possible(),
-            (*cautions, *constants),
+            (*cautions, *constants, *_sensor_words(declared, model)),
             data_faults=checked.data_faults,
             undeclared_basics=checked.undeclared_basics,
             checked=checked,
@@ -503,6 +504,19 @@ def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
         f"all drives held, and this campaign keeps what is below {top:.3g} Hz. From a third of it on what is left depends on the "
         "declared damping and on how the log began, and may be given another name, such as a delay; a low-pass at "
         f"{RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
+    )
+
+
+def _sensor_words(declared: Identification, model: Identification) -> tuple[str, ...]:
+    """What torque sensors behind the gears, fitted beside the motors, leave before and after."""
+    first, sensors = len(model.regression.joints), model.regression.sensors
+    sizes = [
+        np.sqrt((x[:, first:] ** 2).mean(axis=0)) for x in (declared.residual, model.residual, model.regression.torque)
+    ]
+    return tuple(
+        f"The torque sensor of {joint} was fitted beside its motor: of {size:.3g} N m that vary in it the declared model leaves "
+        f"{before:.3g} N m, the final one {after:.3g} N m."
+        for joint, before, after, size in zip(sensors, *sizes, strict=True)
     )
 
 

@@ -34,11 +34,12 @@ def trust(regression: Regression, model: Identification) -> Array:
     model : Identification
         Its friction steps by so much; its residual's median deviation is sigma.
     """
-    sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(regression)), axis=0)
+    motors = regression.motors
+    sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(motors)), axis=0)
     steep = [e for e in model.effects if e.in_dynamics and not (e.virtual or e.needs_model)]
-    seen = regression.with_model(model.link_parameters, model.effects)
-    pairs = zip(seen.stretches, regression.stretches, strict=True)
-    doubt = np.concatenate([_doubt(s, first.wider, steep) for s, first in pairs])[:, regression.rows]
+    seen = motors.with_model(model.link_parameters, model.effects)
+    pairs = zip(seen.stretches, motors.stretches, strict=True)
+    doubt = np.concatenate([_doubt(s, first.wider, steep) for s, first in pairs])[:, motors.rows]
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 

@@ -31,8 +31,9 @@ def spring_words(model: Identification, joint: str) -> str:
         return ""
     angle = np.concatenate([s.sampled.q[:, column] for s in regression.stretches])
     span = float(np.ptp(angle))
-    curve = np.zeros((len(angle), len(regression.joints), DEGREE))
-    curve[:, place] = legendre.legvander(2.0 * (angle - angle.min()) / max(span, 1e-12) - 1.0, DEGREE)[:, 1:]
+    curve = np.zeros((len(angle), len(regression.rows), DEGREE))
+    shape = legendre.legvander(2.0 * (angle - angle.min()) / max(span, 1e-12) - 1.0, DEGREE)[:, 1:]
+    curve[:, regression.rows == column] = shape[:, None]
     apart, own = _apart(model, curve)
     weights = model.solution.sigma**-2.0
     left = np.einsum("j,njk,njl->kl", weights, apart, apart)

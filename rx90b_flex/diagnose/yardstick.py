@@ -99,7 +99,7 @@ def yardstick(
     -------
     Explainable, or a sentence that says why nothing is known.
     """
-    fitted = declared.regression.trusting(None).beginning(LONGEST)
+    fitted = declared.regression.motors.trusting(None).beginning(LONGEST)
     if len(fitted) < FEWEST_SAMPLES:
         return (
             f"Too little data for a free-form model: {len(fitted)} samples behind the low-pass; "

@@ -155,6 +155,7 @@ class TransmissionError(_AngleError):
     Hardeman 2008, section 7.2, left open there: a gear ratio that depends on the angle.
     """
 
+    behind_gear: ClassVar[bool] = True
     needs_model: ClassVar[bool] = True
 
     def sensitivity(self, motion: Motion) -> tuple[Array, ...]:
@@ -234,6 +235,7 @@ class Backlash(LogEffect, JointEffect):
     Not in Hardeman 2008; lost motion between the flanks of teeth, smoothed over a small load.
     """
 
+    behind_gear: ClassVar[bool] = True
     needs_model: ClassVar[bool] = True
 
     gap: float | None = linear("rad", lower=0.0)

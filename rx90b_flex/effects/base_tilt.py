@@ -36,6 +36,7 @@ class BaseTilt(Effect):
     Not in Hardeman 2008; gravity of the links (equation 3.47) in a turned base, to first order.
     """
 
+    behind_gear: ClassVar[bool] = True
     on: ClassVar[str] = "robot"
     part: ClassVar[str] = "links"
     needs_model: ClassVar[bool] = True  # gravity of the links as they are identified, not as they are declared

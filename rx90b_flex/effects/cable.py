@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class CableTorque(PairEffect):
     ------
     Not in Hardeman 2008; torques of cable packages along an arm, the first two terms of a smooth curve.
     """
+
+    behind_gear: ClassVar[bool] = True
 
     bends: tuple[float, float] | None = linear("N m/rad^k", rank=SPRING, size=2, public="coefficients")
 

@@ -133,6 +133,7 @@ class DriveFlexibility(_FlexibilityOfJoint):
     Hardeman 2008, equations 3.58, 3.68 and 3.70.
     """
 
+    behind_gear: ClassVar[bool] = True
     virtual: ClassVar[tuple[str, ...]] = ("torsion",)
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 1),)  # the loss of a mode stays what it was
     rescaled: ClassVar[str] = "drive_stiffness"
@@ -162,6 +163,7 @@ class DriveFlexibility(_FlexibilityOfJoint):
 class _OnRigidTree(Effect):
     """What motors feel of a drive on a rigid tree: one coefficient, which follows from the shape in a fit."""
 
+    behind_gear: ClassVar[bool] = True
     needs_load: ClassVar[bool] = True
     needs_model: ClassVar[bool] = True
     coefficients_follow: ClassVar[bool] = True
@@ -363,6 +365,7 @@ class JointFlexibility(_FlexibilityOfJoint):
     Hardeman 2008, equations 3.60, 3.68 and 3.70.
     """
 
+    behind_gear: ClassVar[bool] = True
     virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 1, 2, 3),)  # a round bearing
     rescaled: ClassVar[str] = "joint_stiffness"
@@ -397,6 +400,7 @@ class BaseFlexibility(_Flexibility):
     Hardeman 2008, section 7.2, left open there.
     """
 
+    behind_gear: ClassVar[bool] = True
     on: ClassVar[str] = "robot"
     virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 2), (1, 3))
@@ -512,6 +516,7 @@ class StiffnessHardening(LawEffect):
     Not in Hardeman 2008; the cubic term of a hardening gear, as strain-wave gears have it.
     """
 
+    behind_gear: ClassVar[bool] = True
     acts_at: ClassVar[str] = "torsion"
     needs: ClassVar[tuple[str, ...]] = ("drive_flexibility",)
     part: ClassVar[str] = "flexibility"

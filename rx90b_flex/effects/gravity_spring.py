@@ -48,6 +48,7 @@ class GravitySpring(JointForce):
     Hardeman 2008, equations 3.9 and 3.61.
     """
 
+    behind_gear: ClassVar[bool] = True
     part: ClassVar[str] = "spring"
 
     stiffness: float | None = linear("N/m", lower=0.0, rank=SPRING)
@@ -129,6 +130,8 @@ class GravitySpring(JointForce):
 
 class _SpringOfTwoLevers(JointEffect):
     """A `GravitySpring` of unknown geometry: levers a and b from the axis to its ends, ``l^2 = a^2 + b^2 - 2 a b cos(q - angle)``."""
+
+    behind_gear: ClassVar[bool] = True
 
     @classmethod
     def type_name(cls) -> str:

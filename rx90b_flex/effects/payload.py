@@ -36,6 +36,7 @@ class Payload(FrameEffect):
     Hardeman 2008, equations 3.47 to 3.52 for a point mass.
     """
 
+    behind_gear: ClassVar[bool] = True
     adds_inertia: ClassVar[bool] = True
     part: ClassVar[str] = "links"
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)

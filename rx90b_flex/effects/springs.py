@@ -35,6 +35,7 @@ class JointSpring(JointForce):
     Not in Hardeman 2008; the linear case of equation 3.61 between two neighbouring links.
     """
 
+    behind_gear: ClassVar[bool] = True
     part: ClassVar[str] = "spring"
     scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
 

@@ -23,7 +23,7 @@ from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
-from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.regression import Regression, prepare, sensed_joints
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
 from rx90b_flex.showing import Showing
@@ -217,7 +217,8 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
             f"{campaign.robot_source}: nothing to identify: inertial_parameters is 'known' and no effects are declared"
         )
     tell("differentiating", 0.1)
-    regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz)
+    sensors = sensed_joints(campaign.identification)
+    regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz, sensors)
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
     model = estimator.identify(regression, regression.robot.effects, fit_links=fitted)

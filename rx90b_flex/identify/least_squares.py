@@ -354,7 +354,7 @@ class _Fit:
     @cached_property
     def factors(self) -> Array:
         """Gain of each joint's log so far, shape (joints,): the rows of all columns are multiplied by it."""
-        out = np.ones(len(self.regression.joints))
+        out = np.ones(len(self.regression.rows))
         for e in self.effects:
             if e.multiplies and e.known:
                 at = self.regression.joints.index(e.joints[0])
@@ -400,7 +400,7 @@ class _Fit:
                 rows, columns = self.regression.compact([e])
                 plain = e.multiplies or (self.factors == 1.0).all()
                 parts.append((at, rows, columns if plain else columns * self.factors[rows, None]))
-        return ColumnsByJoint.of(parts, len(self.regression.joints), len(self.regression))
+        return ColumnsByJoint.of(parts, len(self.regression.rows), len(self.regression))
 
     @cached_property
     def fixed(self) -> ColumnsByJoint:
@@ -434,14 +434,14 @@ class _Fit:
     def columns(self) -> ColumnsByJoint:
         """All columns."""
         following = [
-            (at, np.arange(len(self.regression.joints)), self._scaled(e))
+            (at, np.arange(len(self.regression.rows)), self._scaled(e))
             for e, at in zip(self.effects, self._places, strict=True)
             if e.coefficients_follow
         ]
         known = self.fixed.beside(self.varied)
         if not following:
             return known
-        return known.beside(ColumnsByJoint.of(following, len(self.regression.joints), len(self.regression)))
+        return known.beside(ColumnsByJoint.of(following, len(self.regression.rows), len(self.regression)))
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -544,7 +544,7 @@ class _Fit:
                 above, below = ((x.coefficients if e.coefficients_follow else theta) for x in pair)
                 slope = (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step) * self.factors[rows]
                 parts.append((np.array([place]), rows, slope[:, :, None]))
-        return ColumnsByJoint.of(parts, len(self.regression.joints), len(self.regression))
+        return ColumnsByJoint.of(parts, len(self.regression.rows), len(self.regression))
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""

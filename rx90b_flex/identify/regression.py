@@ -77,6 +77,8 @@ class Stretch:
         Part of the fit's samples that is away from the ends.
     carried : array, shape (10 * bodies,), or None
         What a known payload adds to the links' inertial parameters in this recording.
+    sensed : array, shape (N, joints), or None
+        Torque of the sensors behind the gears, as `torque`; N m.
     """
 
     recording: Recording
@@ -89,6 +91,7 @@ class Stretch:
     working_factor: int
     kept: slice
     carried: Array | None = None
+    sensed: Array | None = None
 
     def brought(self, columns: Array) -> Array:
         """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
@@ -152,6 +155,7 @@ class Stretch:
             motion=self.motion.part(slice(begin * self.factor, end * self.factor)),
             time=self.time[samples],
             torque=self.torque[samples],
+            sensed=None if self.sensed is None else self.sensed[samples],
             kept=slice(first - begin, last - begin),
         )
 
@@ -180,7 +184,11 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     rate = recording.sample_rate_hz
     try:
         # the narrower filter first: where a recording is too short for it, that is the cutoff that the user knows
-        torque = recording.torque if cutoff_hz is None else lowpass(recording.torque, cutoff_hz, rate)
+        torque, sensed = (
+            x if x is None or cutoff_hz is None else lowpass(x, cutoff_hz, rate)
+            for x in (recording.torque, recording.joint_torque)
+        )
+        assert torque is not None
         position_cutoff = _position_cutoff(recording.position, rate, cutoff_hz)
         moved = motion(recording.position, rate, position_cutoff)
         off = _noise(recording.position - moved.position)
@@ -221,6 +229,7 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         working,
         kept,
         None if recording.payload is None else carried_parameters(robot, recording.payload),
+        None if sensed is None else sensed[::keep_every][kept],
     )
 
 
@@ -262,7 +271,9 @@ def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> f
 class Regression:
     """All stretches of one role, with the columns of the links.
 
-    The rows of a column are one array a joint of the campaign; samples of all stretches follow each other.
+    The rows of a column are one array a joint of the campaign, then one a torque sensor behind a gear; samples of all stretches
+    follow each other. What acts before the gear leaves nothing in the rows of a sensor (`Effect.behind_gear`): they tell the
+    links without friction, and the difference to the motor's is friction. A sensor's zero is not known: its rows are less their mean.
 
     Attributes
     ----------
@@ -271,20 +282,31 @@ class Regression:
     joints : tuple of str
     stretches : tuple of Stretch
     trust : array, shape (N, joints), or None
-        Factors between 0 and 1 of all rows, torque and columns alike; None leaves them as they are.
+        Factors between 0 and 1 of all rows of joints, torque and columns alike; None leaves them as they are.
+    sensors : tuple of str
+        Joints whose torque sensors are fitted beside the motors.
     """
 
     robot: Robot
     joints: tuple[str, ...]
     stretches: tuple[Stretch, ...]
     trust: Array | None = None
+    sensors: tuple[str, ...] = ()
 
     @staticmethod
-    def of(robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None) -> Regression:
-        """Prepare recordings of one robot for a fit, of motors on a rigid tree."""
+    def of(
+        robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None, sensors: Sequence[str] = ()
+    ) -> Regression:
+        """Prepare recordings of one robot for a fit, of motors (and torque sensors of some joints) on a rigid tree."""
         joints = recordings[0].joints
         rigid = robot.over_time().restricted(joints)
-        return Regression(rigid, joints, tuple(prepare(rigid, r, cutoff_hz) for r in recordings))
+        stretches = tuple(prepare(rigid, r, cutoff_hz) for r in recordings)
+        return Regression(rigid, joints, stretches, None, tuple(sensors))
+
+    @property
+    def motors(self) -> Regression:
+        """The same without torque sensors."""
+        return dataclasses.replace(self, sensors=()) if self.sensors else self
 
     def __len__(self) -> int:
         return sum(len(s) for s in self.stretches)
@@ -296,17 +318,43 @@ class Regression:
 
     @cached_property
     def torque(self) -> Array:
-        """Measured torque less what known payloads take, shape (N, joints), N m."""
-        torque = np.concatenate([s.torque for s in self.stretches])
+        """Measured torque less what known payloads take, shape (N, rows), N m."""
+        torque = np.concatenate([np.hstack([s.torque, self._sensed(s)]) for s in self.stretches])
         for span, stretch in zip(self.spans, self.stretches, strict=True):
             if stretch.carried is not None:
                 torque[span] -= self._untouched_links[span] @ stretch.carried
-        return torque if self.trust is None else torque * self.trust
+        return self._counted(torque[:, :, None], np.arange(len(self.rows)))[:, :, 0]
+
+    def _counted(self, columns: Array, rows: Indices) -> Array:
+        """Columns (N, rows, k) with the factors of their rows, those of sensors less their means."""
+        factors, first = self._factors, len(self.joints)
+        if factors is None or not len(rows):
+            return columns
+        out = columns * factors[:, rows, None]
+        for i in np.flatnonzero(rows >= first):
+            there = factors[:, rows[i]] > 0.0
+            out[there, i] -= out[there, i].mean(axis=0)
+        return out
+
+    def _sensed(self, stretch: Stretch) -> Array:
+        """Of the sensors that are fitted, (N, sensors), N m; zero where a recording has none."""
+        if stretch.sensed is None:
+            return np.zeros((len(stretch), len(self.sensors)))
+        return stretch.sensed[:, [self.joints.index(j) for j in self.sensors]]
+
+    @cached_property
+    def _factors(self) -> Array | None:
+        """Of all rows, (N, rows): `trust`, and nothing of the sensors that a recording does not have."""
+        if not self.sensors:
+            return self.trust
+        there = [self._sensed(s).any(axis=0) * np.ones((len(s), 1)) for s in self.stretches]
+        trust = np.ones((len(self), len(self.joints))) if self.trust is None else self.trust
+        return np.hstack([trust, np.concatenate(there)])
 
     @cached_property
     def share(self) -> Array:
-        """Part of each joint's samples that `trust` leaves, shape (joints,)."""
-        return np.ones(len(self.joints)) if self.trust is None else np.asarray((self.trust**2).mean(axis=0))
+        """Part of each row's samples that is left, shape (rows,)."""
+        return np.ones(len(self.rows)) if self._factors is None else np.asarray((self._factors**2).mean(axis=0))
 
     def trusting(self, trust: Array | None) -> Regression:
         """The same regression with other factors of its rows."""
@@ -314,8 +362,15 @@ class Regression:
 
     @cached_property
     def rows(self) -> Indices:
-        """Coordinate of each joint of the campaign, shape (joints,)."""
-        return np.array([self.robot.layout.index(j) for j in self.joints])
+        """Coordinate of each joint of the campaign, and of each that has a torque sensor."""
+        return np.array([self.robot.layout.index(j) for j in (*self.joints, *self.sensors)])
+
+    def seen(self, effect: Effect, columns: Array) -> Array:
+        """Columns (N, coordinates, k) of an effect in each row; shape (N, rows, k)."""
+        out = columns[:, self.rows]
+        if not effect.behind_gear:
+            out[:, len(self.joints) :] = 0.0
+        return out
 
     def beginning(self, samples: int) -> Regression:
         """The beginnings of all recordings, so many working samples at the most; of a short log all of it."""
@@ -350,19 +405,19 @@ class Regression:
         return dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust), samples
 
     def columns(self, effect: Effect) -> Array:
-        """Columns of an effect, shape (N, joints, k)."""
+        """Columns of an effect, shape (N, rows, k)."""
         rows, columns = self.compact([effect])
-        out = np.zeros((len(self), len(self.joints), columns.shape[2]))
+        out = np.zeros((len(self), len(self.rows), columns.shape[2]))
         out[:, rows] = columns
         return out
 
     def compact(self, effects: Sequence[Effect], leading: bool = False) -> tuple[Indices, Array]:
-        """Columns of effects in one place side by side: the joints where they are not zero, and (N, rows, sum of k).
+        """Columns of effects in one place side by side: the rows where they are not zero, and (N, rows, sum of k).
 
         With `leading`, only the larger part of those that say which it is.
         """
         rows, columns = self._untouched(effects, leading)
-        return rows, columns if self.trust is None else columns * self.trust[:, rows, None]
+        return rows, self._counted(columns, rows)
 
     def _untouched(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         """As `compact`, before `trust`."""
@@ -419,29 +474,31 @@ class Regression:
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         factors = [e.leading(stretch.motion) if leading else e.factors(stretch.motion) for e in effects]
         if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
-            port = factors[0][0][self.rows]  # type: ignore[index]
+            port = self.seen(effects[0], factors[0][0][None, :, None])[0, :, 0]  # type: ignore[index]
             rows = np.flatnonzero(port)
             basis = stretch.brought(np.concatenate([f[1] for f in factors if f is not None], axis=1))
             return rows, port[rows][None, :, None] * basis[:, None, :]
-        columns = np.concatenate([e.columns(stretch.motion) for e in effects], axis=2)[:, self.rows]
+        columns = self.seen(effects[0], np.concatenate([e.columns(stretch.motion) for e in effects], axis=2))
         rows = np.flatnonzero(columns.any(axis=(0, 2)))
         return rows, stretch.brought(columns[:, rows])
 
     def by_links(self, effects: Sequence[Effect]) -> Array:
-        """Change of the effects' torque per change of the links' parameters, shape (N, joints, 10 * bodies)."""
-        out = np.zeros((len(self), len(self.joints), len(self.robot.link_parameters)))
+        """Change of the effects' torque per change of the links' parameters, shape (N, rows, 10 * bodies)."""
+        out = np.zeros((len(self), len(self.rows), len(self.robot.link_parameters)))
         for span, stretch in zip(self.spans, self.stretches, strict=True):
             for effect in effects:
                 change = effect.by_links(stretch.motion)
                 if change is not None:
-                    out[span] += self._brought(stretch, change)
-        return out if self.trust is None else out * self.trust[:, :, None]
+                    part = self._brought(stretch, change)
+                    out[span, : len(self.joints)] += part[:, : len(self.joints)]
+                    if effect.behind_gear:
+                        out[span, len(self.joints) :] += part[:, len(self.joints) :]
+        return self._counted(out, np.arange(len(self.rows)))
 
     @property
     def link_columns(self) -> Array:
-        """Columns of the links, shape (N, joints, 10 * bodies)."""
-        columns = self._untouched_links
-        return columns if self.trust is None else columns * self.trust[:, :, None]
+        """Columns of the links, shape (N, rows, 10 * bodies)."""
+        return self._counted(self._untouched_links, np.arange(len(self.rows)))
 
     @cached_property
     def _untouched_links(self) -> Array:
@@ -490,6 +547,13 @@ class Regression:
             edges = np.linspace(span.start, span.stop, parts + 1).astype(int)
             out += [slice(int(a), int(b)) for a, b in pairwise(edges)]
         return tuple(out)
+
+
+def sensed_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Joints of which any recording has a torque sensor that changes."""
+    sensed = [r.joint_torque for r in recordings if r.joint_torque is not None]
+    moving = np.any([np.ptp(x, axis=0) > 0.0 for x in sensed], axis=0) if sensed else []
+    return tuple(j for j, moves in zip(recordings[0].joints, moving, strict=False) if moves)
 
 
 def of_motion_alone(effect: Effect) -> bool:

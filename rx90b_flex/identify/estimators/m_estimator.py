@@ -73,9 +73,19 @@ def _scale(left: Array, regression: Regression) -> Array:
 
 
 def _with_torque(regression: Regression, torque: Array) -> Regression:
-    """The same rows with another torque (N, joints), N m, less known payloads as `Regression.torque` is."""
+    """The same rows with another torque (N, rows), N m, less known payloads as `Regression.torque` is."""
     change = torque - regression.torque
-    pairs = zip(regression.stretches, regression.spans, strict=True)
+    joints = len(regression.joints)
+    of_sensors = np.zeros((len(change), joints))
+    of_sensors[:, [regression.joints.index(j) for j in regression.sensors]] = change[:, joints:]
     return dataclasses.replace(
-        regression, stretches=tuple(dataclasses.replace(s, torque=s.torque + change[at]) for s, at in pairs)
+        regression,
+        stretches=tuple(
+            dataclasses.replace(
+                s,
+                torque=s.torque + change[at, :joints],
+                sensed=None if s.sensed is None else s.sensed + of_sensors[at],
+            )
+            for s, at in zip(regression.stretches, regression.spans, strict=True)
+        ),
     )
