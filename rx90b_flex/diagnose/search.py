@@ -464,7 +464,9 @@ class Search:
             colour,
             objection,
             *self._left_out(base, present, (b, y, d), len(beta) * colour, gain),
-            small=found.too_small(_off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s),
+            small=found.too_small(
+                _off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s, self.longest
+            ),
         )
 
     def _left_out(

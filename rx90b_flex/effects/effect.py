@@ -339,7 +339,7 @@ class Effect(ABC):
         """Whether its values go together, and with what its force assumes; bounds of single values are no part of it."""
         return True
 
-    def too_small(self, part: float, sample_s: float) -> str:
+    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         """Why it is not worth a name, however certain it is, in words; empty where it is.
 
         Parameters
@@ -348,6 +348,8 @@ class Effect(ABC):
             Of the root mean square error of the joint for which it does most, that it takes off on held-out data.
         sample_s : float
             Time between two samples of the log, s.
+        motion : Motion
+            The longest of the fitted recordings.
         """
         return (
             "" if part >= SMALLEST_PART else f"it takes {max(part, 0.0):.1%} off a joint's error, too little for a name"

@@ -13,7 +13,7 @@ from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
 from rx90b_flex.effects.effect import FRICTION, Effect, Remembering, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.presliding import deflection_range
+from rx90b_flex.effects.presliding import deflection_range, lost_in_noise
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
 
 ELEMENTS = 2  # where none are stated
@@ -88,6 +88,9 @@ class MaxwellSlipFriction(ManyCoefficients, Remembering):
         return dataclasses.replace(
             self, torques=known(torques), stiffnesses=known(torques / deflections), deflections=known(deflections)
         )
+
+    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
+        return super().too_small(part, sample_s, motion) or lost_in_noise(self.shape.max(), motion.joint(self.joint))
 
     def shape_range(self, motion: Motion) -> Array:
         return np.tile(np.array(deflection_range(motion.joint(self.joint)))[:, None], self.count)

@@ -60,6 +60,9 @@ class PreslidingFriction(Remembering):
     def shape_bounds(cls) -> Array:
         return np.array([[1e-9], [1e3]])
 
+    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
+        return super().too_small(part, sample_s, motion) or lost_in_noise(self.shape[0], motion.joint(self.joint))
+
     def shape_range(self, motion: Motion) -> Array:
         return np.array(deflection_range(motion.joint(self.joint)))[:, None]
 
@@ -116,6 +119,17 @@ class PreslidingFriction(Remembering):
 
     def independent_shapes(self, motion: Motion) -> int:
         return 3
+
+
+def lost_in_noise(deflection: float, at: JointMotion) -> str:
+    """Why a log cannot tell hysteresis of so small a deflection, rad, in words; empty where it can.
+
+    Where a joint rests, the noise of its angle would take the torque more than half the way from one end to the other.
+    """
+    wander = Resolution.of(at).wander
+    if deflection >= 2.0 * wander:
+        return ""
+    return f"it would turn over along {deflection:.2g} rad, and noise takes a joint at rest along {wander:.2g} rad"
 
 
 def deflection_range(at: JointMotion) -> tuple[float, float]:

@@ -56,6 +56,8 @@ class Resolution:
         By which the angle changes within a sample beside a reversal, or is off by noise, rad.
     travel : float
         Range of the angle, rad.
+    wander : float
+        Largest range of the angle within a rest, beside what creeps, rad: noise moves it so far.
     """
 
     velocity: float
@@ -63,6 +65,7 @@ class Resolution:
     speed: float
     angle: float
     travel: float
+    wander: float
 
     @staticmethod
     def of(at: JointMotion) -> Resolution:
@@ -78,7 +81,7 @@ def _resolution(q: Array, v: Array, time: Array, off: float | None) -> Array:
     speed, travel = float(np.percentile(np.abs(v), 95)), float(np.ptp(q))
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if len(v) < 2 * WINDOW_SAMPLES or step <= 0:
-        return np.array([SHARP, SHARP, max(speed, SHARP), 1e-6, travel])
+        return np.array([SHARP, SHARP, max(speed, SHARP), 1e-6, travel, 1e-12])
     window = max(WINDOW_SAMPLES, round(WINDOW_S / step))
     whole = len(v) // window * window
     if whole == 0:
@@ -95,7 +98,19 @@ def _resolution(q: Array, v: Array, time: Array, off: float | None) -> Array:
         # third differences of a smooth motion hold little but noise, whose variance they multiply by 20
         off = float(np.median(np.abs(np.diff(q, 3)))) / np.sqrt(20.0)
     angle = max(0.5 * velocity * step, NOISY * off)
-    return np.maximum([velocity, noise, speed, angle, travel], 1e-12)
+    return np.maximum([velocity, noise, speed, angle, travel, _wander(q, v)], 1e-12)
+
+
+def _wander(q: Array, v: Array) -> float:
+    """Largest range of an angle, beside a parabola, while its velocity counts as zero: what creeps is no noise."""
+    edges = np.flatnonzero(np.diff(v == 0.0, prepend=False, append=False))
+    rests = [q[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= WINDOW_SAMPLES]
+    return max((float(np.ptp(x - _parabola(x))) for x in rests), default=0.0)
+
+
+def _parabola(x: Array) -> Array:
+    at = np.linspace(-1.0, 1.0, len(x))
+    return np.polynomial.Polynomial.fit(at, x, 2)(at)
 
 
 def turnover_range(at: JointMotion) -> tuple[float, float]:

@@ -81,7 +81,7 @@ class TorqueDelay(LogEffect):
                 out += effect.force(ago) - now
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
-    def too_small(self, part: float, sample_s: float) -> str:
+    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         # a torque that changes fast shows any delay: its size in time counts, and down to some size what it explains
         samples = abs(self._delay) / sample_s
         if samples >= self.SMALLEST_SAMPLES or (samples >= self.LEAST_SAMPLES and part >= self.MUCH):
