@@ -12,7 +12,7 @@ from scipy import interpolate
 
 from rx90b_flex.effects.effect import JointEffect, Sites, derived, linear, shape
 from rx90b_flex.effects.log_effect import LogEffect
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.motion import Array, JointMotion, Motion, with_forces
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
 
@@ -72,13 +72,9 @@ class TorqueDelay(LogEffect):
         q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
         ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay)
         # links ask for smooth torques, which samples hold well enough; of effects each is asked for its own
-        smooth, out = np.array(motion.on_tree.load()), np.zeros_like(motion.q)
-        for effect in motion.effects:
-            now = effect.force(motion)
-            if effect.needs_load:
-                smooth += now
-            else:
-                out += effect.force(ago) - now
+        smooth = with_forces(np.array(motion.on_tree.load()), (e for e in motion.effects if e.needs_load), motion)
+        own = [e for e in motion.effects if not e.needs_load]
+        out = with_forces(np.zeros_like(motion.q), own, ago) - with_forces(np.zeros_like(motion.q), own, motion)
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
     def too_small(self, part: float, sample_s: float) -> str:
