@@ -65,15 +65,18 @@ def torque_of_links(model: pin.Model, bodies: Sequence[int], link_parameters: Ar
     tree.inertia[at] = values[:, [4, 7, 8, 7, 5, 9, 8, 9, 6]].reshape(-1, 3, 3)
     tree.heavy[at] = values.any(axis=1)
     packed, memory = pack(tree, laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
-    samples = (np.ascontiguousarray(x, dtype=float) for x in (motion.q, motion.v, motion.a))
-    return np.asarray(link_torques(packed.integers, packed.numbers, memory, *samples))
+    return np.asarray(link_torques(packed.integers, packed.numbers, memory, *_samples(motion)))
 
 
 def columns_of_links(model: pin.Model, bodies: Sequence[int], motion: Motion) -> Array:
     """The same per unit of each parameter, shape (N, n, 10 * bodies)."""
     packed, memory = pack(tree_of(model), laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
-    samples = (np.ascontiguousarray(x, dtype=float) for x in (motion.q, motion.v, motion.a))
-    return np.asarray(link_columns(packed.integers, packed.numbers, memory, np.array(bodies) - 1, *samples))
+    return np.asarray(link_columns(packed.integers, packed.numbers, memory, np.array(bodies) - 1, *_samples(motion)))
+
+
+def _samples(motion: Motion) -> tuple[Array, ...]:
+    """Angles, velocities and accelerations, (N, n), as compiled code takes them: arrays that are read only would be a type more."""
+    return tuple(np.require(x, dtype=float, requirements=["C", "W"]) for x in (motion.q, motion.v, motion.a))
 
 
 def laws_of(laws: Sequence[Law], n: int) -> Laws:

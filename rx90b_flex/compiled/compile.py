@@ -9,13 +9,15 @@ No reordering of sums: runs repeat to the bit.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numpy.typing import NDArray
 
@@ -54,6 +56,29 @@ class _Kept(CompileResultCacheImpl):
 
 class _Cache(FunctionCache):
     _impl_class = _Kept
+
+
+class _FirstTime(event.Listener):
+    """Calls back when something is compiled for the first time."""
+
+    def __init__(self, begins: Callable[[], None]) -> None:
+        self.begins = begins
+        self.begun = False
+
+    def on_start(self, event: Any) -> None:
+        if not self.begun:
+            self.begun = True
+            self.begins()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@contextmanager
+def told_of_compiling(begins: Callable[[], None]) -> Iterator[None]:
+    """Within it, `begins` is called once where something has to be compiled, which may take a while."""
+    with event.install_listener("numba:compile", _FirstTime(begins)):
+        yield
 
 
 def _compiler(**options: Any) -> Callable[[Function], Function]:

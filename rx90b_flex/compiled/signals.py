@@ -29,8 +29,12 @@ def forward_and_backward(x: Array, sections: Array, steady: Array, pad: int) -> 
             for i in range(pad):
                 row[i] = 2.0 * first - row[2 * pad - i]
                 row[pad + samples + i] = 2.0 * last - row[pad + samples - 2 - i]
-            _run(row, sections, steady)
-            _run(row[::-1], sections, steady)
+            for _ in range(2):
+                _run(row, sections, steady)
+                for i in range(
+                    len(row) // 2
+                ):  # the second time backward; in its place, for a view is another type to compile
+                    row[i], row[len(row) - 1 - i] = row[len(row) - 1 - i], row[i]
         for i in range(samples):
             for c in range(here):
                 out[i, begin + c] = work[c, pad + i]
@@ -72,7 +76,7 @@ def _run(work: Array, sections: Array, steady: Array) -> None:
 
 
 @entry
-def _along(q: Array, deflection: float, slips: bool) -> Array:
+def hysteresis(q: Array, deflection: float, slips: bool) -> Array:
     """Hysteresis over its torque along angles q (N,), rad: from each turn towards 1 or -1, at once at its end if it slips, ever
     more slowly if not.
     """
@@ -89,7 +93,8 @@ def _along(q: Array, deflection: float, slips: bool) -> Array:
             at = out[i - 1] if started else s
             turned = q[i - 1]
             if not started:
-                out[:i] = s
+                for k in range(i):
+                    out[k] = s
                 started = True
             direction = s
         if slips:
@@ -99,16 +104,14 @@ def _along(q: Array, deflection: float, slips: bool) -> Array:
     return out
 
 
-@entry
 def dahl(q: Array, deflection: float) -> Array:
     """Dahl's friction over its torque along angles q (N,), rad, exact between samples of monotone motion; shape (N,)."""
-    return _along(q, deflection, False)
+    return hysteresis(np.array(q), float(deflection), False)
 
 
-@entry
 def maxwell(q: Array, deflection: float) -> Array:
     """Torque over its limit of a spring in series with dry friction, along angles q (N,), rad; shape (N,)."""
-    return _along(q, deflection, True)
+    return hysteresis(np.array(q), float(deflection), True)
 
 
 @entry
@@ -124,13 +127,15 @@ def prediction_error_filter(autocovariance: Array, samples: int) -> Array:
         criterion = samples * np.log(error) + 2 * order
         if criterion < best:
             best, length = criterion, order + 1
-            chosen[:length] = found[:length]
+            for i in range(length):
+                chosen[i] = found[i]
         if order + 1 < orders:
             along = 0.0
             for i in range(order + 1):
                 along += found[i] * autocovariance[order + 1 - i]
             reflection = -along / error
-            before[: order + 2] = found[: order + 2]
+            for i in range(order + 2):
+                before[i] = found[i]
             for i in range(order + 2):
                 found[i] = before[i] + reflection * before[order + 1 - i]
             error *= 1.0 - reflection**2

@@ -96,8 +96,18 @@ class Base:
         parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
         return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
 
+    @cached_property
+    def _grouped(self) -> dict[tuple[tuple[int, ...], ...], Base]:
+        return {}
+
     def grouped(self, groups: Sequence[Indices]) -> Base:
         """With blocks put together, of which a fit to the others sees a trace: what they leave open must not run away."""
+        key = tuple(tuple(at.tolist()) for at in groups)
+        if key not in self._grouped:  # every trial asks for it
+            self._grouped[key] = self._of_groups(groups)
+        return self._grouped[key]
+
+    def _of_groups(self, groups: Sequence[Indices]) -> Base:
         normal = self.shared.normal
         gram, cross, power, counts = (
             np.array([x[at].sum(axis=0) for at in groups])

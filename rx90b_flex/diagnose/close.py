@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
@@ -280,8 +281,9 @@ def close_loop(
     True
     """
     # many products of small matrices: threads would wait for each other longer than they work
-    with threadpool_limits(limits=1, user_api="blas"):
-        closed = _closed(source, robot, seed, _rising(progress or (lambda _text, _part: None)), despite_faults)
+    tell = _rising(progress or (lambda _text, _part: None))
+    with threadpool_limits(limits=1), told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)):
+        closed = _closed(source, robot, seed, tell, despite_faults)
         return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
 
 

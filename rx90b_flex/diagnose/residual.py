@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.regression import Stretch, period_noise
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass
@@ -91,14 +91,7 @@ class ReplayedTorques:
         """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
         loaded = self.stretch.loaded(link_parameters)
         seen = self.robot.on_links(self.stretch.motion, loaded, effects)
-        force = np.array(seen.on_tree.load())
-        for effect in (e for e in effects if e.in_dynamics):
-            factors = effect.factors(seen)
-            if factors is None:
-                force += effect.force(seen)
-            else:
-                port, basis = factors
-                force += np.outer(basis @ effect.known_coefficients(), port)
+        force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.in_dynamics), seen)
         for effect in effects:
             if not effect.in_dynamics:
                 force = effect.logged(seen, force)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import interpolate, ndimage
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression, Stretch
 from rx90b_flex.signals import lowpass
@@ -54,7 +54,7 @@ def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) 
 
     def force(of: list[Effect], q: Array = stretch.motion.q, v: Array = stretch.motion.v) -> Array:
         moved = dataclasses.replace(stretch.motion, q=q, v=v)
-        return np.asarray(sum((e.force(moved) for e in of), np.zeros_like(v)))
+        return with_forces(np.zeros_like(v), of, moved)
 
     angle, velocity = wider
     by_angle, steep = ([e for e in effects if e.remembers is known] for known in (True, False))

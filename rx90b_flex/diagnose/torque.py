@@ -52,20 +52,16 @@ class TorqueData:
 
         return TorqueData(regression, replays(campaign.identification), replays(campaign.validation))
 
-    def errors(self, model: Identification) -> RoleErrors:
-        """Of the robot that is written: with values that a robot can have."""
-        return self.fitted_errors(with_possible_values(model))
-
     def fitted_errors(self, model: Identification) -> RoleErrors:
         """With the values as they are."""
-        return RoleErrors(self._errors(self.validation, model), self._errors(self.identification, model))
+        return RoleErrors(self.errors(self.validation, model), self.errors(self.identification, model))
 
-    def rise(self, without: Identification, added: Identification) -> tuple[str, float] | None:
+    def rise(self, without: TorqueModel, added: TorqueModel) -> tuple[str, float] | None:
         """The recording with role validation whose error an addition raises beyond its spread, and how likely chance does that."""
-        models = (with_possible_values(m) for m in (without, added))
-        predicted = ([predict(r, m) for r in self.validation] for m in models)
-        columns = zip(*((r.torque, r.velocity, r.recording.sample_rate_hz) for r in self.validation), strict=True)
-        found = rise(*columns, *predicted)
+        torque, velocity, rates = zip(
+            *((r.torque, r.velocity, r.recording.sample_rate_hz) for r in self.validation), strict=True
+        )
+        found = rise(torque, velocity, rates, without.validation, added.validation)
         return found and (self.validation[found[0]].recording.name, found[1])
 
     def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
@@ -73,7 +69,8 @@ class TorqueData:
         repeating = [r for r in self.identification if r.recording.period_s is not None]
         return noise_floor(repeating, [r.torque - predict(r, model) for r in repeating], campaign)
 
-    def _errors(self, replays: Sequence[ReplayedTorques], model: Identification) -> Errors:
+    def errors(self, replays: Sequence[ReplayedTorques], model: Identification) -> Errors:
+        """On some recordings, with the values as they are."""
         return Errors.of([r.torque for r in replays], [predict(r, model) for r in replays])
 
 
@@ -94,9 +91,22 @@ class TorqueModel:
         return tuple(self.identified.effects)
 
     @cached_property
+    def possible(self) -> Identification:
+        """With values that a robot can have, which are those that are written."""
+        return with_possible_values(self.identified)
+
+    @cached_property
+    def validation(self) -> list[Array]:
+        """Torques that it predicts of the recordings with role validation, each (N, joints), N m."""
+        return [predict(r, self.possible) for r in self.data.validation]
+
+    @cached_property
     def errors(self) -> RoleErrors:
         """Of the robot that is written."""
-        return self.data.errors(self.identified)
+        measured = [r.torque for r in self.data.validation]
+        return RoleErrors(
+            Errors.of(measured, self.validation), self.data.errors(self.data.identification, self.possible)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +233,13 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return None
 
     def without(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel, list[TorqueTrial]]:
+        for known, taken_out, less in self._lesser:
+            if known is model and taken_out is trial:
+                self._lesser.clear()
+                return less
+        return self._without(model, trial)
+
+    def _without(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel, list[TorqueTrial]]:
         search, effect = self.search(model), find(model, trial.effect)
         less = self._identified(search.present_without(effect), model)
         names = {r.label for r in search.restored(effect)} - self._declared
@@ -251,9 +268,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         for step in standing.steps:
             if step.after.validation.relative_error <= step.before.validation.relative_error:
                 continue
-            model, _ = self.without(standing.model, step.trial)
-            found = self.data.rise(model.identified, standing.model.identified)
+            model, back = self.without(standing.model, step.trial)
+            found = self.data.rise(model, standing.model)
             if found is not None and (worst is None or found[1] < worst[0]):
+                self._lesser[:] = [(standing.model, step.trial, (model, back))]
                 less, more = (m.errors.validation.relative_error for m in (model, standing.model))
                 worst = (
                     found[1],
@@ -279,6 +297,11 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     @cached_property
     def _searches(self) -> list[Search]:
+        return []
+
+    @cached_property
+    def _lesser(self) -> list[tuple[TorqueModel, TorqueTrial, tuple[TorqueModel, list[TorqueTrial]]]]:
+        """The model without the addition that did most harm, which is what comes next: model, trial, and what `without` found."""
         return []
 
     @cached_property

@@ -24,13 +24,14 @@ import numpy as np
 from scipy import linalg
 from scipy.interpolate import CubicSpline
 
-from rx90b_flex.compiled.torsion import CUBIC, begun_slowly, hinges_together, samples_of_a_swing, torsion_alone
+from rx90b_flex.compiled.torsion import hinges_together, oscillator, rates, stepped, swing_free
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
 SECOND = np.array(
     [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
 )  # as `convolve` reads them
+CUBIC = 4  # coefficients
 CORRECTIONS = 3  # of the steps, each with the eighth-order derivatives of the one before
 LARGE_SWEEPS = 4  # in which the tree itself is asked what its derivatives leave out
 SAME = 1e-6  # of the torque: a sweep that changes less is the last
@@ -175,10 +176,8 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     if len(springs) == 1:
         (s,) = springs
         along = [np.ascontiguousarray(x) for x in (load[:, 0], by_q[:, 0, 0], by_v[:, 0, 0], by_a[:, 0, 0])]
-        limits = (LEAST_INERTIA, FASTEST, FIRST, SECOND, CORRECTIONS, 1e3 * LARGEST)
-        spring = (float(s.stiffness), float(s.lag), float(s.cubic))
-        alone: Any = torsion_alone  # typed by numba, not by mypy
-        return np.asarray(alone(*along, spring, _step(time), *limits))[:, None]
+        with np.errstate(all="ignore"):  # values from which a fit turns back
+            return _torsion_alone(s, along[0], along[1], along[2], along[3], _step(time))[:, None]
     cubic = np.array([s.cubic for s in springs])
     at_angle, at_rate = _with_springs(springs, by_q, by_v)
     if any(s.kind != "drive" for s in springs):
@@ -199,6 +198,57 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
         torsion = torsion + steps.solve(-asked, begun)
         begun = np.zeros_like(begun)
     return torsion
+
+
+def _torsion_alone(spring: Spring, load: Array, by_q: Array, by_v: Array, by_a: Array, step: float) -> Array:
+    """Torsion (N,), rad, of one drive under a load (N,), N m; zero where no drive twists like that."""
+    cubic = float(spring.cubic)
+    at_angle, at_rate = by_q + spring.stiffness, by_v + spring.stiffness * spring.lag
+    equations, swings, swing = _steps_alone(at_angle, at_rate, by_a, step)
+    first = float(at_angle[0]), cubic, float(at_rate[0]), max(float(by_a[0]), 0.0)
+    begun = begun_slowly(-load, swing, step, *first)
+    torsion = stepped(equations, swings, begun, -load)
+    for _ in range(CORRECTIONS):
+        if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
+            return np.zeros_like(load)
+        v, a = rates(torsion, step, FIRST, SECOND)
+        asked = load + at_angle * torsion + at_rate * v + by_a * a
+        if cubic != 0.0:  # Newton's steps
+            harder = cubic * torsion * torsion
+            equations, swings, _ = _steps_alone(at_angle + 3.0 * harder, at_rate, by_a, step)
+            asked += harder * torsion
+        torsion = torsion + stepped(equations, swings, np.zeros(2), -asked)
+    return np.asarray(torsion)
+
+
+def _steps_alone(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> tuple[Array, bool, int]:
+    """The equations of `oscillator` (4, N), whether the joint swings at all, and the samples of a swing."""
+    typical = np.median(by_a)
+    inertia = np.maximum(by_a, LEAST_INERTIA * typical) if typical > 0.0 else by_a
+    fast = np.where(inertia > 0.0, at_angle * step**2 / np.where(inertia > 0.0, inertia, 1.0), 0.0)
+    swings = bool(step > 0.0 and typical > 0.0 and np.median(fast) < FASTEST**2)
+    equations = oscillator(at_angle, at_rate, inertia, fast, step if swings else 0.0, FASTEST)
+    return equations, swings, _samples_of_a_swing(fast) if swings else 0
+
+
+def _samples_of_a_swing(fast: Array) -> int:
+    """From its squared frequency, (rad a sample)^2, along a motion (N,)."""
+    return int(2.0 * np.pi / np.sqrt(max(float(np.median(fast)), 1e-6)))
+
+
+def begun_slowly(
+    force: Array, samples: int, step: float, stiffness: float, cubic: float, damping: float, inertia: float
+) -> Array:
+    """The first two torsions (2,) of the swing-free answer to a cubic through the first samples of a force (N,).
+
+    ``inertia x'' + damping x' + stiffness x + cubic x^3`` of a polynomial x is that cubic, to first order beyond rest. What the first
+    samples are off by themselves, a log's noise at its end, would else set the link swinging.
+    """
+    many = max(min(samples, len(force)), min(CUBIC, len(force)))
+    powers = np.vander(step * np.arange(many), CUBIC, increasing=True)
+    scale = np.maximum(np.linalg.norm(powers, axis=0), 1e-300)
+    c = np.linalg.lstsq(powers / scale, force[:many])[0] / scale
+    return np.asarray(swing_free(c, step, stiffness, cubic, damping, inertia))
 
 
 def _together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: float) -> Array:
@@ -287,7 +337,7 @@ class _Steps:
                     row = bands[1] + shift * m + i - j
                     first = (start - shift) * m + j
                     banded[row, first : first + m * len(source) : m] = source[:, i, j]
-        swing = tuple(samples_of_a_swing(np.ascontiguousarray(x)) for x in fast.T)
+        swing = tuple(_samples_of_a_swing(x) for x in fast.T)
         diagonals = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), inertia[0], strict=True)
         at_start = tuple((step, float(k), float(d), float(max(m, 0.0))) for k, d, m in diagonals)
         return _Steps(banded, bands, weight, swings, swing, at_start)
@@ -297,8 +347,7 @@ class _Steps:
         out = np.zeros((2, force.shape[1]))
         for j in np.flatnonzero(self.swings):
             step, stiffness, damping, inertia = self.start[j]
-            own = np.ascontiguousarray(force[:, j])
-            out[:, j] = begun_slowly(own, self.swing[j], step, stiffness, float(cubic[j]), damping, inertia)
+            out[:, j] = begun_slowly(force[:, j], self.swing[j], step, stiffness, float(cubic[j]), damping, inertia)
         return out
 
     def solve(self, force: Array, begun: Array | None = None) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -212,22 +212,32 @@ class Effect(ABC):
     # ---- values -----------------------------------------------------------------------------------------
 
     @classmethod
-    def _named(cls, kind: str) -> Iterator[tuple[str, Parameter]]:
-        return ((n, p) for n, p in cls.parameters().items() if p.kind == kind)
+    @cache
+    def _named(cls, kind: str) -> tuple[tuple[str, Parameter], ...]:
+        return tuple((n, p) for n, p in cls.parameters().items() if p.kind == kind)
 
     @classmethod
+    @cache
     def _flat(cls, kind: str) -> tuple[tuple[str, Parameter], ...]:
         flat: list[tuple[str, Parameter]] = []
         for name, p in cls._named(kind):
             flat += [(name, p)] if p.size == 1 else [(f"{name}_{i + 1}", p) for i in range(p.size)]
         return tuple(flat)
 
+    @classmethod
+    @cache
+    def _flat_names(cls, kind: str) -> tuple[str, ...]:
+        return tuple(name for name, _ in cls._flat(kind))
+
     def _values(self, kind: str) -> Array:
         out: list[float] = []
         for _, p in self._named(kind):
             value = getattr(self, p.attribute)
-            out += [np.nan] * p.size if value is None else list(np.atleast_1d(np.asarray(value, dtype=float)))
-        return np.array(out)
+            if isinstance(value, float):
+                out.append(value)
+            else:
+                out += [np.nan] * p.size if value is None else list(np.atleast_1d(np.asarray(value, dtype=float)))
+        return np.array(out, dtype=float)
 
     def _with_values(self, kind: str, values: Sequence[float] | Array) -> Self:
         change: dict[str, Any] = {}
@@ -241,7 +251,7 @@ class Effect(ABC):
     @property
     def coefficient_names(self) -> tuple[str, ...]:
         """Names of the coefficients that the force is linear in."""
-        return tuple(name for name, _ in self._flat("linear"))
+        return self._flat_names("linear")
 
     @property
     def coefficient_units(self) -> tuple[str, ...]:
@@ -270,7 +280,7 @@ class Effect(ABC):
     @classmethod
     def shape_names(cls) -> tuple[str, ...]:
         """Names of the shape parameters."""
-        return tuple(name for name, _ in cls._flat("shape"))
+        return cls._flat_names("shape")
 
     @classmethod
     def shape_bounds(cls) -> Array:
@@ -452,9 +462,9 @@ class Effect(ABC):
     def known_coefficients(self) -> Array:
         """Coefficients, with an error that names the first one without a value."""
         values = self.coefficients
-        for name, value in zip(self.coefficient_names, values, strict=True):
-            if np.isnan(value):
-                raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
+        if np.isnan(values).any():
+            name = self.coefficient_names[int(np.isnan(values).argmax())]
+            raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
         return values
 
     def known_shape(self) -> Array:
@@ -463,9 +473,9 @@ class Effect(ABC):
 
     def checked_shape(self, values: Array) -> Array:
         """Values of the shape parameters (s,), with an error that names the first one that is not known."""
-        for name, value in zip(self.shape_names(), values, strict=True):
-            if np.isnan(value):
-                raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
+        if np.isnan(values).any():
+            name = self.shape_names()[int(np.isnan(values).argmax())]
+            raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
         return values
 
     def placed(self, motion: Motion) -> Self:
@@ -585,18 +595,18 @@ class LawEffect(JointForce):
         return (Law(port, function=self.law, parameters=values, stores=self.law_stores),)
 
     def basis(self, at: JointMotion) -> Array:
-        return self._by_law(at)[0]
+        return np.ascontiguousarray(self._by_law(at)[0].T)
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        _, by_q, by_v = self._by_law(at)
+        by_q, by_v = (np.ascontiguousarray(x.T) for x in self._by_law(at)[1:])
         return by_q, by_v, np.zeros_like(by_q)
 
     def _by_law(self, at: JointMotion) -> Array:
-        """Torque and its slopes by angle and rate, per unit of each coefficient, (3, N, k): the law of all units at once."""
+        """Torque and its slopes by angle and rate, per unit of each coefficient, (3, k, N): the law of all units at once."""
         units = np.eye(len(self.coefficient_names))
         out = np.zeros((3, len(units), len(at.q)))
         self.law(at.q, at.v, [*units[:, :, None], *self.known_shape()], out)
-        return np.ascontiguousarray(out.transpose(0, 2, 1))
+        return out
 
 
 class Remembering(JointForce):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -50,6 +50,15 @@ class Coordinates:
         ``drive`` is e, ``joint`` is the joint angle theta = e + eps1 (equation 3.4), any other
         kind is a virtual joint of that name.
         """
+        if (joint, kind) not in self._ports:
+            self._ports[joint, kind] = self._port(joint, kind)
+        return self._ports[joint, kind].copy()
+
+    @cached_property
+    def _ports(self) -> dict[tuple[str, str], Array]:
+        return {}
+
+    def _port(self, joint: str, kind: str) -> Array:
         row = np.zeros(len(self.names))
         kinds = ("drive", "torsion") if kind == "joint" else (kind,)
         for k in kinds:
@@ -123,6 +132,14 @@ class Force(Protocol):
         """Generalised force, shape (N, n)."""
         ...
 
+    def factors(self, motion: Motion) -> tuple[Array, Array] | None:
+        """Its columns as a constant port (n,) and a basis (N, k), where they are the outer product of the two."""
+        ...
+
+    def known_coefficients(self) -> Array:
+        """Coefficients, shape (k,)."""
+        ...
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -169,7 +186,7 @@ class Motion:
     @cached_property
     def model_torque(self) -> Array:
         """Generalised force of the present model, tree and effects; shape (N, n), N m."""
-        return sum((effect.force(self) for effect in self.effects), self.on_tree.load())
+        return with_forces(np.array(self.on_tree.load()), self.effects, self)
 
     @cached_property
     def _kept(self) -> dict[tuple[str, ...], tuple[Array, ...]]:
@@ -220,6 +237,20 @@ class Motion:
             i = int(places[0])
             return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port)
         return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port)
+
+
+def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Array:
+    """A torque (N, n) with the forces of effects added, in its place."""
+    for effect in effects:
+        factors = effect.factors(motion)
+        if factors is None:
+            torque += effect.force(motion)
+            continue
+        port, basis = factors
+        along = basis @ effect.known_coefficients()
+        for i in np.flatnonzero(port):
+            torque[:, i] += port[i] * along
+    return torque
 
 
 @dataclass(frozen=True)

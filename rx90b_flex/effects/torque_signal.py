@@ -12,7 +12,7 @@ from scipy import interpolate
 
 from rx90b_flex.effects.effect import JointEffect, Sites, derived, linear, shape
 from rx90b_flex.effects.log_effect import LogEffect
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.motion import Array, JointMotion, Motion, with_forces
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
 
@@ -72,13 +72,9 @@ class TorqueDelay(LogEffect):
         q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
         ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay)
         # links ask for smooth torques, which samples hold well enough; of effects each is asked for its own
-        smooth, out = np.array(motion.on_tree.load()), np.zeros_like(motion.q)
-        for effect in motion.effects:
-            now = effect.force(motion)
-            if effect.needs_load:
-                smooth += now
-            else:
-                out += effect.force(ago) - now
+        smooth = with_forces(np.array(motion.on_tree.load()), (e for e in motion.effects if e.needs_load), motion)
+        own = [e for e in motion.effects if not e.needs_load]
+        out = with_forces(np.zeros_like(motion.q), own, ago) - with_forces(np.zeros_like(motion.q), own, motion)
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
@@ -151,7 +147,8 @@ class MotorSaturation(LogEffect, JointEffect):
 
     def basis(self, at: JointMotion) -> Array:
         place = int(np.flatnonzero(at.port)[0])
-        return self._asked(at.motion.model_torque[:, place])[:, None] ** 3
+        asked = self._asked(at.motion.model_torque[:, place])[:, None]
+        return asked * asked * asked  # a third power of an array takes ten times as long
 
     def _asked(self, given: Array) -> Array:
         """Logged torque for a torque that the motor gives: Newton's method from the torque itself."""
@@ -161,9 +158,11 @@ class MotorSaturation(LogEffect, JointEffect):
         top = 1.0 / np.sqrt(3.0 * c)  # beyond the top of the cubic no torque gives more
         asked = np.clip(given, -0.95 * top, 0.95 * top)
         for _ in range(30):
-            asked = np.clip(
-                asked - (asked - c * asked**3 - given) / (1.0 - 3.0 * c * asked**2), -0.99 * top, 0.99 * top
-            )
+            bent = c * asked * asked
+            before, step = asked, (asked - bent * asked - given) / (1.0 - 3.0 * bent)
+            asked = np.clip(asked - step, -0.99 * top, 0.99 * top)
+            if np.abs(asked - before).max(initial=0.0) <= 1e-15 * top:
+                break
         return asked
 
     def logged(self, motion: Motion, torque: Array) -> Array:
@@ -176,7 +175,7 @@ class MotorSaturation(LogEffect, JointEffect):
     def delivered(self, joints: Sequence[str], torque: Array) -> Array:
         (c,) = self.known_coefficients()
         own = np.array([joint == self.joint for joint in joints])
-        return np.where(own, torque - c * torque**3, torque)
+        return np.where(own, torque - c * torque * torque * torque, torque)
 
     def ordered(self, joints: Sequence[str], torque: Array) -> Array:
         self.known_coefficients()

@@ -373,9 +373,11 @@ class _Fit:
             torque = torque + self.factors * (self.by_links @ self.about)
         if not self.fit_links:
             torque = torque - self.factors * (self.regression.link_columns @ self.regression.robot.link_parameters)
-        for e in self.effects:
-            if e.multiplies and e.known:
-                torque = torque + self.regression.columns(e) @ e.coefficients
+        gains = [e for e in self.effects if e.multiplies and e.known]
+        if gains:
+            torque = np.array(torque)
+            for e, (rows, columns) in zip(gains, self.regression.each(gains, once=True), strict=True):
+                torque[:, rows] += columns @ e.coefficients
         return torque
 
     @property
@@ -394,12 +396,15 @@ class _Fit:
 
     def _by_joint(self, shaped: bool) -> ColumnsByJoint:
         """Columns of the effects that have shape parameters, or of those without, as far as their coefficients are estimated."""
+        asked = [
+            (e, at)
+            for e, at in zip(self.effects, self._places, strict=True)
+            if bool(len(e.shape)) == shaped and not e.coefficients_follow
+        ]
         parts = []
-        for e, at in zip(self.effects, self._places, strict=True):
-            if bool(len(e.shape)) == shaped and not e.coefficients_follow:
-                rows, columns = self.regression.compact([e])
-                plain = e.multiplies or (self.factors == 1.0).all()
-                parts.append((at, rows, columns if plain else columns * self.factors[rows, None]))
+        for (e, at), (rows, columns) in zip(asked, self.regression.each([e for e, _ in asked]), strict=True):
+            plain = e.multiplies or (self.factors == 1.0).all()
+            parts.append((at, rows, columns if plain else columns * self.factors[rows, None]))
         return ColumnsByJoint.of(parts, len(self.regression.rows), len(self.regression))
 
     @cached_property
@@ -531,19 +536,24 @@ class _Fit:
     @cached_property
     def _by_shape(self) -> ColumnsByJoint:
         """Derivative of the predicted torque by each shape parameter."""
-        parts = []
+        asked: list[tuple[int, float, list[Array]]] = []
+        pairs: list[Effect] = []
         for e, places, coefficients in zip(self.effects, self.shapes.places, self._places, strict=True):
-            k, theta = len(e.coefficients), self.solution.theta[coefficients]
+            theta, at = self.solution.theta[coefficients], e.shape
             for i, place in enumerate(places):
-                step = DIFFERENCE * max(abs(e.shape[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
-                up, down = e.shape.copy(), e.shape.copy()
-                up[i] += step
-                down[i] -= step
-                pair = e.with_shape(up), e.with_shape(down)
-                rows, columns = self.regression.compact(pair)
-                above, below = ((x.coefficients if e.coefficients_follow else theta) for x in pair)
-                slope = (columns[:, :, :k] @ above - columns[:, :, k:] @ below) / (2.0 * step) * self.factors[rows]
-                parts.append((np.array([place]), rows, slope[:, :, None]))
+                step = DIFFERENCE * max(abs(at[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
+                change = step * (np.arange(len(at)) == i)
+                pair = e.with_shape(at + change), e.with_shape(at - change)
+                pairs += pair
+                asked.append((place, 2.0 * step, [x.coefficients if e.coefficients_follow else theta for x in pair]))
+        shown = iter(self.regression.each(pairs, once=True))
+        parts = []
+        for (place, width, (above, below)), (rows, up), (also, down) in zip(asked, shown, shown, strict=True):
+            both = np.union1d(rows, also)
+            slope = np.zeros((len(self.regression), len(both)))
+            slope[:, np.searchsorted(both, rows)] += up @ above
+            slope[:, np.searchsorted(both, also)] -= down @ below
+            parts.append((np.array([place]), both, (slope / width * self.factors[both])[:, :, None]))
         return ColumnsByJoint.of(parts, len(self.regression.rows), len(self.regression))
 
     def cost(self, sigma: Array) -> float:

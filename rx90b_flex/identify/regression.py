@@ -47,6 +47,7 @@ LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
 RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
+FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
@@ -427,8 +428,45 @@ class Regression:
             return self._kept(effects[0])
         return self._made(effects, leading)
 
+    def each(self, effects: Sequence[Effect], once: bool = False) -> list[tuple[Indices, Array]]:
+        """As `compact` for each effect by itself, in one go: of a short log, calls take longer than their numbers.
+
+        Nothing is kept of effects that are asked for `once`.
+        """
+        keys = [None if once or not of_motion_alone(e) else _without_coefficients(e) for e in effects]
+        known = [None if key is None else self._columns_kept.get(key) for key in keys]
+        made = iter(self._made_each([e for e, found in zip(effects, known, strict=True) if found is None]))
+        out = []
+        for key, found in zip(keys, known, strict=True):
+            rows, columns = found or next(made)
+            if key is not None:
+                self._keep(key, (rows, columns))
+            out.append((rows, self._counted(columns, rows)))
+        return out
+
+    def _made_each(self, effects: Sequence[Effect]) -> list[tuple[Indices, Array]]:
+        """As `_made`, for each by itself."""
+        parts = [_through(s, [self._unfiltered(s, e) for e in effects]) for s in self.stretches]
+        return [self._over_stretches(of_one) for of_one in zip(*parts, strict=True)]
+
+    def _unfiltered(self, stretch: Stretch, effect: Effect) -> _Unfiltered:
+        factors = effect.factors(stretch.motion)
+        if factors is None:
+            columns = self.seen(effect, effect.columns(stretch.motion))
+            touched = np.flatnonzero(columns.any(axis=(0, 2)))
+            return _Unfiltered(touched, None, columns[:, touched])
+        weight = self.seen(effect, factors[0][None, :, None])[0, :, 0]
+        touched = np.flatnonzero(weight)
+        return _Unfiltered(touched, weight[touched], factors[1])
+
     def _made(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        parts = [self._factored(s, effects, leading) for s in self.stretches]
+        return self._over_stretches([self._factored(s, effects, leading) for s in self.stretches])
+
+    def _over_stretches(self, parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:
+        """Joints (rows,) and columns (N, rows, k) from those of each stretch."""
+        first = parts[0][0]
+        if all(np.array_equal(r, first) for r, _ in parts):
+            return first, parts[0][1] if len(parts) == 1 else np.concatenate([x for _, x in parts])
         rows = np.unique(np.concatenate([r for r, _ in parts]))
         out = np.zeros((len(self), len(rows), parts[0][1].shape[2]))
         for span, (here, columns) in zip(self.spans, parts, strict=True):
@@ -462,14 +500,18 @@ class Regression:
 
     def _kept(self, effect: Effect) -> tuple[Indices, Array]:
         """As `_untouched`, for an effect whose columns do not depend on the model: a fit asks again with other coefficients."""
+        key = _without_coefficients(effect)
+        found = self._columns_kept.get(key) or self._made([effect], False)
+        self._keep(key, found)
+        return found
+
+    def _keep(self, key: Effect, found: tuple[Indices, Array]) -> None:
         known = self._columns_kept
-        key = effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
         most = min(MOST_KEPT, max(FEWEST_KEPT, int(KEPT_BYTES / (8 * len(self)))))
-        if key not in known and len(known) >= most:
-            del known[next(iter(known))]
         # what was asked for last stands last
-        known[key] = known.pop(key) if key in known else self._made([effect], False)
-        return known[key]
+        if known.pop(key, None) is None and len(known) >= most:
+            del known[next(iter(known))]
+        known[key] = found
 
     def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         factors = [e.leading(stretch.motion) if leading else e.factors(stretch.motion) for e in effects]
@@ -554,6 +596,49 @@ def sensed_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
     sensed = [r.joint_torque for r in recordings if r.joint_torque is not None]
     moving = np.any([np.ptp(x, axis=0) > 0.0 for x in sensed], axis=0) if sensed else []
     return tuple(j for j, moves in zip(recordings[0].joints, moving, strict=False) if moves)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unfiltered:
+    """Columns at the working rate: in each of `rows` the basis (N_working, k) times its weight, or (N_working, rows, k) as it is."""
+
+    rows: Indices
+    weight: Array | None
+    basis: Array
+
+    @property
+    def width(self) -> int:
+        """Columns that go through a filter."""
+        return self.basis.size // len(self.basis)
+
+
+def _through(stretch: Stretch, columns: Sequence[_Unfiltered]) -> list[tuple[Indices, Array]]:
+    """Columns behind the low-pass at the fit's samples, many together, as many as memory bears: joints, and (N, rows, k) each."""
+    most = max(TOGETHER, int(FILTERED_BYTES / (8 * len(stretch.motion))))
+    groups: list[list[_Unfiltered]] = []
+    width = most
+    for c in columns:
+        width += c.width
+        if width > most:
+            groups.append([])
+            width = c.width
+        groups[-1].append(c)
+    out: list[tuple[Indices, Array]] = []
+    for group in groups:
+        together = stretch.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
+        ends = np.cumsum([c.width for c in group])
+        for c, end in zip(group, ends, strict=True):
+            x = together[:, end - c.width : end]
+            if c.weight is None:
+                out.append((c.rows, x.reshape(len(x), len(c.rows), c.basis.shape[2])))
+            else:
+                out.append((c.rows, c.weight[None, :, None] * x[:, None, :]))
+    return out
+
+
+def _without_coefficients(effect: Effect) -> Effect:
+    """The effect without values of its coefficients, on which its columns do not depend."""
+    return effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
 
 
 def of_motion_alone(effect: Effect) -> bool:
