@@ -484,7 +484,9 @@ def simulate_command(
     harmonics: Annotated[
         bool, typer.Option("--harmonics", help="Random harmonics of every joint, within any robot's limits.")
     ] = False,
-    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
+    controller: Annotated[
+        Path | None, typer.Option(help="Controller file (TOML); else the one that the robot's file states.")
+    ] = None,
     periods: Annotated[int, typer.Option(help="Periods of an excitation that repeats.")] = 1,
     perturbation: Annotated[bool, typer.Option("--perturbation", help="Use the perturbation method.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of excitation and noise.")] = 0,

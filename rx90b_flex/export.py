@@ -173,6 +173,7 @@ def robot_file_text(robot: Robot, urdf: str) -> str:
         "urdf": urdf,
         "tip_frame": robot.tip_frame,
         "inertial_parameters": robot.inertial_parameters,
+        **({"controller": robot.controller} if robot.controller else {}),
     }
     tables = [_toml_lines(head), *("\n[[effects]]\n" + _toml_lines(effect_to_table(e)) for e in robot.effects)]
     return "".join(tables)

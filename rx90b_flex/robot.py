@@ -30,7 +30,7 @@ LINK_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 _TO_TABLE_ORDER = np.array([0, 1, 2, 3, 4, 6, 9, 5, 7, 8])
 
 LARGEST_INERTIA = 1e9  # kg, kg m or kg m^2 of a link: none is larger
-ROBOT_KEYS = ("name", "urdf", "tip_frame", "inertial_parameters", "effects")
+ROBOT_KEYS = ("name", "urdf", "tip_frame", "inertial_parameters", "controller", "effects")
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,8 @@ class Robot:
     inertial_parameters : str
         ``fitted`` or ``known``: whether identification may change the links.
     effects : tuple of Effect
+    controller : str
+        Its controller file, or the name of one in `robots_folder()`; empty where none is stated.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Robot:
     tip_frame: str
     inertial_parameters: str
     effects: tuple[Effect, ...]
+    controller: str = ""
 
     def __repr__(self) -> str:
         count = len(self.effects)
@@ -657,7 +660,7 @@ def _from_file(path: Path) -> Robot:
     check_keys(table, ROBOT_KEYS, path)
     if "urdf" not in table:
         raise ValueError(f"{path}: key 'urdf' is missing")
-    for key in ("name", "urdf", "tip_frame", "inertial_parameters"):
+    for key in ("name", "urdf", "tip_frame", "inertial_parameters", "controller"):
         if key in table and not isinstance(table[key], str):
             raise ValueError(f"{path}: {key} is {table[key]!r}; expected a string")
     inertial = table.get("inertial_parameters", "fitted")
@@ -672,6 +675,9 @@ def _from_file(path: Path) -> Robot:
     frames = [f.name for f in robot.tree.frames]
     if robot.tip_frame not in frames:
         raise ValueError(f"{path}: unknown tip_frame {robot.tip_frame!r}; {close_match(robot.tip_frame, frames)}")
+    stated = table.get("controller", "")
+    controller = str((path.parent / stated).resolve()) if stated.endswith(".toml") else stated
+    robot = dataclasses.replace(robot, controller=controller)
     return robot.with_effects(_read_effects(table.get("effects", []), path, robot.joints, frames))
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rx90b_flex.export import save_robot
 from rx90b_flex.robot import load_robot
-from rx90b_flex.simulate import load_cs8, save_cs8, simulate, square_wave
+from rx90b_flex.simulate import design_cs8, load_cs8, save_cs8, simulate, square_wave
 from rx90b_flex.simulate.closed_loop import micro_interpolate
+from rx90b_flex.simulate.command import controller_of
 
 HEAD = "reference_rate_hz = 500.0\ncontroller_rate_hz = 4000.0\nlog_rate_hz = 500.0\nlog_cutoff_hz = 180.0\n"
 LOOPS = {"position_loop": 25.0, "velocity_loop": 900.0, "integral_time_s": 0.04, "torque_limit": 900.0}
@@ -45,6 +48,25 @@ def test_the_torque_is_what_two_loops_order(tmp_path: Path, numbers: dict[str, f
     bend = inertia * np.abs(np.diff(acceleration[::8], axis=0)).max(axis=0)
     assert (np.abs(apart - apart[0]).max(axis=0) < 2.0 * half + bend + 1e-6).all()
     assert (np.ptp(run.raw.torque, axis=0) > 10.0 * (2.0 * half + bend)).all()  # a loop left out would be seen
+
+
+def test_a_robot_has_the_controller_that_its_file_states_and_none_by_its_name(tmp_path: Path) -> None:
+    own = controller_file(tmp_path)
+    robot = load_robot("rx90b_3dof")
+    stating = save_robot(
+        dataclasses.replace(robot, controller="controller.toml"), tmp_path, "stating.toml", allow_inconsistent=True
+    )
+    silent = save_robot(dataclasses.replace(robot, controller=""), tmp_path, "silent.toml", allow_inconsistent=True)
+    assert controller_of(load_robot(stating), None) == load_cs8(own)
+    assert controller_of(load_robot(silent), None) == design_cs8(robot)
+    again = save_robot(robot, tmp_path / "elsewhere", allow_inconsistent=True)  # the package's own goes by name
+    assert controller_of(load_robot(again), None) == load_cs8().for_joints(robot.joints)
+
+
+def test_a_robot_whose_file_states_another_robot_s_controller_is_one_line(tmp_path: Path) -> None:
+    own = controller_file(tmp_path)
+    with pytest.raises(ValueError, match=r"controller.toml: the controller has no joint 'joint_4'"):
+        controller_of(dataclasses.replace(load_robot("rx90b_4dof"), controller=str(own)), None)
 
 
 def test_a_cascade_that_is_saved_comes_back(tmp_path: Path) -> None:

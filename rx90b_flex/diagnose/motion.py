@@ -14,7 +14,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
 from rx90b_flex.simulate.closed_loop import Simulation, simulate, tip_poses
-from rx90b_flex.simulate.cs8 import CS8, load_cs8
+from rx90b_flex.simulate.cs8 import CS8, own_controller
 from rx90b_flex.simulate.trajectories import from_recording
 
 LONGEST_S = 10.0  # simulated of a recording
@@ -75,18 +75,18 @@ def motion_errors(result: ClosedLoop | RefusedLoop) -> MotionErrors | str | None
     """Simulate the closed loop before and after; a sentence that says why where it cannot be done, None where nothing was fitted.
 
     The robot before is the declared one with its identified values, the robot after has the effects added; both with the
-    flexibilities as declared. The references are those of the log, the controller is the CS8 of the RX90B.
+    flexibilities as declared. The references are those of the log, the controller is the one that the robot's file states.
     """
     if isinstance(result, RefusedLoop):
         return None
     recording = next((r for r in result.campaign.validation if r.reference_position is not None), None)
     if recording is None or recording.reference_velocity is None:
         return "The validation recordings hold no references, so the closed loop cannot be simulated against them."
-    controller = load_cs8()
-    if not result.robot.startswith("rx90b") or not set(result.joints) <= {j.name for j in controller.joints}:
-        return f"The controller of {result.robot} is not known, so its closed loop cannot be simulated."
     try:
         robots = [identified_robot(result.source, m, result.joints) for m in (result.declared, result.model)]
+        controller = own_controller(robots[0])
+        if controller is None:
+            return f"The controller of {result.robot} is not known, so its closed loop cannot be simulated."
         seconds = LONGEST_SLOW_S if any(_is_slow(robot) for robot in robots) else LONGEST_S
         before, after = (_simulated(robot, controller, recording, seconds) for robot in robots)
     except ValueError as error:

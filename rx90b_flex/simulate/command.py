@@ -17,7 +17,7 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import write_campaign
 from rx90b_flex.signals.tables import LARGEST, read_table, write_table
 from rx90b_flex.simulate.closed_loop import Noise, Progress, Simulation, simulate
-from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8
+from rx90b_flex.simulate.cs8 import CS8, controller_of_joints, design_cs8, load_cs8, own_controller
 from rx90b_flex.simulate.perturbation import perturb_lanes
 from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_LINES,
@@ -45,7 +45,7 @@ class RunRequest:
     motion : str
         One of `BUILT_IN`, or the path of a trajectory file.
     controller : Path or None
-        Controller file; the CS8's where the robot has its joints, else gains designed for the robot.
+        Controller file; else the one that the robot's file states, else gains designed for the robot.
     periods : int
         Of an excitation that repeats.
     seed : int
@@ -102,20 +102,10 @@ def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Traject
 
 
 def controller_of(robot: Robot, file: Path | None) -> CS8:
-    """The controller of a file; where none is named, the CS8's for a robot with its joints, else gains designed for the robot."""
+    """The controller of a file; where none is named, the one that the robot's file states, else gains designed for the robot."""
     if file is not None:
-        return _of_robot(load_cs8(file), robot, str(file))
-    own = load_cs8()
-    if set(robot.joints) <= {joint.name for joint in own.joints} and robot.name.startswith("rx90b"):
-        return own.for_joints(robot.joints)
-    return design_cs8(robot)
-
-
-def _of_robot(controller: CS8, robot: Robot, where: str) -> CS8:
-    try:
-        return controller.for_joints(robot.joints)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
+        return controller_of_joints(load_cs8(file), robot, str(file))
+    return own_controller(robot) or design_cs8(robot)
 
 
 def _trajectory(robot: Robot, controller: CS8, request: RunRequest) -> Trajectory:

@@ -354,6 +354,29 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
         raise ValueError(f"{path}: {error}") from None
 
 
+def own_controller(robot: Robot) -> CS8 | None:
+    """The controller that the robot's file states, of its joints; None where it states none.
+
+    Raises
+    ------
+    ValueError
+        A file that cannot be read, or is of other joints.
+    """
+    if not robot.controller:
+        return None
+    named = not robot.controller.endswith(".toml")
+    path = robots_folder() / f"{robot.controller}.toml" if named else Path(robot.controller)
+    return controller_of_joints(load_cs8(path), robot, str(path))
+
+
+def controller_of_joints(controller: CS8, robot: Robot, where: str) -> CS8:
+    """Of the robot's joints; an error says where it is from."""
+    try:
+        return controller.for_joints(robot.joints)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
 def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str], where: str) -> dict[str, float]:
     check_keys(table, allowed, where)
     for key, value in table.items():

@@ -31,7 +31,7 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.simulate.campaign import PLAN_FILE, By, CampaignPlan, RunFile, campaign_text, run_campaign
 from rx90b_flex.simulate.closed_loop import Noise
-from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, save_cs8
+from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, own_controller, save_cs8
 from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
 
 Matrix = Literal["ones", "hadamard", "identity"]
@@ -84,8 +84,8 @@ class ExciteRequest:
     white : bool
         Whether the spectrum is divided by the loop's sensitivity, so that the drive torques are white.
     controller : Path or None
-        Controller file, for `white`, for references that order torques and for a simulation; the CS8's where the robot has its
-        joints, else gains designed for it.
+        Controller file, for `white`, for references that order torques and for a simulation; else the one that
+        the robot's file states, else gains designed for it.
     seed : int
     by : ``torque``, ``reference`` or ``both``
         What carries the excitation: torques that are fed forward, references that vibrate so that the controller orders these
@@ -219,8 +219,7 @@ def _controller(robot: Robot, request: ExciteRequest) -> CS8:
                 f"--rate-hz is {request.rate_hz:g}; {request.controller} has reference_rate_hz = {known.reference_rate_hz:g}"
             )
         return known
-    own = load_cs8()
-    controller = own.for_joints(robot.joints) if _has_own(robot, own) else design_cs8(robot)
+    controller = own_controller(robot) or design_cs8(robot)
     if request.rate_hz is None:
         return controller
     rate = request.rate_hz
@@ -239,10 +238,6 @@ def _speeds(request: ExciteRequest, joints: Sequence[str]) -> tuple[float, ...]:
     if len(wanted) not in (1, len(joints)):
         raise ValueError(f"{len(wanted)} peak speeds for {len(joints)} joints; expected one, or one a joint")
     return tuple(np.broadcast_to(np.asarray(wanted, dtype=float), len(joints)).tolist())
-
-
-def _has_own(robot: Robot, controller: CS8) -> bool:
-    return robot.name.startswith("rx90b") and set(robot.joints) <= {joint.name for joint in controller.joints}
 
 
 def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
@@ -346,7 +341,7 @@ def excite_into(
                     raise ValueError(f"{name}, {result.failed[0].run}: {result.failed[0].reason}")
         first = plans[0]
         save_robot(first.robot, at, allow_inconsistent=True)
-        if request.controller is not None or simulated or _has_own(first.robot, load_cs8()):
+        if request.controller is not None or simulated or first.robot.controller:
             save_cs8(first.controller, at / "controller.toml")
         (at / "logs").mkdir(exist_ok=True)
         (at / "campaign.toml").write_text(_campaign(plans, files, simulated), encoding="utf-8")
