@@ -48,7 +48,7 @@ def test_by_motion_alone_the_drives_of_an_unknown_arm_are_found(tmp_path: Path) 
     assert_found(arm, identified(campaign, "--modes", 6))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_hold_and_drives_are_found_whatever_the_arm(tmp_path: Path) -> None:
     """No fewer 95 % intervals hold than chance leaves of 93 % in 99 of 100 such tests; `benchmarks/motor_arm.py` has more arms."""
     held = []
