@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rx90b_flex.bodies import inconsistencies, moments_about_centre, pseudo_inertia
-from rx90b_flex.identify import physical
 from rx90b_flex.identify.normal_equations import solve_weighted
 from rx90b_flex.identify.physical import consistent_parameters
 from rx90b_flex.robot import Robot, load_robot
@@ -205,19 +204,6 @@ def test_the_solution_is_the_nearest_one() -> None:
     result = consistent_parameters(estimate, to_matrix.T @ to_matrix, prior, pull=1e-8, margin=1e-8)
     np.testing.assert_allclose(pseudo_inertia(result.parameters), best, rtol=0, atol=1e-5)
     assert result.error_increase == pytest.approx(0.09, rel=1e-4)
-
-
-def test_effects_are_taken_out_and_refitted_as_a_joint_fit_would() -> None:
-    rng = np.random.default_rng(9)
-    x = rng.normal(size=(200, 14)) * 10.0 ** rng.uniform(-3, 3, 14)
-    x[:, 12] = 2.0 * x[:, 3]  # an effect that cannot be told from a link parameter, as a drive's inertia
-    information = x.T @ x
-    change = rng.normal(size=10) / np.linalg.norm(x[:, :10], axis=0)
-    rest = physical.refitted_rest(information, 10, change)
-    left = x[:, :10] @ change + x[:, 10:] @ rest
-    marginal = physical.marginal_information(information, 10)
-    np.testing.assert_allclose(x[:, 10:].T @ left / np.linalg.norm(x[:, 10:], axis=0), 0.0, atol=1e-6)
-    assert change @ marginal @ change == pytest.approx(left @ left, rel=1e-6)
 
 
 def test_wrong_input_is_refused() -> None:

@@ -42,59 +42,6 @@ def information_root(information: Array) -> Array:
     return root
 
 
-def marginal_information(information: Array, links: int) -> Array:
-    """Information on the first `links` parameters when the others are always fitted anew (Schur complement).
-
-    Parameters
-    ----------
-    information : array, shape (p, p)
-        Weighted Gram matrix of links and effects; may be singular.
-    links : int
-
-    Returns
-    -------
-    array, shape (links, links)
-    """
-    root = information_root(np.asarray(information, dtype=float))
-    rest = _orthonormal(root[:, links:])
-    left = root[:, :links] - rest @ (rest.T @ root[:, :links])
-    return left.T @ left
-
-
-def refitted_rest(information: Array, links: int, change: Array) -> Array:
-    """Change of the other parameters that keeps the error smallest when the first `links` of them change.
-
-    Parameters
-    ----------
-    information : array, shape (p, p)
-    links : int
-    change : array, shape (links,)
-        Of the link parameters, for instance consistent ones less their estimate.
-
-    Returns
-    -------
-    array, shape (p - links,)
-    """
-    root = information_root(np.asarray(information, dtype=float))
-    columns = root[:, links:]
-    scale = _lengths(columns)
-    solution = np.linalg.lstsq(columns / scale, -root[:, :links] @ change, rcond=RANK_TOLERANCE)[0]
-    return np.asarray(solution / scale)
-
-
-def _orthonormal(columns: Array) -> Array:
-    """Orthonormal basis of the space of the columns."""
-    if not columns.size:
-        return np.zeros((len(columns), 0))
-    left, values, _ = np.linalg.svd(columns / _lengths(columns), full_matrices=False)
-    return np.asarray(left[:, values > RANK_TOLERANCE * values[0]])
-
-
-def _lengths(columns: Array) -> Array:
-    length = np.linalg.norm(columns, axis=0)
-    return np.where(length > 0, length, 1.0)
-
-
 # ---- repair -------------------------------------------------------------------------------------------------
 
 
@@ -157,8 +104,7 @@ def consistent_parameters(
     estimate : array, shape (10 * bodies,)
         Unconstrained optimum; what it holds in undetermined directions does not matter.
     information : array, shape (10 * bodies, 10 * bodies)
-        Weighted Gram matrix over link parameters only (`marginal_information` takes the effects out), or the
-        inverse of the estimate's covariance. May be singular.
+        Weighted Gram matrix over link parameters only, or the inverse of the estimate's covariance. May be singular.
     prior : array, shape (10 * bodies,)
         CAD values; need not be consistent, and a body may have no mass.
     lower : array, shape (r,), optional

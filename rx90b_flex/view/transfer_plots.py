@@ -18,36 +18,6 @@ PANEL_IN = 1.9  # height of a row
 BAND = float(np.sqrt(-np.log(1 - LEVEL)))  # half width of a complex number's 95 % band in standard deviations
 
 
-def magnitudes(fit: TransferFit, truth: ComplexArray | None = None) -> Figure:
-    """Magnitude of each entry on and above the diagonal: estimate, fit with its band, and the truth where known (figure 6.5).
-
-    Parameters
-    ----------
-    truth : complex array, shape (F, n, n), optional
-        At the lines of the fit.
-    """
-    hz, n = fit.response.hz, len(fit.response.joints)
-    figure, axes = _grid(n)
-    model, std = fit.model.frf(hz), fit.frf_std(hz)
-    for (j, k), ax in axes.items():
-        size = np.abs(model[:, j, k])
-        ax.fill_between(
-            hz,
-            np.maximum(size - BAND * std[:, j, k], 1e-2 * size),
-            size + BAND * std[:, j, k],
-            color=AFTER,
-            alpha=0.25,
-            linewidth=0,
-        )
-        ax.semilogy(hz, np.abs(fit.response.value[:, j, k]), ".", color=MEASURED, markersize=3, label="estimate")
-        if truth is not None:
-            ax.semilogy(hz, np.abs(truth[:, j, k]), color=FLOOR, linewidth=0.8, label="truth")
-        ax.semilogy(hz, size, color=AFTER, linewidth=1.1, label=f"fit, {100 * LEVEL:.0f} % band")
-        _title(ax, fit, j, k)
-    _finish(figure, axes, "|P|, rad/s² per N m")
-    return figure
-
-
 def differences(fit: TransferFit, truth: ComplexArray | None = None) -> Figure:
     """Estimate minus fit, with the 95 % bands of both (figure 6.12); with the truth, fit minus truth too."""
     hz, n = fit.response.hz, len(fit.response.joints)

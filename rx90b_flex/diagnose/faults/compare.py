@@ -179,8 +179,3 @@ def _students_t(values: Array) -> float:
     """The mean over its standard error."""
     spread = float(values.std(ddof=1))
     return float(values.mean() * np.sqrt(len(values)) / max(spread, 1e-9))
-
-
-def relative_errors(fit: RigidFit) -> tuple[float, ...]:
-    """Held-out error over the torque's standard deviation, a joint."""
-    return tuple(float(x) for x in np.sqrt(fit.error))
