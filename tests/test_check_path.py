@@ -410,7 +410,7 @@ POINTS = "points = [[0.5, 0, 0.35], [0.6, 0, 0.35]]\n"
         ("points = [[0.5, 0, 0.35], [0.5, 0, 0.35]]\nspeed_mm_s = 50", "points 1 and 2 are the same"),
         ("points_file = 'none.csv'\nspeed_mm_s = 50", "none.csv: no such file"),
         ("points_file = 'a.csv'\nspeed_mm_s = 50", "a.csv: expected columns x, y, z (m) or x_mm, y_mm, z_mm"),
-        ("points_file = 'b.csv'\nspeed_mm_s = 50", "b.csv: row 2: not a number"),
+        ("points_file = 'b.csv'\nspeed_mm_s = 50", "b.csv: column 'y', row 2: no finite number"),
         ("points = [", "not a TOML file"),
     ],
 )

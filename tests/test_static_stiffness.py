@@ -312,3 +312,19 @@ def test_the_figure_names_its_axes_with_units(loaded: Loaded) -> None:
     axis = figure.axes[0]
     assert "N m" in axis.get_xlabel()
     assert "rad" in axis.get_ylabel()
+
+
+@pytest.mark.parametrize(
+    ("cell", "said"), [("-1e308", "row 2: -1e+308; expected a number below 1e+09"), ("inf", "row 2: no finite number")]
+)
+def test_a_reading_that_cannot_be_is_named(tmp_path: Path, cell: str, said: str) -> None:
+    file = tmp_path / "weights.csv"
+    write_static_test(table(1e-6, np.random.default_rng(0)), file)
+    lines = file.read_text().splitlines()
+    place = lines[0].split(",").index("moment_nm")
+    cells = lines[2].split(",")
+    lines[2] = ",".join([*cells[:place], cell, *cells[place + 1 :]])
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ValueError) as refused:
+        read_static_test(file)
+    assert str(refused.value) == f"{file}: column 'moment_nm', {said}"

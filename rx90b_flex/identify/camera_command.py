@@ -172,10 +172,7 @@ def _read_table(file: Path, robot: Robot, count: int) -> tuple[Array, Array, flo
     for name in used:
         if name not in table.names:
             raise ValueError(f"{file}: no column {name!r}; expected {used[0]} to {used[-1]}")
-    for name, column in zip(table.names, table.values.T, strict=True):
-        bad = np.flatnonzero(~np.isfinite(column))
-        if len(bad):
-            raise ValueError(f"{file}: column {name!r}, row {bad[0] + 1}: no finite number")
+    table.finite(table.names)
     rows = len(table.values)
     drives = np.zeros((rows, len(angles)))
     for i, name in enumerate(angles):

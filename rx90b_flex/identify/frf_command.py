@@ -309,7 +309,7 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
             f"{folder}: no {file}, the reference of {recording.source.parent.name}/{recording.source.name}"
         )
     columns = ["time", *(f"{kind}{joint}" for kind in ("", "v_", "ff_") for joint in recording.joints)]
-    values = read_table(found, columns).columns(columns)
+    values = read_table(found, columns).finite(columns)
     lasts = len(values) * float(values[-1, 0] - values[0, 0]) / (len(values) - 1)
     if abs(lasts - (recording.period_s or 0.0)) > 1e-3 * lasts:
         raise ValueError(

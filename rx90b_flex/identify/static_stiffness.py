@@ -15,6 +15,8 @@ from scipy import special
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.signals.static_test import StaticTest
 
+SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
+
 Response = Literal["deformation", "moment"]
 
 
@@ -151,7 +153,7 @@ def fit_static_stiffness(
     both = _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy)
 
     slope = float(parallel.values[0])
-    if slope <= 0.0:
+    if not SMALLEST_SLOPE < slope < 1.0 / SMALLEST_SLOPE:
         raise ValueError(
             f"static test {test.coordinate!r}: the deformation does not grow with the moment (slope {slope:.3g})"
         )

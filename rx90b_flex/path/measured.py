@@ -112,12 +112,8 @@ def read_measured(file: str | os.PathLike[str]) -> tuple[Array, Array | None]:
             raise ValueError(
                 f"{path}: no column {name!r}{suggestion(name, table.names)}; expected x, y, z or x_mm, y_mm, z_mm"
             )
-    place = scale * table.columns(names)
-    time = table.columns(["time"])[:, 0] if "time" in table.names else None
-    for name, column in (*zip(names, place.T, strict=True), *([("time", time)] if time is not None else [])):
-        bad = np.flatnonzero(~np.isfinite(column))
-        if len(bad):
-            raise ValueError(f"{path}: column {name!r}, row {bad[0] + 1}: no finite number")
+    place = scale * table.finite(names)
+    time = table.finite(["time"])[:, 0] if "time" in table.names else None
     if time is not None and (np.diff(time) <= 0.0).any():
         row = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 2
         raise ValueError(f"{path}: column 'time', row {row}: does not grow")

@@ -422,9 +422,7 @@ def _read_points(file: Path) -> tuple[Array, Array | None]:
     if len(found) != 1:
         raise ValueError(f"{file}: expected columns x, y, z (m) or x_mm, y_mm, z_mm")
     turned = [columns for columns in angles if set(columns) <= set(table.names)]
-    values = table.columns([*sets[found[0]], *(turned[0] if turned else ())])
-    if not np.isfinite(values).all():
-        raise ValueError(f"{file}: row {int(np.argmin(np.isfinite(values).all(axis=1))) + 1}: not a number")
+    values = table.finite([*sets[found[0]], *(turned[0] if turned else ())])
     rotations = _rotations(values[:, 3:], str(file)) if turned else None
     return values[:, :3] * (1e-3 if found[0] else 1.0), rotations
 

@@ -145,11 +145,7 @@ def read_static_table(
         raise ValueError(f"{path}: has {found}; expected one of these columns")
     if loads == ["load_n"] and lever is None:
         raise ValueError(f"{path}: column 'load_n' needs lever_arm_m; describe the test in a TOML file that gives it")
-    load, deformation = table.columns([*loads, "deformation_rad"]).T
-    for name, values in ((loads[0], load), ("deformation_rad", deformation)):
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise ValueError(f"{path}: column {name!r}, row {bad[0] + 1}: no finite number")
+    load, deformation = table.finite([*loads, "deformation_rad"]).T
     moment = load * lever if loads == ["load_n"] and lever is not None else load
     return StaticTest(coordinate, moment, deformation, _read_direction(path), moment_std, deformation_std)
 

@@ -50,6 +50,19 @@ class Table:
         """(rows, len(names)) values of the named columns."""
         return self.values[:, [self.names.index(name) for name in names]]
 
+    def finite(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """As `columns`; ValueError, naming column and row, where one is no finite number or, but for times, beyond `LARGEST`."""
+        values = self.columns(names)
+        for name, column in zip(names, values.T, strict=True):
+            bad = ~np.isfinite(column) if name == "time" else ~(np.abs(column) < LARGEST)
+            if bad.any():
+                row = int(np.argmax(bad))
+                why = f"{column[row]:g}; expected a number below {LARGEST:g}"
+                raise ValueError(
+                    f"{self.path}: column {name!r}, row {row + 1}: {why if np.isfinite(column[row]) else 'no finite number'}"
+                )
+        return values
+
 
 def extension_of(path: Path) -> str:
     """The table extension of `path`, in lower case; ValueError where it is none of `EXTENSIONS`."""

@@ -149,7 +149,7 @@ def read_run(source: str, recording: str | None = None, tip: str | None = None) 
     if not state.is_file():
         return run
     table = read_table(state, ["time", *robot.coordinates])
-    q = table.columns(robot.coordinates)
+    q = table.finite(robot.coordinates)
     if len(q) != len(run.q):
         raise ValueError(f"{state}: {len(q)} rows; expected {len(run.q)}, as in recording {chosen.name!r}")
     return Run(run.name, robot, run.time, q, run.reference)
