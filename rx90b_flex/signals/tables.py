@@ -98,9 +98,13 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
         unreadable or empty, no data rows, a column missing or there twice, a cell that is not a number.
     """
     extension = extension_of(path)
-    if not path.is_file():
+    try:
+        size = path.stat().st_size if path.is_file() else None
+    except OSError as error:  # a name that no folder can hold
+        raise ValueError(f"{path}: {error.strerror}") from None
+    if size is None:
         raise ValueError(f"{path}: no such file")
-    if path.stat().st_size == 0:
+    if size == 0:
         raise ValueError(f"{path}: the file is empty")
     try:
         header = _parquet_header(path) if extension == ".parquet" else _csv_header(path)
