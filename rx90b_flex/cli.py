@@ -623,7 +623,7 @@ def identify_command(
     show_table(result.source.name, rows, ("parameter", "value"))
     if checked.never_move:
         say(f"Not told, for they never move: the parameters of {', '.join(checked.never_move)}.")
-    for text in (*headline(result), *(f.message for f in checked.data_faults), *basics_words(checked)):
+    for text in dict.fromkeys((*headline(result), *(f.message for f in checked.data_faults), *basics_words(checked))):
         say(text)
     say(f"Report: {out / 'report.html'}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import independent as ind
@@ -122,3 +123,56 @@ def test_identify_uses_them_as_well(tmp_path: Path, estimator: str) -> None:
     result = rf.identify(campaign(tmp_path), estimator=estimator)
     (rotor,) = (e for e in result.robot.effects if e.label == "shoulder.drive_inertia")
     assert rotor.coefficients[0] == pytest.approx(ROTOR[0], rel=0.01)
+
+
+def _minus(shoulder: np.ndarray) -> np.ndarray:
+    return shoulder * [-1.0, 1.0]
+
+
+def _milli(both: np.ndarray) -> np.ndarray:
+    return both * 1e3
+
+
+def _exchanged(both: np.ndarray) -> np.ndarray:
+    return both[:, ::-1]
+
+
+def _noise(both: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.random.default_rng(3).normal(size=len(both)), both[:, 1]])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind", "joints"),
+    [
+        (_minus, "reversed_sign", {"shoulder"}),
+        (_milli, "unit", {"shoulder", "elbow"}),
+        (_exchanged, "swapped_columns", {"shoulder", "elbow"}),
+        (_noise, "unrelated", {"shoulder"}),
+        ("motor", "swapped_columns", {"shoulder", "elbow"}),
+    ],
+)
+def test_a_wrong_sensor_is_told_and_not_used(
+    tmp_path: Path, wrong: Callable[[np.ndarray], np.ndarray] | str, kind: str, joints: set[str]
+) -> None:
+    path = campaign(tmp_path)
+    for file in sorted(tmp_path.glob("log_*.csv")):
+        header = file.read_text().splitlines()[0]
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+        table[:, 5:] = table[:, 3:5] if isinstance(wrong, str) else wrong(table[:, 5:])
+        np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    result = rf.close_loop(path)
+    assert found(result) == [] and result.after.validation.relative_error < 0.005
+    faults = [f for f in result.data_faults if f.signal == "joint_torque"]
+    assert {f.kind for f in faults} == {kind} and {j for f in faults for j in f.joints} == joints
+    assert all(f.usable for f in faults)
+    used = {j for j in ("shoulder", "elbow") if any(f"sensor of {j} was fitted" in c for c in result.cautions)}
+    assert used == {"shoulder", "elbow"} - joints
+    identified = rf.identify(path)
+    assert identified.validation is not None and identified.validation.relative_error < 0.005
+    assert [j for j in ("shoulder", "elbow") if any(f"sensor of {j}" in c for c in identified.cautions)]
+
+
+def test_sound_sensors_have_no_fault_and_motor_and_sensor_that_disagree_are_said_to(tmp_path: Path) -> None:
+    assert rf.check(campaign(tmp_path)).data_faults == ()
+    result = rf.close_loop(campaign(tmp_path, gains=(1.2, 1.0)), despite_faults=True)
+    assert any("does not say which of them" in c for c in result.cautions)

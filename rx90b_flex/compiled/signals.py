@@ -31,9 +31,8 @@ def forward_and_backward(x: Array, sections: Array, steady: Array, pad: int) -> 
                 row[pad + samples + i] = 2.0 * last - row[pad + samples - 2 - i]
             for _ in range(2):
                 _run(row, sections, steady)
-                for i in range(
-                    len(row) // 2
-                ):  # the second time backward; in its place, for a view is another type to compile
+                # the second time backward; in its place, for a view is another type to compile
+                for i in range(len(row) // 2):
                     row[i], row[len(row) - 1 - i] = row[len(row) - 1 - i], row[i]
         for i in range(samples):
             for c in range(here):

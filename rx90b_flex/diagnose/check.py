@@ -20,6 +20,7 @@ from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.repeated import repeated
 from rx90b_flex.diagnose.faults.rigid_fit import seen_error
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
+from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
 from rx90b_flex.diagnose.faults.unrelated import unrelated
@@ -189,7 +190,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += impossible_sizes(look, faults)
         faults += stuck(mended, np.sqrt(fit.error))
         lost = unrelated(campaign.joints, *_errors_at_least(look), moving, constant)
-        faults = [f for f in faults if not _of_no_use(f, lost)] + lost
+        faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign, mended)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
         side = torque_side(campaign.torque_side, look, faults, moving)

@@ -282,7 +282,10 @@ def close_loop(
     """
     # many products of small matrices: threads would wait for each other longer than they work
     tell = _rising(progress or (lambda _text, _part: None))
-    with threadpool_limits(limits=1), told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)):
+    with (
+        threadpool_limits(limits=1, user_api="blas"),
+        told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)),
+    ):
         closed = _closed(source, robot, seed, tell, despite_faults)
         return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
 
@@ -515,11 +518,18 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
     sizes = [
         np.sqrt((x[:, first:] ** 2).mean(axis=0)) for x in (declared.residual, model.residual, model.regression.torque)
     ]
-    return tuple(
+    words = [
         f"The torque sensor of {joint} was fitted beside its motor: of {size:.3g} N m that vary in it the declared model leaves "
         f"{before:.3g} N m, the final one {after:.3g} N m."
         for joint, before, after, size in zip(sensors, *sizes, strict=True)
-    )
+    ]
+    words += [
+        f"{e.label} is what the motor's torque is over what the torque sensor of {e.joints[0]} and the links ask for: motor "
+        "constant and sensor disagree, and the log does not say which of them is off."
+        for e in model.effects
+        if e.multiplies and e.joints[0] in sensors
+    ]
+    return tuple(words)
 
 
 def _check_joints(campaign: Campaign, robot: Robot) -> None:

@@ -20,7 +20,8 @@ from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Identification, identify
-from rx90b_flex.identify.regression import Regression, prepare, sensed_joints
+from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.torque_sensors import sensors_to_use
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording
 
@@ -43,7 +44,7 @@ class TorqueData:
 
     @staticmethod
     def of(robot: Robot, campaign: Campaign) -> TorqueData:
-        sensors = sensed_joints(campaign.identification)
+        sensors = sensors_to_use(campaign)
         regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz, sensors)
 
         def replays(recordings: Sequence[Recording]) -> tuple[ReplayedTorques, ...]:

@@ -156,9 +156,8 @@ class Effect(ABC):
     needs_model: ClassVar[bool] = False  # its columns depend on the torque of the model as a whole
     in_dynamics: ClassVar[bool] = True  # a force of the robot; otherwise it stands between robot and log
     remembers: ClassVar[bool] = False  # its force depends on the motion before, which a simulation step does not know
-    behind_gear: ClassVar[bool] = (
-        False  # a torque sensor behind the gear feels it; what may be on either side is the motor's
-    )
+    # a torque sensor behind the gear feels it; what may be on either side is the motor's
+    behind_gear: ClassVar[bool] = False
     multiplies: ClassVar[bool] = False  # its one coefficient scales all that its joint's log shows of the model
     last_resort: ClassVar[bool] = False  # a curve of no known law, tried where nothing with a name explains more
     repeats_with_motion: ClassVar[bool] = True  # False: where the motion repeats, its torque does not

@@ -23,8 +23,9 @@ from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
-from rx90b_flex.identify.regression import Regression, prepare, sensed_joints
+from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
+from rx90b_flex.identify.torque_sensors import sensors_to_use, wrong_sensors
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
@@ -139,6 +140,8 @@ class Identified(Showing):
     predictions : tuple of Prediction
         Of the validation recordings, of those of identification where there are none.
     estimator : str
+    cautions : tuple of str
+        How torque constants were told, and torque sensors that were not used.
     """
 
     source: Robot
@@ -152,6 +155,7 @@ class Identified(Showing):
     validation: RoleError | None
     predictions: tuple[IdentifiedPrediction, ...]
     estimator: str = "least_squares"
+    cautions: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -206,7 +210,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         declared.restricted(campaign.joints)
     except ValueError as error:
         raise ValueError(f"{campaign.path}: joints: {error}") from None
-    campaign, _ = resolved(campaign, declared)
+    campaign, constants = resolved(campaign, declared)
     for recording in campaign.recordings:
         if not recording.torque.any():
             raise ValueError(
@@ -217,7 +221,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
             f"{campaign.robot_source}: nothing to identify: inertial_parameters is 'known' and no effects are declared"
         )
     tell("differentiating", 0.1)
-    sensors = sensed_joints(campaign.identification)
+    sensors = sensors_to_use(campaign)
     regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz, sensors)
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
@@ -246,6 +250,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         _error(kept) if kept else None,
         kept or fit,
         estimator.name(),
+        (*(c.message for c in constants), *(w.message for w in wrong_sensors(campaign))),
     )
 
 
@@ -386,6 +391,7 @@ def identification_json(result: Identified) -> dict[str, Any]:
         "estimator": result.estimator,
         "identification": dataclasses.asdict(result.identification),
         "validation": None if result.validation is None else dataclasses.asdict(result.validation),
+        "cautions": list(result.cautions),
         "rank": result.model.solution.rank,
         "parameters": [
             dataclasses.asdict(e) | {"fitted": f.value} for e, f in zip(result.parameters, result.fitted, strict=True)

@@ -66,10 +66,10 @@ class Identification:
     covariance : array, shape (p + s, p + s)
         Of theta and the shape parameters, allowing for coloured residuals.
     solution : Solution
-    residual : array, shape (N, joints)
+    residual : array, shape (N, rows)
         Torque left over on the data of the fit, N m.
     spectra : tuple of Spectrum
-        Of the residual, one a joint.
+        Of the residual, one a row: motors, then torque sensors.
     regression : Regression
         The data of the fit, seen by the identified links.
     derivatives : ColumnsByJoint
@@ -341,10 +341,9 @@ class _Fit:
     effects: tuple[Effect, ...]
     fit_links: bool
     shapes: Shapes
-    about: Array | None = (
-        None  # links (10 * bodies,) about which effects change with the links; None: they see them as they are
-    )
-    by_links: Array | None = None  # by so much, (N, joints, 10 * bodies)
+    # links (10 * bodies,) about which effects change with the links; None: they see them as they are
+    about: Array | None = None
+    by_links: Array | None = None  # by so much, (N, rows, 10 * bodies)
 
     @staticmethod
     def of(regression: Regression, effects: Sequence[Effect], fit_links: bool) -> _Fit:
@@ -353,7 +352,7 @@ class _Fit:
 
     @cached_property
     def factors(self) -> Array:
-        """Gain of each joint's log so far, shape (joints,): the rows of all columns are multiplied by it."""
+        """Gain of each row's log so far, shape (rows,): the rows of all columns are multiplied by it."""
         out = np.ones(len(self.regression.rows))
         for e in self.effects:
             if e.multiplies and e.known:

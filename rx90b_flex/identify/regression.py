@@ -591,13 +591,6 @@ class Regression:
         return tuple(out)
 
 
-def sensed_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Joints of which any recording has a torque sensor that changes."""
-    sensed = [r.joint_torque for r in recordings if r.joint_torque is not None]
-    moving = np.any([np.ptp(x, axis=0) > 0.0 for x in sensed], axis=0) if sensed else []
-    return tuple(j for j, moves in zip(recordings[0].joints, moving, strict=False) if moves)
-
-
 @dataclass(frozen=True, eq=False)
 class _Unfiltered:
     """Columns at the working rate: in each of `rows` the basis (N_working, k) times its weight, or (N_working, rows, k) as it is."""

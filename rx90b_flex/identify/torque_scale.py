@@ -20,9 +20,9 @@ from rx90b_flex.identify.least_squares import (
 )
 from rx90b_flex.identify.normal_equations import NormalEquations, Solution, fit_weighted
 from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.torque_sensors import sensor_gain
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals import Campaign, Recording, lowpass, motion
-from rx90b_flex.signals.filters import noise_cutoff_hz
+from rx90b_flex.signals import Campaign
 
 ROUNDS = 30  # of Gauss-Newton steps
 SETTLED = 1.0e-9  # relative change of the constants below which they end
@@ -70,8 +70,9 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
             found[joint] = TorqueConstant(
                 joint, value, 0.0, "stated", f"Torque constant of {joint}: {value:g} N m/A, as stated."
             )
-        elif (told := _from_sensor(campaign.identification, joint)) is not None:
-            found[joint] = told
+        elif (told := sensor_gain(campaign, joint)) is not None:
+            words = f"Torque constant of {joint}: {told[0]:.4g} ± {told[1]:.2g} N m/A, told by its torque sensor."
+            found[joint] = TorqueConstant(joint, *told, "torque sensor", words)
     known = _scaled(campaign, {j: c.value for j, c in found.items() if c.source == "torque sensor" and c.value})
     scales = {j: c.value for j, c in found.items() if c.value is not None}
     missing = [j for j in campaign.joints if j not in found]
@@ -88,37 +89,6 @@ def _scaled(campaign: Campaign, factors: dict[str, float]) -> Campaign:
     by = np.array([factors.get(j, 1.0) for j in campaign.joints])
     runs = tuple(dataclasses.replace(r, torque=r.torque * by) for r in campaign.recordings)
     return dataclasses.replace(campaign, recordings=runs)
-
-
-# ---- a torque sensor behind the gear --------------------------------------------------------------------------------
-
-
-def _from_sensor(recordings: Sequence[Recording], joint: str) -> TorqueConstant | None:
-    """``sensor = constant * current - J a - friction``: the constant is the current's coefficient; None without a sensor."""
-    rows, target, spans, at = [], [], [], 0
-    for r in recordings:
-        place = r.joints.index(joint)
-        if r.joint_torque is None or not np.ptp(r.joint_torque[:, place]) > 0.0:
-            return None
-        cutoff = min(noise_cutoff_hz(r.position, r.sample_rate_hz) or np.inf, r.sample_rate_hz / 10.0)
-        moved = motion(r.position[:, place], r.sample_rate_hz, cutoff)
-        both = lowpass(np.column_stack([r.torque[:, place], r.joint_torque[:, place]]), cutoff, r.sample_rate_hz)
-        v = moved.velocity
-        moving = np.abs(v) > 0.03 * np.abs(v).max()
-        rows.append(np.column_stack([both[:, 0], moved.acceleration, v, np.sign(v), np.ones(len(v))])[moving])
-        target.append(both[moving, 1])
-        spans.append(slice(at, at + int(moving.sum())))
-        at += int(moving.sum())
-    x, y = np.concatenate(rows), np.concatenate(target)
-    scale = np.linalg.norm(x, axis=0)
-    inverse = np.linalg.pinv((x / scale).T @ (x / scale), rcond=1e-12) / np.outer(scale, scale)
-    theta = inverse @ (x.T @ y)
-    longest = int(CORRELATION_S * recordings[0].sample_rate_hz)
-    spectrum = residual_spectrum(y - x @ theta, spans, np.zeros(1), longest)
-    covariance = inverse @ np.asarray(sum(spectrum.product(x[s]) for s in spans)) @ inverse
-    value, std = float(theta[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
-    words = f"Torque constant of {joint}: {value:.4g} ± {std:.2g} N m/A, told by its torque sensor."
-    return TorqueConstant(joint, value, std, "torque sensor", words)
 
 
 # ---- the model ------------------------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from rx90b_flex.files.keys import suggestion
 EXTENSIONS = (".csv", ".csv.gz", ".parquet")
 PIECE = 4 << 20  # bytes of text that are parsed at once
 ROOM = 64 * PIECE  # what the parser and its thread reserve for that, with some to spare
+LARGEST_TIME = 1e20  # nanoseconds since 1970 are 2e18
 LARGEST = 1e9  # of any number that is read: no signal of a robot has so many SI units
 _NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
@@ -51,13 +52,14 @@ class Table:
         return self.values[:, [self.names.index(name) for name in names]]
 
     def finite(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """As `columns`; ValueError, naming column and row, where one is no finite number or, but for times, beyond `LARGEST`."""
+        """As `columns`; ValueError, naming column and row, where one is no finite number or beyond `LARGEST` (`LARGEST_TIME`)."""
         values = self.columns(names)
         for name, column in zip(names, values.T, strict=True):
-            bad = ~np.isfinite(column) if name == "time" else ~(np.abs(column) < LARGEST)
+            limit = LARGEST_TIME if name == "time" else LARGEST
+            bad = ~(np.abs(column) < limit)
             if bad.any():
                 row = int(np.argmax(bad))
-                why = f"{column[row]:g}; expected a number below {LARGEST:g}"
+                why = f"{column[row]:g}; expected a number below {limit:g}"
                 raise ValueError(
                     f"{self.path}: column {name!r}, row {row + 1}: {why if np.isfinite(column[row]) else 'no finite number'}"
                 )

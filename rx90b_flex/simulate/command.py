@@ -151,8 +151,7 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     fed, rates = ([name for name in names if name in header] for names in (forward, speeds))
     wanted = ["time", *joints, *rates, *fed]
     table = read_table(path, wanted)
-    time = table.columns(["time"])[:, 0]
-    table.finite(wanted)
+    time = table.finite(wanted)[:, 0]
     steps = np.diff(time)
     if len(time) < 10 or not (steps > 0).all() or np.ptp(steps) > 1e-3 * steps.mean():
         raise ValueError(f"{path}: column 'time': expected 10 or more samples at even, rising times")

@@ -33,7 +33,7 @@ def headline(result: Identified) -> list[str]:
     ]
     if result.estimator != "least_squares":
         lead.append(f"Estimated by {result.estimator.replace('_', ' ')}; least squares is what is usual.")
-    lead += [consistency_words(result), *bound_words(result)]
+    lead += [consistency_words(result), *bound_words(result), *result.cautions]
     return lead
 
 

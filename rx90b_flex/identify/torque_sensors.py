@@ -1,0 +1,224 @@
+"""What the torque sensors behind the gears have to do with their motors, and which of them a fit may use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.coloured import residual_spectrum
+from rx90b_flex.signals import Campaign, Recording, lowpass, motion
+from rx90b_flex.signals.filters import minimum_samples, noise_cutoff_hz
+
+MOVING = 0.03  # of a joint's fastest velocity: below it the sign of friction is not known
+EXPLAINED = 0.5  # share of a sensor's variance that the motor and the motion have to explain
+EXCHANGED = 0.5  # of what is left with the joint's own motor: what another's motor has to come below
+COPY = 1e-6  # of the sensor: so little is left of two columns of one signal alone
+ENOUGH = 20_000  # samples of one that tell whose a sensor is
+FEWEST = 64  # samples of a recording that are looked at
+UNIT = 18.0  # a gain beyond it, or below its inverse, is no motor constant that is a little off
+CORRELATION_S = 1.0  # longest correlation of the residual that the standard deviation allows for
+
+
+@dataclass(frozen=True)
+class SensorFit:
+    """A torque sensor as ``gain * motor torque - J a - viscous v - dry sign(v) + zero``.
+
+    Attributes
+    ----------
+    joint : str
+        Whose sensor it is.
+    motor : str
+        The joint whose motor and motion explain it.
+    gain : float
+        N m of the sensor per unit of the motor's torque.
+    left : float
+        Root mean square of the residual over the standard deviation of the sensor.
+    """
+
+    joint: str
+    motor: str
+    gain: float
+    left: float
+
+
+@dataclass(frozen=True)
+class WrongSensor:
+    """A torque sensor that a fit may not use.
+
+    Attributes
+    ----------
+    kind : "swapped_columns", "reversed_sign", "unit" or "unrelated"
+    joints : tuple of str
+    factor : float or None
+        For a unit, its size over the true one.
+    message : str
+        One sentence with the cure.
+    """
+
+    kind: str
+    joints: tuple[str, ...]
+    factor: float | None
+    message: str
+
+
+def sensed_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Joints of which any recording has a torque sensor that changes."""
+    sensed = [r.joint_torque for r in recordings if r.joint_torque is not None]
+    moving = np.any([np.ptp(x, axis=0) > 0.0 for x in sensed], axis=0) if sensed else []
+    return tuple(j for j, moves in zip(recordings[0].joints, moving, strict=False) if moves)
+
+
+def sensors_to_use(campaign: Campaign) -> tuple[str, ...]:
+    """Joints whose torque sensors fit their motors, so that a fit may use them beside the motors."""
+    wrong = {j for w in wrong_sensors(campaign) for j in w.joints}
+    return tuple(j for j in sensed_joints(campaign.identification) if j not in wrong)
+
+
+def wrong_sensors(campaign: Campaign) -> tuple[WrongSensor, ...]:
+    """Torque sensors that do not belong to their motors, by recordings with role identification."""
+    of_current = [j for j, c in zip(campaign.joints, campaign.torque_constants or (), strict=False) if c is None]
+    found: dict[tuple[str, ...], WrongSensor] = {}
+    for joint, fits in _fits(campaign.identification).items():
+        if joint not in fits:
+            continue
+        own, best = fits[joint], min(fits.values(), key=lambda f: f.left)
+        wrong = _exchanged(own, best) or _wrong(own, unit_known=joint not in of_current)
+        if wrong is not None:
+            found.setdefault(tuple(sorted(wrong.joints)), wrong)
+    return tuple(found.values())
+
+
+def _exchanged(own: SensorFit, best: SensorFit) -> WrongSensor | None:
+    if not best.left < EXCHANGED * own.left:
+        return None
+    text = (
+        f"The torque sensor of {own.joint} (joint_torque) follows the motor of {best.motor} and not its own: columns exchanged? "
+        "It is not used."
+    )
+    return WrongSensor("swapped_columns", (own.joint, best.motor), None, text)
+
+
+def _wrong(fit: SensorFit, *, unit_known: bool) -> WrongSensor | None:
+    name = f"The torque sensor of {fit.joint} (joint_torque)"
+    if not fit.left**2 < 1.0 - EXPLAINED:
+        text = (
+            f"{name} has little to do with its motor's torque and motion, which leave {fit.left:.0%} of it: check that the column "
+            "is this joint's torque behind the gear, and of the same run. It is not used."
+        )
+        return WrongSensor("unrelated", (fit.joint,), None, text)
+    if fit.left < COPY:
+        text = (
+            f"{name} is its motor's torque over again, and tells nothing about the gear between them. It is not used."
+        )
+        return WrongSensor("swapped_columns", (fit.joint,), None, text)
+    if fit.gain < 0.0:
+        text = f"{name} has the sign of its motor's torque reversed: give its column as -column. It is not used."
+        return WrongSensor("reversed_sign", (fit.joint,), -1.0, text)
+    if unit_known and not 1.0 / UNIT < fit.gain < UNIT:
+        text = f"{name} is {fit.gain:.3g} times its motor's torque: another unit. Bring it to N m. It is not used."
+        return WrongSensor("unit", (fit.joint,), fit.gain, text)
+    return None
+
+
+def sensor_gain(campaign: Campaign, joint: str) -> tuple[float, float] | None:
+    """N m of a joint's torque sensor per unit of its motor's torque, and its standard deviation; None where no sensor tells it."""
+    if joint not in sensors_to_use(campaign):
+        return None
+    place = campaign.joints.index(joint)
+    runs = _filtered(campaign.identification)
+    rows = _rows(runs, place, place)
+    if rows is None:
+        return None
+    gain, inverse, rest = _solved(rows.columns, rows.sensor)
+    spectrum = residual_spectrum(rest, rows.spans, np.zeros(1), int(CORRELATION_S * runs[0].rate_hz))
+    covariance = inverse @ np.asarray(sum(spectrum.product(rows.columns[s]) for s in rows.spans)) @ inverse
+    return gain, float(np.sqrt(max(covariance[0, 0], 0.0)))
+
+
+def _fits(recordings: Sequence[Recording]) -> dict[str, dict[str, SensorFit]]:
+    """Of each torque sensor with each motor of a joint that has one; nothing where the motion does not tell."""
+    sensed = sensed_joints(recordings)
+    runs = [r.thinned() for r in _filtered(recordings)] if sensed else []
+    joints = recordings[0].joints
+    out: dict[str, dict[str, SensorFit]] = {}
+    for sensor in sensed:
+        for motor in sensed:
+            rows = _rows(runs, joints.index(motor), joints.index(sensor))
+            if rows is not None:
+                gain, _, rest = _solved(rows.columns, rows.sensor)
+                left = float(np.sqrt(np.mean(rest**2)) / np.std(rows.sensor))
+                out.setdefault(sensor, {})[motor] = SensorFit(sensor, motor, gain, left)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Filtered:
+    """A recording that has torque sensors, low-passed: torques, sensors, velocities and accelerations, each (N, joints)."""
+
+    torque: Array
+    sensor: Array
+    velocity: Array
+    acceleration: Array
+    rate_hz: float
+
+    def thinned(self) -> _Filtered:
+        """Of a long recording not every sample, which is all that a comparison needs."""
+        step = 1 + len(self.torque) // ENOUGH
+        torque, sensor, velocity, acceleration = (
+            x[::step] for x in (self.torque, self.sensor, self.velocity, self.acceleration)
+        )
+        return _Filtered(torque, sensor, velocity, acceleration, self.rate_hz / step)
+
+
+def _filtered(recordings: Sequence[Recording]) -> list[_Filtered]:
+    """Those that have sensors and are long enough for the filter."""
+    out = []
+    for r in recordings:
+        rate = r.sample_rate_hz
+        if r.joint_torque is None or len(r.position) < FEWEST:
+            continue
+        cutoff = min(noise_cutoff_hz(r.position, rate) or np.inf, rate / 10.0)
+        if len(r.position) < minimum_samples(cutoff, rate):
+            continue
+        moved = motion(r.position, rate, cutoff)
+        torque, sensor = (lowpass(x, cutoff, rate) for x in (r.torque, r.joint_torque))
+        out.append(_Filtered(torque, sensor, moved.velocity, moved.acceleration, rate))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves, and those of each recording."""
+
+    columns: Array
+    sensor: Array
+    spans: tuple[slice, ...]
+
+
+def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> _Rows | None:
+    """None where the joint never moves or the sensor never changes."""
+    columns, target, ends = [], [], [0]
+    for r in runs:
+        v = r.velocity[:, motor]
+        moving = np.abs(v) > MOVING * np.abs(v).max()
+        if not moving.any() or not np.ptp(r.sensor[:, sensor]) > 0.0:
+            continue
+        x = np.column_stack([r.torque[:, motor], r.acceleration[:, motor], v, np.sign(v), np.ones(len(v))])
+        columns.append(x[moving])
+        target.append(r.sensor[moving, sensor])
+        ends.append(ends[-1] + len(target[-1]))
+    if not target or not np.ptp(together := np.concatenate(target)) > 0.0:
+        return None
+    return _Rows(np.concatenate(columns), together, tuple(slice(a, b) for a, b in pairwise(ends)))
+
+
+def _solved(columns: Array, sensor: Array) -> tuple[float, Array, Array]:
+    """The motor's coefficient, the inverse of the normal equations and the residual."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12) / np.outer(scale, scale)
+    theta = inverse @ (columns.T @ sensor)
+    return float(theta[0]), inverse, sensor - columns @ theta
