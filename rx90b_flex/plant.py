@@ -64,14 +64,17 @@ def torque_of_links(model: pin.Model, bodies: Sequence[int], link_parameters: Ar
     tree.mass[at], tree.moment[at] = values[:, 0], values[:, 1:4]
     tree.inertia[at] = values[:, [4, 7, 8, 7, 5, 9, 8, 9, 6]].reshape(-1, 3, 3)
     tree.heavy[at] = values.any(axis=1)
-    packed, memory = pack(tree, laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
-    return np.asarray(link_torques(packed.integers, packed.numbers, memory, *_samples(motion)))
+    packed = pack(tree, laws_of((), model.nv))
+    return np.asarray(link_torques(packed.integers, packed.numbers, scratch_size(model.nv, 0), *_samples(motion)))
 
 
-def columns_of_links(model: pin.Model, bodies: Sequence[int], motion: Motion) -> Array:
-    """The same per unit of each parameter, shape (N, n, 10 * bodies)."""
-    packed, memory = pack(tree_of(model), laws_of((), model.nv)), np.empty(scratch_size(model.nv, 0))
-    return np.asarray(link_columns(packed.integers, packed.numbers, memory, np.array(bodies) - 1, *_samples(motion)))
+def columns_of_links(model: pin.Model, bodies: Sequence[int], motion: Motion, columns: int = 0) -> Array:
+    """The same per unit of each parameter, shape (N, n, 10 * bodies), or of so many `columns`, those behind them zero."""
+    packed = pack(tree_of(model), laws_of((), model.nv))
+    out = np.zeros((len(motion), model.nv, max(columns, 10 * len(bodies))))
+    at = np.array(bodies) - 1
+    link_columns(packed.integers, packed.numbers, scratch_size(model.nv, 0), at, out, *_samples(motion))
+    return out
 
 
 def _samples(motion: Motion) -> tuple[Array, ...]:

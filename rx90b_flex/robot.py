@@ -242,11 +242,11 @@ class Robot:
         known = (e for e in effects if e.in_dynamics and e.known)
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
 
-    def link_regressor(self, motion: Motion) -> Array:
-        """Regressor of the links alone, shape (N, n, 10 * bodies)."""
+    def link_regressor(self, motion: Motion, columns: int = 0) -> Array:
+        """Regressor of the links alone, shape (N, n, 10 * bodies), or of so many `columns`, those behind them zero."""
         from rx90b_flex.plant import columns_of_links
 
-        return columns_of_links(self.model, [joint for _, joint in self.bodies], motion)
+        return columns_of_links(self.model, [joint for _, joint in self.bodies], motion, columns)
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Inverse dynamics per unit of each parameter (equations 3.85-3.87).
@@ -261,9 +261,9 @@ class Robot:
             ``regressor @ parameters == inverse_dynamics``; columns are `parameter_names`.
         """
         motion = self.motion(q, v, a)
-        links = self.link_regressor(motion)
-        out = np.zeros((len(motion), self.model.nv, len(self.parameter_entries)))
-        out[:, :, : links.shape[2]] = links  # they come first in the order of the parameters
+        out = self.link_regressor(
+            motion, len(self.parameter_entries)
+        )  # links come first in the order of the parameters
         for effect, at in zip(self.forces, self._effect_places, strict=True):
             factors = effect.factors(motion)
             if factors is None:

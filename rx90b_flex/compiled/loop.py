@@ -11,7 +11,7 @@ from rx90b_flex.compiled.packed import Packed, unpack
 from rx90b_flex.compiled.scratch import Scratch, scratch_in, scratch_size
 from rx90b_flex.compiled.step import first_stage, second_stage
 from rx90b_flex.compiled.tree import Tree
-from rx90b_flex.compiled.vectors import WIDTH, as_vectors, lane_of
+from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors, lane_of
 
 DIVISION = 8  # parts of a step along which the laws bend too much
 
@@ -69,14 +69,6 @@ def _step(tree: Tree, laws: Laws, scratch: Scratch, state: Array, lost: Array, b
         lost[place], bend[place] = lane_of(power, place), lane_of(most, place)
 
 
-@inlined
-def _aligned(count: int) -> Array:
-    """Zeros for that many vectors, each in one line of the processor's cache."""
-    room = np.zeros(WIDTH * (count + 1))
-    start = (-room.ctypes.data % (8 * WIDTH)) // 8
-    return room[start : start + WIDTH * count]
-
-
 @entry
 def _run_pack(
     plant: Packed,
@@ -92,11 +84,11 @@ def _run_pack(
     """`run` of up to `WIDTH` lanes, with `size` numbers of working memory each; steps that must be divided are, lane by lane."""
     tree, laws = unpack(plant)
     n = lanes.q.shape[1]
-    scratch = scratch_in(as_vectors(_aligned(size)), n, len(laws.inertia))
+    scratch = scratch_in(as_vectors(aligned(size)), n, len(laws.inertia))
     h = loop.period / loop.substeps
-    torque, state = np.zeros((count, n)), _aligned(3 * n).reshape((3, n, WIDTH))
+    torque, state = np.zeros((count, n)), aligned(3 * n).reshape((3, n, WIDTH))
     lost, bend = np.zeros(WIDTH), np.zeros(WIDTH)
-    fine, fine_lost, fine_bend = _aligned(3 * n).reshape((3, n, WIDTH)), np.zeros(WIDTH), np.zeros(WIDTH)
+    fine, fine_lost, fine_bend = aligned(3 * n).reshape((3, n, WIDTH)), np.zeros(WIDTH), np.zeros(WIDTH)
     vectors = as_vectors(state.reshape(state.size)).reshape((3, n))
     fine_vectors = as_vectors(fine.reshape(fine.size)).reshape((3, n))
     for k in range(samples):

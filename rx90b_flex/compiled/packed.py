@@ -11,7 +11,7 @@ from rx90b_flex.compiled.laws import Laws, add_laws_to_system, law_forces
 from rx90b_flex.compiled.linear import factor, solve
 from rx90b_flex.compiled.scratch import scratch_in
 from rx90b_flex.compiled.tree import Tree, body_columns, inverse_dynamics, mass_matrix, move, place
-from rx90b_flex.compiled.vectors import WIDTH
+from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors
 
 WANTED = 4  # where the integers say how many lanes of a vector are asked for their laws
 SIZES = 5  # integers before the arrays
@@ -106,32 +106,58 @@ def accelerations(
     return out
 
 
+@inlined
+def _next_samples(k: int, count: int, q: Array, v: Array, a: Array, state: Array) -> None:
+    """Samples k to k + count of a motion into the first lanes of `state` (3, n, WIDTH)."""
+    for lane in range(count):
+        for i in range(q.shape[1]):
+            state[0, i, lane], state[1, i, lane], state[2, i, lane] = q[k + lane, i], v[k + lane, i], a[k + lane, i]
+
+
 @entry
-def link_torques(integers: Integers, numbers: Array, memory: Array, q: Array, v: Array, a: Array) -> Array:
-    """Generalised forces that the links of what was packed need at samples of motion, each (N, n)."""
+def link_torques(integers: Integers, numbers: Array, size: int, q: Array, v: Array, a: Array) -> Array:
+    """Generalised forces that the links of what was packed need at samples of motion, each (N, n); eight samples at a time.
+
+    With `size` numbers of working memory.
+    """
     tree, _ = unpack(Packed(integers, numbers))
-    s = scratch_in(memory, q.shape[1], 0)
+    n = q.shape[1]
+    s = scratch_in(as_vectors(aligned(size)), n, 0)
+    state, force = aligned(3 * n).reshape((3, n, WIDTH)), aligned(n)
+    vectors, forces = as_vectors(state.reshape(state.size)).reshape((3, n)), as_vectors(force)
     out = np.empty(q.shape)
-    for k in range(len(q)):
-        inverse_dynamics(tree, s, q[k], v[k], a[k], out[k])
+    for k in range(0, len(q), WIDTH):
+        count = min(WIDTH, len(q) - k)
+        _next_samples(k, count, q, v, a, state)
+        inverse_dynamics(tree, s, vectors[0], vectors[1], vectors[2], forces)
+        for lane in range(count):
+            for i in range(n):
+                out[k + lane, i] = force[i * WIDTH + lane]
     return out
 
 
 @entry
 def link_columns(
-    integers: Integers, numbers: Array, memory: Array, bodies: Integers, q: Array, v: Array, a: Array
-) -> Array:
-    """Generalised forces per unit of each link parameter at samples of motion, (N, n, 10 * bodies).
+    integers: Integers, numbers: Array, size: int, bodies: Integers, out: Array, q: Array, v: Array, a: Array
+) -> None:
+    """Generalised forces per unit of each link parameter at samples of motion, into the first columns of `out` (N, n, ...) of zeros.
 
-    `bodies` are the coordinates that carry them. Parameters as in a robot file: mass, first moment, xx, yy, zz, xy, xz, yz.
+    `bodies` are the coordinates that carry them. Parameters as in a robot file: mass, first moment, xx, yy, zz, xy, xz, yz. Eight
+    samples at a time, with `size` numbers of working memory.
     """
     tree, _ = unpack(Packed(integers, numbers))
-    n = q.shape[1]
-    s = scratch_in(memory, n, 0)
-    out = np.zeros((len(q), n, 10 * len(bodies)))
-    for k in range(len(q)):
-        place(tree, s, q[k])
-        move(tree, s, v[k], a[k])
+    n, width = q.shape[1], 10 * len(bodies)
+    s = scratch_in(as_vectors(aligned(size)), n, 0)
+    state, block = aligned(3 * n).reshape((3, n, WIDTH)), aligned(n * width)
+    vectors, columns = as_vectors(state.reshape(state.size)).reshape((3, n)), as_vectors(block).reshape((n, width))
+    for k in range(0, len(q), WIDTH):
+        count = min(WIDTH, len(q) - k)
+        _next_samples(k, count, q, v, a, state)
+        place(tree, s, vectors[0])
+        move(tree, s, vectors[1], vectors[2])
         for b in range(len(bodies)):
-            body_columns(tree, s, bodies[b], out[k], 10 * b)
-    return out
+            body_columns(tree, s, bodies[b], columns, 10 * b)
+        for lane in range(count):
+            for i in range(n):
+                for c in range(width):
+                    out[k + lane, i, c] = block[(i * width + c) * WIDTH + lane]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import operator
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -22,6 +23,8 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import box, intrinsic, lower_builtin, lower_cast, overload, register_model
 from numba.np.arrayobj import make_array, populate_array
+
+from rx90b_flex.compiled.compile import Array, inlined
 
 WIDTH = 8  # doubles in the widest registers there are; the compiler splits it where they are narrower
 
@@ -162,3 +165,11 @@ def _larger_size(a, b):  # type: ignore[no-untyped-def]
         return b if b > a else a
 
     return numbers
+
+
+@inlined
+def aligned(count: int) -> Array:
+    """Zeros for that many vectors, each in one line of the processor's cache."""
+    room = np.zeros(WIDTH * (count + 1))
+    start = (-room.ctypes.data % (8 * WIDTH)) // 8
+    return room[start : start + WIDTH * count]
