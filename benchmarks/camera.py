@@ -14,15 +14,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pinocchio as pin
+from camera_study.camera import VALIDATED_FACTOR, CameraNoise, marker_positions
+from camera_study.figures import error_map_figure, leak_figure
+from camera_study.study import ESTIMATORS, TRIANGLE, Scene, Study, make_scene, make_study
 from scipy.spatial.transform import Rotation
 
 import rx90b_flex as rf
 from rx90b_flex.identify.camera import calibrate_base, fit_joint, joint_frames
-from rx90b_flex.identify.camera_study import ESTIMATORS, TRIANGLE, Scene, Study, make_scene, make_study
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import static_start
-from rx90b_flex.simulate.camera import VALIDATED_FACTOR, CameraNoise, marker_positions
-from rx90b_flex.view.camera_plots import error_map_figure, leak_figure
 
 RATE_HZ = 250.0
 MM = 1e3

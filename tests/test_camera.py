@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,14 +16,19 @@ from rx90b_flex.identify.camera import (
     fit_joint,
     fit_rigid_body,
     hinge_angles,
-    hinge_rotation,
     joint_frames,
     joint_turn,
+    link_poses,
     links_beside,
     mismatched,
-    regress_bending,
 )
-from rx90b_flex.identify.camera_study import (
+from rx90b_flex.robot import Robot
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from camera_study.camera import Camera, CameraNoise, carried_motion, marker_positions
+from camera_study.figures import error_map_figure, leak_figure
+from camera_study.study import (
     ESTIMATORS,
     REQUIRED,
     TRIANGLE,
@@ -28,12 +36,10 @@ from rx90b_flex.identify.camera_study import (
     Study,
     make_scene,
     make_study,
+    regress_bending,
     rigid_bodies,
     sine_motion,
 )
-from rx90b_flex.robot import Robot
-from rx90b_flex.simulate.camera import Camera, CameraNoise, carried_motion, link_poses, marker_positions
-from rx90b_flex.view.camera_plots import error_map_figure, leak_figure
 
 STD = np.array([0.02e-3, 0.02e-3, 0.10e-3])  # m, in about table C.2's ratio
 
@@ -146,6 +152,11 @@ def test_markers_that_leave_the_turn_open_are_refused(reference: np.ndarray, sai
 
 
 # ---- hinges ---------------------------------------------------------------------------------------------------
+
+
+def hinge_rotation(angles: np.ndarray) -> np.ndarray:
+    """Three hinges in series, (N, 3) to (N, 3, 3)."""
+    return Rotation.from_euler("XYZ", angles).as_matrix()
 
 
 def test_hinge_angles_are_the_inverse_of_hinge_rotation() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,13 @@ from test_cli import Command
 
 import rx90b_flex as rf
 from rx90b_flex.identify.camera import links_beside
-from rx90b_flex.identify.camera_study import CAMERA_AT, LOOKING_AT, TRIANGLE, make_scene, sine_motion
 from rx90b_flex.identify.measured_stiffness import with_stiffnesses
 from rx90b_flex.robot import Robot
-from rx90b_flex.simulate.camera import Camera, carried_motion, marker_positions
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from camera_study.camera import Camera, carried_motion, marker_positions
+from camera_study.study import CAMERA_AT, LOOKING_AT, TRIANGLE, make_scene, sine_motion
 
 ROBOT = "rx90b_4dof"
 LOADS = np.concatenate([np.linspace(10.0, 180.0, 7), np.linspace(180.0, 10.0, 7)])

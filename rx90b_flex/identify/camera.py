@@ -9,6 +9,7 @@ together with the stiffnesses.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -184,6 +185,19 @@ def joint_frames(robot: Robot, joint: str, base_rotation: Array, angles: Array) 
     return np.asarray(np.asarray(base_rotation) @ turns @ joint_axes(robot, joint))
 
 
+def link_poses(robot: Robot, q: Array, links: Sequence[str]) -> dict[str, tuple[Array, Array]]:
+    """Rotations (N, 3, 3) and positions (N, 3) of links of the flexible robot in the world."""
+    model, data = robot.model, robot.model.createData()
+    frames = [model.getFrameId(link) for link in links]
+    poses = {link: (np.empty((len(q), 3, 3)), np.empty((len(q), 3))) for link in links}
+    for k, state in enumerate(np.asarray(q, dtype=float)):
+        pin.framesForwardKinematics(model, data, state)
+        for link, frame in zip(links, frames, strict=True):
+            poses[link][0][k] = data.oMf[frame].rotation
+            poses[link][1][k] = data.oMf[frame].translation
+    return poses
+
+
 def hinge_angles(rotation: Array) -> Array:
     """Joint angle and the two bendings behind it, shape (..., 3), rad.
 
@@ -200,13 +214,6 @@ def hinge_angles(rotation: Array) -> Array:
     angle = np.arctan2(-r[..., 1, 2], r[..., 2, 2])
     first = np.arctan2(r[..., 0, 2], np.hypot(r[..., 0, 0], r[..., 0, 1]))
     return np.stack([angle, first, np.arctan2(-r[..., 0, 1], r[..., 0, 0])], axis=-1)
-
-
-def hinge_rotation(angles: Array) -> Array:
-    """Inverse of `hinge_angles`, (..., 3) to (..., 3, 3)."""
-    angles = np.asarray(angles, dtype=float)
-    flat = Rotation.from_euler("XYZ", angles.reshape(-1, 3)).as_matrix()
-    return np.asarray(flat.reshape(*angles.shape[:-1], 3, 3))
 
 
 def mismatched(rotation: Array, before: Array, behind: Array) -> Array:
@@ -251,25 +258,6 @@ class JointFit:
     deformation: Array
     chi2: float
     degrees_of_freedom: int
-
-
-def regress_bending(turn: JointTurn, moment: Array, *, response: str = "moment") -> Array:
-    """Stiffness of the two bendings by least squares, the joint's frame taken as right, shape (2,), N m/rad.
-
-    Parameters
-    ----------
-    turn : JointTurn
-    moment : array, shape (N, 2), N m
-        About the two bending axes.
-    response : ``moment`` or ``deformation``
-        ``moment`` is the thesis' regression (4.2.1): the deformation is a column of the regressor, and its noise
-        lowers the stiffness by ``1 + noise variance / its variance``. ``deformation`` is free of that.
-    """
-    if response not in ("moment", "deformation"):
-        raise ValueError(f"response is {response!r}; expected 'moment' or 'deformation'")
-    bending, moment = hinge_angles(turn.rotation)[:, 1:], np.asarray(moment, dtype=float)
-    common = (bending * moment).sum(axis=0)
-    return np.asarray(common / (bending**2).sum(axis=0) if response == "moment" else (moment**2).sum(axis=0) / common)
 
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags

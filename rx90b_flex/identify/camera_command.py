@@ -42,6 +42,7 @@ from rx90b_flex.identify.camera import (
     fit_rigid_body,
     joint_frames,
     joint_turn,
+    link_poses,
     links_beside,
 )
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
@@ -49,7 +50,6 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.filters import differentiate
 from rx90b_flex.signals.tables import read_table
-from rx90b_flex.simulate.camera import link_poses
 
 KEYS = ("robot", "joint", "file", "std_mm", "markers", "base_rpy_deg", "same_bending", "frame_std_rad")
 KINDS = ("torsion", "bend_1", "bend_2")

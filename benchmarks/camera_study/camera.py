@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.camera import link_poses
 from rx90b_flex.robot import Robot
 
 ZONES_M = (2.0, 3.0, 4.0, 5.0, 6.0)
@@ -114,19 +114,6 @@ class Camera:
     def read(self, points: Array, rng: np.random.Generator) -> Array:
         """Points of the world as the camera tells them in its frame, shape (..., 3), m."""
         return self.noise.read(self.see(points), rng)
-
-
-def link_poses(robot: Robot, q: Array, links: Sequence[str]) -> dict[str, tuple[Array, Array]]:
-    """Rotations (N, 3, 3) and positions (N, 3) of links of the flexible robot in the world."""
-    model, data = robot.model, robot.model.createData()
-    frames = [model.getFrameId(link) for link in links]
-    poses = {link: (np.empty((len(q), 3, 3)), np.empty((len(q), 3))) for link in links}
-    for k, state in enumerate(np.asarray(q, dtype=float)):
-        pin.framesForwardKinematics(model, data, state)
-        for link, frame in zip(links, frames, strict=True):
-            poses[link][0][k] = data.oMf[frame].rotation
-            poses[link][1][k] = data.oMf[frame].translation
-    return poses
 
 
 def marker_positions(robot: Robot, q: Array, markers: Mapping[str, Array]) -> dict[str, Array]:

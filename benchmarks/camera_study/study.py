@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from camera_study.camera import Camera, CameraNoise, carried_motion
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.camera import (
     FRAME_PRIOR,
@@ -22,13 +23,13 @@ from rx90b_flex.identify.camera import (
     RigidBodyFit,
     fit_joint,
     fit_rigid_body,
+    hinge_angles,
     joint_axes,
     joint_turn,
+    link_poses,
     links_beside,
-    regress_bending,
 )
 from rx90b_flex.robot import Robot
-from rx90b_flex.simulate.camera import Camera, CameraNoise, carried_motion, link_poses
 from rx90b_flex.simulate.trajectories import PERIOD_S, RATE_HZ, SINE_AMPLITUDE, SINE_HARMONICS
 
 # Choices: the source prints neither the camera's place nor the markers'. Zones II and III of table C.2 all along the
@@ -147,6 +148,25 @@ def mismatched_turn(scene: Scene, bodies: Sequence[RigidBodyFit], mismatch: Arra
     """The joint's turn in frames that are wrong by two rotation vectors, (2, 3), rad: before and behind."""
     wrong = scene.frames @ Rotation.from_rotvec(mismatch).as_matrix()
     return joint_turn(bodies[0], bodies[1], wrong[0], wrong[1])
+
+
+def regress_bending(turn: JointTurn, moment: Array, *, response: str = "moment") -> Array:
+    """Stiffness of the two bendings by least squares, the joint's frame taken as right, shape (2,), N m/rad.
+
+    Parameters
+    ----------
+    turn : JointTurn
+    moment : array, shape (N, 2), N m
+        About the two bending axes.
+    response : ``moment`` or ``deformation``
+        ``moment`` is the thesis' regression (4.2.1): the deformation is a column of the regressor, and its noise
+        lowers the stiffness by ``1 + noise variance / its variance``. ``deformation`` is free of that.
+    """
+    if response not in ("moment", "deformation"):
+        raise ValueError(f"response is {response!r}; expected 'moment' or 'deformation'")
+    bending, moment = hinge_angles(turn.rotation)[:, 1:], np.asarray(moment, dtype=float)
+    common = (bending * moment).sum(axis=0)
+    return np.asarray(common / (bending**2).sum(axis=0) if response == "moment" else (moment**2).sum(axis=0) / common)
 
 
 def estimate(scene: Scene, turn: JointTurn, estimator: str, frame_prior: float = FRAME_PRIOR) -> Array:

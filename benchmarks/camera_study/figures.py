@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from camera_study.study import REQUIRED, Scene
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.camera import JointFit, JointTurn, hinge_angles
-from rx90b_flex.identify.camera_study import REQUIRED, Scene
 
 TRUE, SEEN, FITTED = "#000000", "#d55e00", "#0072b2"
 
