@@ -15,6 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 import rx90b_flex as rf
 from rx90b_flex.effects.motion import Array
@@ -32,6 +34,7 @@ from rx90b_flex.identify.all_coordinates import (
 )
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, sine_excitation, straight_line
+from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED
 
 GUESS = 0.2  # largest relative error of the first guess
 
@@ -88,6 +91,50 @@ def print_noisy(robot: Robot, log: FullLog, start: Array, noise: float, seed: in
 def tip_difference_mm(one: Simulation, other: Simulation) -> float:
     """Largest distance of two tips at one time, mm."""
     return 1e3 * float(np.linalg.norm(one.tip[:, :3, 3] - other.tip[:, :3, 3], axis=1).max())
+
+
+def residual_by_dimension(fit: CoordinatesFit, true: Array | None = None) -> Figure:
+    """Norm of the residual over the number of singular values kept: figure 4.4 of the source.
+
+    Parameters
+    ----------
+    fit : Fit
+    true : array, shape (p,), optional
+        True parameters, where a simulation knows them: their residual is the noise.
+    """
+    figure, ax = _axes(fit, "norm of the weighted residual")
+    dimensions = np.arange(len(fit.residual_norms))
+    ax.semilogy(dimensions, fit.residual_norms, color=AFTER, linewidth=1.2, label="residual")
+    ax.axhline(fit.noise_norm, color=FLOOR, linewidth=1.0, linestyle="--", label="noise, estimated")
+    if true is not None:
+        ax.axhline(fit.norm_of(true), color=MEASURED, linewidth=1.0, linestyle=":", label="true parameters")
+    ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def error_by_dimension(fit: CoordinatesFit, true: Array) -> Figure:
+    """Largest error of a parameter in the essential space over the number of singular values kept: figure 4.5.
+
+    Each over its first guess, so that units do not matter.
+    """
+    figure, ax = _axes(fit, "largest error in the essential\nspace, over the first guess")
+    errors = fit.errors_by_dimension(true)[: fit.rank]
+    ax.semilogy(1 + np.arange(len(errors)), errors, color=AFTER, linewidth=1.2, marker="o", markersize=2.5)
+    return figure
+
+
+def _axes(fit: CoordinatesFit, what: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(6.4, 2.8), layout="constrained")
+    ax = figure.subplots()
+    ax.axvline(fit.dimension, color=BEFORE, linewidth=0.8, linestyle=":")
+    ax.text(fit.dimension, 1.01, str(fit.dimension), transform=ax.get_xaxis_transform(), ha="center", fontsize=8)
+    ax.set_xlim(0, len(fit.start))
+    ax.set_xlabel("number of singular values", fontsize=9)
+    ax.set_ylabel(what, fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(labelsize=8)
+    ax.grid(color="#dddddd", linewidth=0.5)
+    return figure, ax
 
 
 def main() -> None:
@@ -147,8 +194,6 @@ def main() -> None:
     print_noisy(robot, log, start, options.noise, options.seed)
 
     if options.figures is not None:
-        from rx90b_flex.view.identify_plots import error_by_dimension, residual_by_dimension
-
         options.figures.mkdir(parents=True, exist_ok=True)
         for name, fit in fits.items():
             stem = name.replace(" ", "_").replace("'", "")

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex import drive_parameters
-from rx90b_flex.identify.inverse_eigenvalue import truncated_drive_parameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import test_inverse_eigenvalue as source
@@ -38,7 +37,7 @@ def main() -> None:
     for j, (zeros, inertia, true) in enumerate(
         zip(source.ANTIRESONANCES, source.INERTIAS, source.STIFFNESSES, strict=True)
     ):
-        found = drive_parameters(source.RESONANCES, zeros, drive_inertia=inertia, **spread)  # type: ignore[arg-type]
+        found = drive_parameters(source.RESONANCES, zeros, drive_inertia=inertia, **spread)
         print(line(f"joint {j + 1} stiffness", true / 1e5, found.stiffness / 1e5, found.stiffness_std / 1e5))
 
     print("\nTable 5.2, truncated: inertias kg m^2, then stiffnesses 1e5 N m/rad of joints 1, 2, 3")
@@ -47,7 +46,7 @@ def main() -> None:
         both = []
         for convention in ("source", "exact"):
             found_all = [
-                truncated_drive_parameters(source.RESONANCES, zeros, inertia, modes - 1, convention)  # type: ignore[arg-type]
+                source.truncated_drive_parameters(source.RESONANCES, zeros, inertia, modes - 1, convention)
                 for zeros, inertia in zip(source.ANTIRESONANCES, source.INERTIAS, strict=True)
             ]
             both.append([f.inertia for f in found_all] + [f.stiffness / 1e5 for f in found_all])
@@ -57,7 +56,7 @@ def main() -> None:
     spread = {"resonances_std_hz": [SPREAD_HZ] * 5, "antiresonances_std_hz": [SPREAD_HZ] * 5}
     rigid = 1.0 / np.diag(np.linalg.inv(source.RIGID_MASS))
     for j, (zeros, (inertia, stiffness)) in enumerate(zip(source.ESTIMATED_ZEROS, TABLE_6_2, strict=True)):
-        found = drive_parameters(source.ESTIMATED, zeros, rigid_inertia=float(rigid[j]), **spread)  # type: ignore[arg-type]
+        found = drive_parameters(source.ESTIMATED, zeros, rigid_inertia=float(rigid[j]), **spread)
         print(line(f"joint {j + 1} inertia", inertia, found.inertia, found.inertia_std))
         print(line(f"joint {j + 1} stiffness", stiffness, found.stiffness / 1e5, found.stiffness_std / 1e5))
 
@@ -69,7 +68,7 @@ def main() -> None:
             zeros,
             drive_inertia=inertia,
             inertia_std=0.01 / np.sqrt(12.0),
-            **spread,  # type: ignore[arg-type]
+            **spread,
         )
         print(line(f"joint {j + 1} stiffness", stiffness, found.stiffness / 1e5, found.stiffness_std / 1e5))
 

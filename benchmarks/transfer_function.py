@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Literal
@@ -21,12 +22,15 @@ import numpy as np
 import rx90b_flex as rf
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import estimate_frequency_response
-from rx90b_flex.identify.inverse_eigenvalue import identify_drives, truncated_drive_parameters
+from rx90b_flex.identify.inverse_eigenvalue import identify_drives
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.identify.validation import validate
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+from test_inverse_eigenvalue import truncated_drive_parameters
 
 BAND_HZ = (8.0, 80.0)
 SOURCE_WORST_HZ = 1.54  # table 6.1

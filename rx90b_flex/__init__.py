@@ -7,6 +7,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from rx90b_flex.on_demand import names_of
+
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.check import Checked, check
     from rx90b_flex.diagnose.close import ClosedLoop, close_loop
@@ -43,27 +45,19 @@ __all__ = [
 ]
 
 # loaded when they are asked for: the command line must not wait for all of them
-_HOME = {
-    "Checked": "rx90b_flex.diagnose.check",
-    "ClosedLoop": "rx90b_flex.diagnose.close",
-    "DriveParameters": "rx90b_flex.identify.inverse_eigenvalue",
-    "Exported": "rx90b_flex.simulators",
-    "Fleet": "rx90b_flex.fleet.fleet",
-    "Robot": "rx90b_flex.robot",
-    "check": "rx90b_flex.diagnose.check",
-    "check_path": "rx90b_flex.verbs",
-    "close_loop": "rx90b_flex.diagnose.close",
-    "close_loop_many": "rx90b_flex.fleet.fleet",
-    "drive_parameters": "rx90b_flex.identify.inverse_eigenvalue",
-    "excite": "rx90b_flex.verbs",
-    "export_robot": "rx90b_flex.simulators",
-    "frf": "rx90b_flex.verbs",
-    "identify": "rx90b_flex.verbs",
-    "load_robot": "rx90b_flex.robot",
-    "replay_errors": "rx90b_flex.diagnose.replayed",
-    "simulate": "rx90b_flex.verbs",
-    "view": "rx90b_flex.verbs",
-}
+_load = names_of(
+    __name__,
+    {
+        "diagnose.check": ("Checked", "check"),
+        "diagnose.close": ("ClosedLoop", "close_loop"),
+        "diagnose.replayed": ("replay_errors",),
+        "fleet.fleet": ("Fleet", "close_loop_many"),
+        "identify.inverse_eigenvalue": ("DriveParameters", "drive_parameters"),
+        "robot": ("Robot", "load_robot"),
+        "simulators": ("Exported", "export_robot"),
+        "verbs": ("check_path", "excite", "frf", "identify", "simulate", "view"),
+    },
+)
 
 
 _FOLDERS = ("identify", "simulate", "view")  # verbs that have the name of one
@@ -95,9 +89,7 @@ def __getattr__(name: str) -> Any:
             return version("rx90b-flex")
         except PackageNotFoundError:  # a source tree that is not installed
             return "0+unknown"
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_HOME[name]), name)
+    value = _load(name)
     if name in _FOLDERS:
         value.__dict__ = vars(import_module(f"{__name__}.{name}"))
     globals()[name] = value

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from yourdfpy.urdf import Inertial  # type: ignore[import-untyped, unused-ignore]
@@ -16,7 +15,7 @@ from rx90b_flex import flexify as virtual
 from rx90b_flex.bodies import Inconsistency, inconsistencies, moments_about_centre, pseudo_inertia
 from rx90b_flex.effects import effect_to_table
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.files.toml import toml_value
+from rx90b_flex.files.toml import toml_text
 from rx90b_flex.robot import Robot
 
 # Largest error of a parameter read back from the URDF, as a part of its body's largest one.
@@ -168,19 +167,16 @@ def save_robot(
 
 def robot_file_text(robot: Robot, urdf: str) -> str:
     """Text of a robot file (TOML) that points at `urdf`; every number reads back as the same double."""
-    head = {
-        "name": robot.name,
-        "urdf": urdf,
-        "tip_frame": robot.tip_frame,
-        "inertial_parameters": robot.inertial_parameters,
-        **({"controller": robot.controller} if robot.controller else {}),
-    }
-    tables = [_toml_lines(head), *("\n[[effects]]\n" + _toml_lines(effect_to_table(e)) for e in robot.effects)]
-    return "".join(tables)
-
-
-def _toml_lines(table: Mapping[str, Any]) -> str:
-    return "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items())
+    return toml_text(
+        {
+            "name": robot.name,
+            "urdf": urdf,
+            "tip_frame": robot.tip_frame,
+            "inertial_parameters": robot.inertial_parameters,
+            "controller": robot.controller or None,
+            "effects": [effect_to_table(e) for e in robot.effects],
+        }
+    )
 
 
 def _write(texts: Mapping[Path, str]) -> None:

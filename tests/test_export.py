@@ -12,7 +12,7 @@ import pytest
 from rx90b_flex.bodies import pseudo_inertia
 from rx90b_flex.effects import Effect, effect_from_table
 from rx90b_flex.export import save_robot, with_link_parameters
-from rx90b_flex.files.toml import toml_value
+from rx90b_flex.files.toml import toml_text
 from rx90b_flex.robot import Robot, load_robot
 
 
@@ -202,7 +202,7 @@ def test_a_folder_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path
     ],
 )
 def test_toml_values_come_back(value: object) -> None:
-    back = tomllib.loads(f"x = {toml_value(value)}")["x"]
+    back = tomllib.loads(toml_text({"x": value}))["x"]
     assert back == value and type(back) is type(value)
 
 

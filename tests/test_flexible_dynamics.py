@@ -7,12 +7,12 @@ import pytest
 from drawn_effects import ROBOTS, TYPES, draw_state, tree, with_drawn_effects
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_angles import JointAngleDynamics
 from scipy.integrate import solve_ivp
 
 from rx90b_flex.effects import catalogue
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import BaseFlexibility, DriveFlexibility
-from rx90b_flex.joint_angles import JointAngleDynamics
 from rx90b_flex.robot import Robot, load_robot
 
 FLEXIBLE = ("rx90b", "rx90b_4dof", "rx90b_3dof")

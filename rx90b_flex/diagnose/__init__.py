@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rx90b_flex.on_demand import names_of
 
 if TYPE_CHECKING:
     from rx90b_flex.diagnose.close import close_loop
@@ -24,21 +25,13 @@ __all__ = [
     "load_modal_table",
 ]
 
-# loaded when they are asked for, so that one name does not cost the libraries of all
-_HOME = {
-    "Change": "rx90b_flex.diagnose.likelihood",
-    "LikelihoodResidual": "rx90b_flex.diagnose.likelihood",
-    "State": "rx90b_flex.diagnose.likelihood",
-    "TableResidual": "rx90b_flex.diagnose.table",
-    "close_loop": "rx90b_flex.diagnose.close",
-    "close_modal": "rx90b_flex.diagnose.modal",
-    "close_response": "rx90b_flex.diagnose.response",
-    "load_modal_table": "rx90b_flex.diagnose.modal",
-    "close_residual": "rx90b_flex.diagnose.likelihood",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+__getattr__ = names_of(
+    __name__,
+    {
+        "diagnose.close": ("close_loop",),
+        "diagnose.likelihood": ("Change", "LikelihoodResidual", "State", "close_residual"),
+        "diagnose.modal": ("close_modal", "load_modal_table"),
+        "diagnose.response": ("close_response",),
+        "diagnose.table": ("TableResidual",),
+    },
+)

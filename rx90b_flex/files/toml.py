@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import math
 import os
@@ -112,8 +113,30 @@ def named_in(path: Path, key: str) -> Iterator[None]:
         raise ValueError(text if text.startswith(str(path)) else f"{path}: {key}: {text}") from None
 
 
-def toml_value(value: Any) -> str:
-    """A string, number, truth value, (nested) list or table as TOML.
+def toml_text(content: Mapping[str, Any]) -> str:
+    """A TOML file: values, then each mapping as a table and each list of mappings as an array of tables. What is None is left out.
+
+    Numbers read back as the same doubles. Tables inside a table stand on one line.
+    """
+    parts = [_toml_lines({key: value for key, value in content.items() if _tables(value) is None})]
+    for key, value in content.items():
+        head = f"[{key}]" if isinstance(value, Mapping) else f"[[{key}]]"
+        parts += [f"{head}\n{_toml_lines(table)}" for table in _tables(value) or []]
+    return "\n".join(parts)
+
+
+def _tables(value: Any) -> list[Mapping[str, Any]] | None:
+    """The tables, or none of them, that a value of a file is; None for any other value."""
+    items = list(value) if isinstance(value, list | tuple) else [value]
+    return items if all(isinstance(item, Mapping) for item in items) else None
+
+
+def _toml_lines(table: Mapping[str, Any]) -> str:
+    return "".join(f"{key} = {_toml_value(value)}\n" for key, value in table.items() if value is not None)
+
+
+def _toml_value(value: Any) -> str:
+    """A string, number, truth value, date, (nested) list or table as TOML.
 
     Raises
     ------
@@ -129,8 +152,10 @@ def toml_value(value: Any) -> str:
         return str(int(value))
     if isinstance(value, float | np.floating):
         return repr(float(value))
+    if isinstance(value, datetime.date):
+        return value.isoformat()
     if isinstance(value, list | tuple | np.ndarray):
-        return "[" + ", ".join(toml_value(v) for v in value) + "]"
+        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {toml_value(v)}" for key, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{key} = {_toml_value(v)}" for key, v in value.items()) + " }"
     raise TypeError(f"{value!r} has no form in TOML")

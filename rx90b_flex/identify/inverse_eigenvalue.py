@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,79 +96,6 @@ def drive_parameters(
     )
     stiffness = inertia * difference
     return DriveParameters(inertia, stiffness, float(inertia * np.sqrt(relative)), float(stiffness * np.sqrt(stiff)))
-
-
-def truncated_drive_parameters(
-    resonances_hz: ArrayLike,
-    antiresonances_hz: ArrayLike,
-    drive_inertia: float,
-    kept: int,
-    convention: Literal["exact", "source"] = "exact",
-) -> DriveParameters:
-    """What a drive seems to be when only its lowest modes are seen (table 5.2), the low-frequency gain held.
-
-    That gain is ``prod(mu_r^2 / w_r^2) / J`` over all modes. With n of them, ``J_n = J prod_{r>n} (w_r / mu_r)^2``, which
-    rises as modes are lost; ``stiffness = J_n (sum w_r^2 - sum mu_r^2)`` over the n.
-
-    Parameters
-    ----------
-    resonances_hz, antiresonances_hz : array, shape (N,)
-        All of them, ascending, without the rigid-body modes, Hz.
-    drive_inertia : float
-        The true one, kg m^2.
-    kept : int
-        n, 0 to N. Table 5.2 counts one more: its N includes the rigid-body mode.
-    convention : str
-        ``exact``, or ``source``, as table 5.2 was made: it divides where this multiplies, so that its inertia falls, and scales
-        the eigenvectors in (5.53) by the true inertia, so that its stiffness is ``J_n^2 / J (sum w_r^2 - sum mu_r^2)``.
-
-    Raises
-    ------
-    ValueError
-        As `drive_parameters`; a number of modes that is not there; another convention.
-    """
-    w, mu = _frequencies("resonances_hz", resonances_hz), _frequencies("antiresonances_hz", antiresonances_hz)
-    if len(w) != len(mu):
-        raise ValueError(f"{len(w)} resonances and {len(mu)} antiresonances; expected as many of one as of the other")
-    if not 0 <= kept <= len(w):
-        raise ValueError(f"kept is {kept}; expected 0 to {len(w)} modes")
-    if convention not in ("exact", "source"):
-        raise ValueError(f"convention is {convention!r}; expected 'exact' or 'source'")
-    lost = float(np.prod((w[kept:] / mu[kept:]) ** 2))
-    difference = float((w[:kept] ** 2).sum() - (mu[:kept] ** 2).sum())
-    if convention == "source":
-        return DriveParameters(drive_inertia / lost, drive_inertia / lost**2 * difference, 0.0, 0.0)
-    return DriveParameters(drive_inertia * lost, drive_inertia * lost * difference, 0.0, 0.0)
-
-
-def eigenvector_entries(resonances_hz: ArrayLike, antiresonances_hz: ArrayLike, drive_inertia: float) -> Array:
-    """Entries of the mass-normalised eigenvectors at one drive (5.31), from its undamped resonances and antiresonances.
-
-    With ``P = (1/J) prod(mu^2 - w^2) / prod(w_r^2 - w^2) = nu_0^2 - w^2 sum_r nu_r^2 / (w_r^2 - w^2)``.
-
-    Returns
-    -------
-    array, shape (n + 1,), 1 / sqrt(kg m^2)
-        First the rigid-body modes' (their squares added), then one a mode. Signs are free, so all are positive.
-
-    Raises
-    ------
-    ValueError
-        As `drive_parameters`; resonances and antiresonances that do not alternate, which no undamped drive point has.
-    """
-    w, mu = _frequencies("resonances_hz", resonances_hz) ** 2, _frequencies("antiresonances_hz", antiresonances_hz) ** 2
-    if len(w) != len(mu):
-        raise ValueError(f"{len(w)} resonances and {len(mu)} antiresonances; expected as many of one as of the other")
-    squares = [np.prod(mu / w)]
-    for r, at in enumerate(w):
-        others = np.delete(w, r)
-        squares.append(-(mu[r] - at) / at * np.prod((np.delete(mu, r) - at) / (others - at)))
-    if min(squares) < 0:
-        raise ValueError(
-            f"resonances and antiresonances do not alternate: mode {int(np.argmin(squares))} would have a "
-            "negative share of the inertia"
-        )
-    return np.sqrt(np.array(squares) / drive_inertia)
 
 
 def drive_damping(poles: ArrayLike, zeros: ArrayLike, drive_inertia: float) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rx90b_flex.on_demand import names_of
 
 if TYPE_CHECKING:
     from rx90b_flex.path.check import Contribution, Deviation, PathCheck, PathOptions, check_path
@@ -26,24 +27,12 @@ __all__ = [
     "plan",
 ]
 
-# loaded when they are asked for, so that one name does not cost the libraries of all
-_HOME = {
-    "Contribution": "rx90b_flex.path.check",
-    "Deviation": "rx90b_flex.path.check",
-    "EXAMPLES": "rx90b_flex.path.seam",
-    "MeasuredTip": "rx90b_flex.path.measured",
-    "PathOptions": "rx90b_flex.path.check",
-    "PathCheck": "rx90b_flex.path.check",
-    "PathPlan": "rx90b_flex.path.planning",
-    "Seam": "rx90b_flex.path.seam",
-    "check_path": "rx90b_flex.path.check",
-    "compare_measured": "rx90b_flex.path.measured",
-    "load_seam": "rx90b_flex.path.seam",
-    "plan": "rx90b_flex.path.planning",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+__getattr__ = names_of(
+    __name__,
+    {
+        "path.check": ("Contribution", "Deviation", "PathCheck", "PathOptions", "check_path"),
+        "path.measured": ("MeasuredTip", "compare_measured"),
+        "path.planning": ("PathPlan", "plan"),
+        "path.seam": ("EXAMPLES", "Seam", "load_seam"),
+    },
+)

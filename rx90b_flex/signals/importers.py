@@ -19,23 +19,15 @@ from numpy.typing import NDArray
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.signals.logs import TIME, read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
-from rx90b_flex.signals.recording import Recording, Role
+from rx90b_flex.signals.recording import REQUIRED, SIGNALS, Recording, Role
 from rx90b_flex.signals.tables import LARGEST
 from rx90b_flex.signals.times import printed_resolution
 
 Array = NDArray[np.float64]
 Sureness = Literal["stated", "sure", "likely"]
 
-SIGNALS = {  # key of a campaign file -> field of a recording
-    "motor_position": "position",
-    "torque": "torque",
-    "motor_velocity": "velocity",
-    "link_position": "link_position",
-    "reference_position": "reference_position",
-    "reference_velocity": "reference_velocity",
-    "feedforward_torque": "feedforward_torque",
-}
-REQUIRED = ("motor_position", "torque")
+# key of a campaign file -> field of a recording, of what can be told by words in names
+FIELDS = {s.key: s.field for s in SIGNALS if s.key not in ("joint_torque", "motor_current")}
 SPLIT = 0.7  # of a single file: the part that is fitted
 JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
 GAP = 10.0  # sample periods without a sample: the log was interrupted
@@ -254,9 +246,9 @@ def _check_options(options: ReadingOptions, axes: Axes) -> None:
                 raise ValueError(f"--columns {signal}: column {name!r} is already used by {used[name]}")
             used[name] = signal
     for signal in options.columns:
-        if signal not in SIGNALS:
+        if signal not in FIELDS:
             raise ValueError(
-                f"--columns {signal}: unknown signal{suggestion(signal, list(SIGNALS))}; known: {', '.join(SIGNALS)}"
+                f"--columns {signal}: unknown signal{suggestion(signal, list(FIELDS))}; known: {', '.join(FIELDS)}"
             )
     for joint in options.joints:
         if joint not in axes.joints:
@@ -294,7 +286,7 @@ def _one(log: Log, axes: Axes, options: ReadingOptions) -> tuple[Recording, list
         sample_rate_hz=rate,
         joints=joints,
         source=log.path,
-        **{SIGNALS[signal]: array for signal, array in values.items()},  # type: ignore[arg-type]
+        **{FIELDS[signal]: array for signal, array in values.items()},  # type: ignore[arg-type]
     )
     return recording, found, scale
 
@@ -467,7 +459,7 @@ def _complete(
     if not joints:
         raise ValueError(f"{log.path}: no joint has both position and torque; {_shown(places)}")
     signals = {}
-    for signal in SIGNALS:
+    for signal in FIELDS:
         at = by_joint.get(signal, {})
         have = [at[j] for j in joints if j in at]
         if len(have) == len(joints):
@@ -710,7 +702,7 @@ def _alike(parts: list[Recording], options: ReadingOptions) -> tuple[list[Record
             found.append(
                 Finding(f"{part.name}: resampled from {part.sample_rate_hz:g} to {rate:g} Hz, filtered", "stated")
             )
-    for field in [f for s, f in SIGNALS.items() if s not in REQUIRED]:
+    for field in [f for s, f in FIELDS.items() if s not in REQUIRED]:
         have = [getattr(part, field) is not None for part in parts]
         if any(have) and not all(have):
             found.append(Finding(f"{field}: left out, not in every file", "sure"))
@@ -722,7 +714,7 @@ def _at_rate(part: Recording, rate: float) -> Recording:
     from rx90b_flex.signals.filters import resample  # here, for most logs do without
 
     changed: dict[str, Array] = {}
-    for field in SIGNALS.values():
+    for field in FIELDS.values():
         array = getattr(part, field)
         if array is not None:
             try:
@@ -745,7 +737,7 @@ def _split(whole: Recording) -> tuple[Recording, ...]:
     ]
     out = []
     for name, role, rows in parts:
-        arrays = {f: getattr(whole, f)[rows] for f in SIGNALS.values() if getattr(whole, f) is not None}
+        arrays = {f: getattr(whole, f)[rows] for f in FIELDS.values() if getattr(whole, f) is not None}
         out.append(dataclasses.replace(whole, name=f"{whole.name}_{name}", role=role, time=whole.time[rows], **arrays))
     return tuple(out)
 

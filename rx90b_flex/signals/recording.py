@@ -10,13 +10,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
-from rx90b_flex.files.toml import named_beside, read_toml, toml_value
+from rx90b_flex.files.toml import named_beside, read_toml, toml_text
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.data_fault import DataFaultError
 from rx90b_flex.signals.section import CampaignSection
@@ -39,8 +39,8 @@ FIRST_CLOCK_S, LAST_CLOCK_S = 1e9, 1e10  # seconds since 1970, from 2001 on: wha
 
 
 @dataclass(frozen=True)
-class _Signal:
-    """How one signal is called in a campaign file, in a `Recording` and in written tables."""
+class Signal:
+    """How one signal is called in a campaign file (`key`), in a `Recording` and in written tables; all names stand here."""
 
     key: str
     field: str
@@ -49,18 +49,18 @@ class _Signal:
     always_joint_side: bool = False
 
 
-_SIGNALS = (
-    _Signal("motor_position", "position", "q", "angle"),
-    _Signal("torque", "torque", "tau", "torque"),
-    _Signal("motor_velocity", "velocity", "v", "velocity"),
-    _Signal("link_position", "link_position", "link", "angle", always_joint_side=True),
-    _Signal("reference_position", "reference_position", "ref", "angle"),
-    _Signal("reference_velocity", "reference_velocity", "refv", "velocity"),
-    _Signal("feedforward_torque", "feedforward_torque", "ff", "torque"),
-    _Signal("joint_torque", "joint_torque", "jtau", "torque", always_joint_side=True),
-    _Signal("motor_current", "motor_current", "i", "current", always_joint_side=True),
+SIGNALS = (
+    Signal("motor_position", "position", "q", "angle"),
+    Signal("torque", "torque", "tau", "torque"),
+    Signal("motor_velocity", "velocity", "v", "velocity"),
+    Signal("link_position", "link_position", "link", "angle", always_joint_side=True),
+    Signal("reference_position", "reference_position", "ref", "angle"),
+    Signal("reference_velocity", "reference_velocity", "refv", "velocity"),
+    Signal("feedforward_torque", "feedforward_torque", "ff", "torque"),
+    Signal("joint_torque", "joint_torque", "jtau", "torque", always_joint_side=True),
+    Signal("motor_current", "motor_current", "i", "current", always_joint_side=True),
 )
-_REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
+REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
 _LARGEST_ANGLE = 100.0
 # Nor is there a torque, a speed or a current of this size; sums of squares stay finite below it.
@@ -133,9 +133,9 @@ class Recording:
         if self.time.ndim != 1:
             raise ValueError(f"{where}: time has shape {self.time.shape}, (samples,) is expected")
         expected = (len(self.time), len(self.joints))
-        for item in _SIGNALS:
+        for item in SIGNALS:
             value = getattr(self, item.field)
-            if value is None and item.key not in _REQUIRED:
+            if value is None and item.key not in REQUIRED:
                 continue
             array = np.asarray(value, dtype=np.float64)
             if array.shape != expected:
@@ -283,7 +283,7 @@ def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     """
     names = ["time"]
     blocks = [recording.time[:, None]]
-    for item in _SIGNALS:
+    for item in SIGNALS:
         value = getattr(recording, item.field)
         if value is not None:
             names += [f"{item.prefix}_{joint}" for joint in recording.joints]
@@ -329,38 +329,37 @@ def write_campaign(
     fields = _common_signals(recordings)
     first = recordings[0]
     robot_text = robot if isinstance(robot, str) else Path(os.path.relpath(robot, directory)).as_posix()
-    lines = [
-        f"robot = {toml_value(robot_text)}",
-        f"sample_rate_hz = {toml_value(float(first.sample_rate_hz))}",
-        f"joints = {toml_value(first.joints)}",
-        "",
-        "[signals]",
-    ]
-    lines += [f"{item.key} = {toml_value([f'{item.prefix}_{joint}' for joint in first.joints])}" for item in fields]
-    if cutoff_hz is not None:
-        lines += ["", "[preprocessing]", f"cutoff_hz = {toml_value(float(cutoff_hz))}"]
-    if noise_torque is not None:
-        if len(noise_torque) != len(first.joints):
-            raise ValueError(f"noise_torque has {len(noise_torque)} values for {len(first.joints)} joints")
-        lines += ["", "[noise]", f"torque_rms = {toml_value(np.asarray(noise_torque, dtype=float))}"]
-    for i, sensor in enumerate(accelerometers):
-        lines += ["", "[[accelerometer]]", f"link = {toml_value(sensor.link)}"]
-        lines.append(f"position = {toml_value(np.asarray(sensor.position, dtype=float))}")
-        lines.append(f"columns = {toml_value(_acceleration_columns(len(accelerometers))[3 * i : 3 * i + 3])}")
-    files = _file_names(recordings, file_format)
-    for recording, file in zip(recordings, files, strict=True):
+    if noise_torque is not None and len(noise_torque) != len(first.joints):
+        raise ValueError(f"noise_torque has {len(noise_torque)} values for {len(first.joints)} joints")
+    columns = np.reshape(_acceleration_columns(len(accelerometers)), (-1, 3))
+    content: dict[str, Any] = {
+        "robot": robot_text,
+        "sample_rate_hz": float(first.sample_rate_hz),
+        "joints": first.joints,
+        "signals": {item.key: [f"{item.prefix}_{joint}" for joint in first.joints] for item in fields},
+        "preprocessing": None if cutoff_hz is None else {"cutoff_hz": float(cutoff_hz)},
+        "noise": None if noise_torque is None else {"torque_rms": np.asarray(noise_torque, dtype=float)},
+        "accelerometer": [
+            {"link": sensor.link, "position": np.asarray(sensor.position, dtype=float), "columns": of_sensor.tolist()}
+            for sensor, of_sensor in zip(accelerometers, columns, strict=True)
+        ],
+        "recording": [],
+    }
+    for recording, file in zip(recordings, _file_names(recordings, file_format), strict=True):
         target = directory / file
         target.parent.mkdir(parents=True, exist_ok=True)
         save_recording(recording, target)
-        lines += ["", "[[recording]]", f"file = {toml_value(file)}", f"role = {toml_value(recording.role)}"]
-        if recording.period_s is not None:
-            lines.append(f"period_s = {toml_value(float(recording.period_s))}")
-        if recording.payload is not None:
-            lines.append(f"payload = {toml_value(dataclasses.asdict(recording.payload))}")
-        if recording.date is not None:
-            lines.append(f"date = {recording.date}")
+        content["recording"].append(
+            {
+                "file": file,
+                "role": recording.role,
+                "period_s": None if recording.period_s is None else float(recording.period_s),
+                "payload": None if recording.payload is None else dataclasses.asdict(recording.payload),
+                "date": None if recording.date is None else datetime.date.fromisoformat(recording.date),
+            }
+        )
     campaign = directory / "campaign.toml"
-    tables.write_whole(campaign, lambda temporary: _write_text(temporary, "\n".join(lines) + "\n"))
+    tables.write_whole(campaign, lambda temporary: _write_text(temporary, toml_text(content)))
     return campaign
 
 
@@ -409,12 +408,12 @@ def _read_layout(root: CampaignSection) -> _CampaignLayout:
     count = len(joints)
 
     signals = root.section("signals")
-    signals.allow(*(item.key for item in _SIGNALS))
+    signals.allow(*(item.key for item in SIGNALS))
     columns: dict[str, tuple[str, ...]] = {}
     used: dict[str, str] = {}
     from_current = signals.has("motor_current") and not signals.has("torque")
-    for item in _SIGNALS:
-        if not signals.has(item.key) and (item.key not in _REQUIRED or (item.key == "torque" and from_current)):
+    for item in SIGNALS:
+        if not signals.has(item.key) and (item.key not in REQUIRED or (item.key == "torque" and from_current)):
             continue
         names = signals.texts(item.key)
         if len(names) != count:
@@ -584,7 +583,7 @@ def _signals(table: tables.Table, part: slice, layout: _CampaignLayout) -> dict[
     """Fields of a recording, on the joint side."""
     first = part.start
     values: dict[str, Array] = {}
-    for item in _SIGNALS:
+    for item in SIGNALS:
         names = layout.columns.get(item.key)
         if names is None:
             continue
@@ -611,7 +610,7 @@ def _day_of(clock: float) -> str | None:
     return datetime.datetime.fromtimestamp(clock, datetime.UTC).date().isoformat()
 
 
-def _to_joint_side(measured: Array, item: _Signal, layout: _CampaignLayout) -> Array:
+def _to_joint_side(measured: Array, item: Signal, layout: _CampaignLayout) -> Array:
     gear = layout.gear_matrix
     if gear is None or item.always_joint_side or (item.key == "torque" and layout.torque_side in JOINT_SIDES):
         return measured
@@ -637,7 +636,7 @@ def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -
     )
 
 
-def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal, layout: _CampaignLayout) -> None:
+def _check_angles(file: Path, names: Sequence[str], angles: Array, item: Signal, layout: _CampaignLayout) -> None:
     largest = np.max(np.abs(angles), axis=0)
     joint = int(np.argmax(largest))
     if largest[joint] > _LARGEST_ANGLE:
@@ -658,7 +657,7 @@ def _check_angles(file: Path, names: Sequence[str], angles: Array, item: _Signal
         )
 
 
-def _check_sizes(file: Path, names: Sequence[str], values: Array, item: _Signal, layout: _CampaignLayout) -> None:
+def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, layout: _CampaignLayout) -> None:
     largest = np.max(np.abs(values), axis=0)
     joint = int(np.argmax(largest))
     if largest[joint] > tables.LARGEST:
@@ -687,15 +686,15 @@ def _select(file: Path, time: Array, entry: _Entry, rate: float) -> tuple[int, i
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
-def _common_signals(recordings: Sequence[Recording]) -> list[_Signal]:
+def _common_signals(recordings: Sequence[Recording]) -> list[Signal]:
     if not recordings:
         raise ValueError("a campaign needs at least one recording")
     first = recordings[0]
-    present = [item for item in _SIGNALS if getattr(first, item.field) is not None]
+    present = [item for item in SIGNALS if getattr(first, item.field) is not None]
     for other in recordings[1:]:
         if other.joints != first.joints or other.sample_rate_hz != first.sample_rate_hz:
             raise ValueError(f"recordings {first.name!r} and {other.name!r} differ in joints or sample rate")
-        if [item for item in _SIGNALS if getattr(other, item.field) is not None] != present:
+        if [item for item in SIGNALS if getattr(other, item.field) is not None] != present:
             raise ValueError(f"recordings {first.name!r} and {other.name!r} differ in the signals they have")
     return present
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,10 +23,11 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation import minus_below_first, multisine
 from rx90b_flex.excitation.multisine import Crest
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.toml import toml_text
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
 from rx90b_flex.signals.folders import claim, claimed
-from rx90b_flex.signals.recording import Recording, Role
+from rx90b_flex.signals.recording import SIGNALS, Recording, Role
 from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, ComplexArray, save_cs8
 from rx90b_flex.simulate.perturbation import Manipulator, perturb_lanes, steps_bytes
@@ -46,14 +46,7 @@ Progress = Callable[[str, float], None]
 BATCH_RUNS, BATCH_BYTES = 48, 1e9  # of a worker, at most, unless the caller says otherwise
 PLAN_FILE = "plan.json"
 RUNS = "runs"
-SIGNALS = {  # key in a campaign file -> prefix of its columns, as `save_recording` writes them
-    "motor_position": "q",
-    "torque": "tau",
-    "motor_velocity": "v",
-    "reference_position": "ref",
-    "reference_velocity": "refv",
-    "feedforward_torque": "ff",
-}
+LOGGED = tuple(s.key for s in SIGNALS if not s.always_joint_side)  # by a simulated controller
 TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
@@ -513,26 +506,26 @@ class RunFile:
     role: Role
 
 
-def campaign_text(plan: CampaignPlan, runs: Sequence[RunFile], signals: Sequence[str] = tuple(SIGNALS)) -> str:
+def campaign_text(plan: CampaignPlan, runs: Sequence[RunFile], signals: Sequence[str] = LOGGED) -> str:
     """Text of a campaign file of a plan's recordings; the first period of each, in which the transient dies, is left out.
 
     Parameters
     ----------
-    signals : keys of `SIGNALS` that the recordings have.
+    signals : those that the recordings have, by their keys in a campaign file.
     """
     joints, controller = plan.robot.joints, plan.controller
     period = plan.reference.period_s or PERIOD_S
-    lines = ['robot = "robot.toml"', f"sample_rate_hz = {controller.log_rate_hz!r}", f"joints = {json.dumps(joints)}"]
-    lines += ["", "[signals]"]
-    lines += [f"{signal} = {json.dumps([f'{SIGNALS[signal]}_{j}' for j in joints])}" for signal in signals]
     torque_noise = np.broadcast_to(plan.noise.torque, len(joints))
-    if np.any(torque_noise):
-        # the anti-alias filter keeps the part below its cutoff
-        kept = np.sqrt(2.0 * controller.log_cutoff_hz / controller.controller_rate_hz)
-        lines += ["", "[noise]", f"torque_rms = {[float(x * kept) for x in torque_noise]}"]
-    for run in runs:
-        lines += ["", "[[recording]]", f"file = {json.dumps(run.file)}", f'role = "{run.role}"']
-        if plan.periods > 1:
-            lines.append(f"start_s = {period!r}")
-        lines.append(f"period_s = {period!r}")
-    return "\n".join(lines) + "\n"
+    # the anti-alias filter keeps the part below its cutoff
+    kept = np.sqrt(2.0 * controller.log_cutoff_hz / controller.controller_rate_hz)
+    start = period if plan.periods > 1 else None
+    return toml_text(
+        {
+            "robot": "robot.toml",
+            "sample_rate_hz": controller.log_rate_hz,
+            "joints": joints,
+            "signals": {s.key: [f"{s.prefix}_{j}" for j in joints] for s in SIGNALS if s.key in signals},
+            "noise": {"torque_rms": kept * torque_noise} if np.any(torque_noise) else None,
+            "recording": [{"file": r.file, "role": r.role, "start_s": start, "period_s": period} for r in runs],
+        }
+    )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys, close_match
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import read_toml, toml_text
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, robots_folder
 
@@ -393,8 +393,6 @@ def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str
 
 def save_cs8(controller: CS8, path: str | os.PathLike[str]) -> None:
     """Write a controller file that `load_cs8` reads back as the same controller."""
-    lines = [f"{f.name} = {getattr(controller, f.name)!r}" for f in dataclasses.fields(CS8) if f.name != "joints"]
-    for joint in controller.joints:
-        lines += ["", "[[joint]]", f'name = "{joint.name}"']
-        lines += [f"{k} = {v!r}" for k, v in dataclasses.asdict(joint).items() if k != "name"]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    content = dataclasses.asdict(controller)
+    joints = content.pop("joints")
+    Path(path).write_text(toml_text({**content, "joint": joints}), encoding="utf-8")

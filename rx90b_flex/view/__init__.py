@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rx90b_flex.on_demand import names_of
 
 if TYPE_CHECKING:
     from rx90b_flex.view.meshcat import Run, View, compare, show, show_modes
@@ -11,19 +12,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "View", "compare", "report_html", "show", "show_modes", "write_report"]
 
-# loaded when they are asked for, so that one name does not cost the libraries of all
-_HOME = {
-    "Run": "rx90b_flex.view.meshcat",
-    "View": "rx90b_flex.view.meshcat",
-    "compare": "rx90b_flex.view.meshcat",
-    "report_html": "rx90b_flex.view.report",
-    "show": "rx90b_flex.view.meshcat",
-    "show_modes": "rx90b_flex.view.meshcat",
-    "write_report": "rx90b_flex.view.report",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+__getattr__ = names_of(
+    __name__,
+    {
+        "view.meshcat": ("Run", "View", "compare", "show", "show_modes"),
+        "view.report": ("report_html", "write_report"),
+    },
+)

@@ -9,52 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.all_coordinates import CoordinatesFit
-from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED
+from rx90b_flex.view.plots import AFTER, FLOOR, MEASURED
 
 WIDTH = 6.4  # inches
-
-
-def residual_by_dimension(fit: CoordinatesFit, true: Array | None = None) -> Figure:
-    """Norm of the residual over the number of singular values kept: figure 4.4 of the source.
-
-    Parameters
-    ----------
-    fit : Fit
-    true : array, shape (p,), optional
-        True parameters, where a simulation knows them: their residual is the noise.
-    """
-    figure, ax = _by_dimension(fit, "norm of the weighted residual")
-    dimensions = np.arange(len(fit.residual_norms))
-    ax.semilogy(dimensions, fit.residual_norms, color=AFTER, linewidth=1.2, label="residual")
-    ax.axhline(fit.noise_norm, color=FLOOR, linewidth=1.0, linestyle="--", label="noise, estimated")
-    if true is not None:
-        ax.axhline(fit.norm_of(true), color=MEASURED, linewidth=1.0, linestyle=":", label="true parameters")
-    ax.legend(frameon=False, fontsize=8)
-    return figure
-
-
-def error_by_dimension(fit: CoordinatesFit, true: Array) -> Figure:
-    """Largest error of a parameter in the essential space over the number of singular values kept: figure 4.5.
-
-    Each over its first guess, so that units do not matter.
-    """
-    figure, ax = _by_dimension(fit, "largest error in the essential\nspace, over the first guess")
-    errors = fit.errors_by_dimension(true)[: fit.rank]
-    ax.semilogy(1 + np.arange(len(errors)), errors, color=AFTER, linewidth=1.2, marker="o", markersize=2.5)
-    return figure
-
-
-def _by_dimension(fit: CoordinatesFit, what: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(WIDTH, 2.8), layout="constrained")
-    ax = figure.subplots()
-    ax.axvline(fit.dimension, color=BEFORE, linewidth=0.8, linestyle=":")
-    ax.text(fit.dimension, 1.01, str(fit.dimension), transform=ax.get_xaxis_transform(), ha="center", fontsize=8)
-    ax.set_xlim(0, len(fit.start))
-    ax.set_xlabel("number of singular values", fontsize=9)
-    ax.set_ylabel(what, fontsize=9)
-    _plain(ax)
-    return figure, ax
 
 
 def torque_fit(time: Array, measured: Array, predicted: Array, joint: str, model: str = "identified model") -> Figure:
