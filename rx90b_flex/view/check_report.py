@@ -7,12 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import markupsafe
-
 from rx90b_flex.diagnose.check import Checked, check_json
-from rx90b_flex.view.page import Image, PageTable, Section, template, write_page, write_text
-
-STATUSES = ("identifiable", "weak", "not", "known")
+from rx90b_flex.view.page import Image, PageTable, Section, write_page, write_text
 
 
 def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> None:
@@ -32,13 +28,12 @@ def write_check_page(checked: Checked, path: Path, images: tuple[Image, ...] = (
     write_page(path, f"A look at the data of {checked.robot}", lead(checked), sections(checked, images))
 
 
-def check_section(checked: Checked | None) -> markupsafe.Markup | None:
+def check_section(checked: Checked | None) -> Section | None:
     """What a look at the data said, as a part of another report: faults, recordings, and what the motion can tell."""
     if checked is None:
         return None
-    words = [*lead(checked), *facts_words(checked), *told_words(checked)]
-    tables = [*_faults(checked).tables, *_recordings(checked).tables]
-    return markupsafe.Markup(template("check_section.html").render(words=words, tables=tables))
+    words = (*lead(checked), *facts_words(checked), *told_words(checked))
+    return Section("The data, looked at first", words, (*_faults(checked).tables, *_recordings(checked).tables))
 
 
 def lead(checked: Checked) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import PackageNotFoundError, version
@@ -55,12 +55,13 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page: paragraphs, then tables, then figures."""
+    """A part of a page: paragraphs, then tables, then figures, then smaller parts."""
 
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[PageTable, ...] = ()
     images: tuple[Image, ...] = ()
+    parts: tuple[Section, ...] = ()
 
 
 def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[Section]) -> None:
@@ -81,10 +82,14 @@ def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[S
 
 def page_html(title: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
     """The text of a page with all its figures in it."""
-    return template("page.html").render(
-        title=title, lead=list(lead), sections=list(sections), version=package_version(), style=style(),
-        script=script(), script_hash=script_hash(),
-    )  # fmt: skip
+    zooms = any(image.zoom for section in sections for image in section.images)
+    return render("page.html", title=title, lead=list(lead), sections=list(sections), zooms=zooms, source="")
+
+
+def render(name: str, filters: Mapping[str, object] | None = None, **values: object) -> str:
+    """A page from a template that is or extends ``page.html``, with filters and values of its own."""
+    common = {"version": package_version(), "style": style(), "script": script(), "script_hash": script_hash()}
+    return template(name, **(filters or {})).render(**common, **values)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import singledispatch
 from pathlib import Path
 
@@ -36,13 +35,14 @@ from rx90b_flex.view.advice import (
 )
 from rx90b_flex.view.check_report import check_section, write_check_page
 from rx90b_flex.view.deflection_section import gear_section
-from rx90b_flex.view.page import Image, image, package_version, style, template, write_text
-from rx90b_flex.view.zoom import script, script_hash
+from rx90b_flex.view.page import Image, PageTable, Section, image, package_version, render, write_text
 
 MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
+WORSE = 1.005  # times the error before: an error after it that is marked
 SHOWN_FINDINGS = 4  # joints with a figure beside their first finding; the residuals hold all
 SHOWN_DEPENDENCES = 4  # plots of what remains; the table holds all
 
+ROLES = {"validation": "data that was not fitted", "identification": "data that was fitted"}
 VERDICTS = {
     "nothing_missing": "Nothing missing",
     "explained": "Explained",
@@ -80,55 +80,49 @@ def _(result: RefusedLoop, path: Path, motion: None = None) -> None:
 
 def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) -> str:
     """The report as the text of an HTML page with all figures in it; `motion` as in `write_report`."""
-    page = template(
+    return render(
         "report.html",
-        number=number,
-        percent=percent,
-        p=p_value,
-        unit=unit_text,
-        measured=measured,
-        place=place_words,
-        kind=_kind,
-        meaning=_meaning,
-    )
-    return page.render(
-        style=style(),
+        {
+            "percent": percent, "p": p_value, "unit": unit_text, "measured": measured,
+            "place": place_words, "kind": _kind, "meaning": _meaning,
+        },
+        title=f"{result.robot}: closing the loop",
+        zooms=True,
+        source=f"{result.robot} · {result.campaign.path.name}",
         mostly=MOSTLY,
         result=result,
         verdict=VERDICTS[result.verdict],
         verdict_meaning=_verdict_meaning(result),
         headline=headline(result),
-        roles=_roles(result),
-        errors_figures=[_errors_figure(result, role) for role in ("validation", "identification")],
+        error_tables=_error_tables(result),
+        errors_figures=[_errors_figure(result, role) for role in ROLES],
         steps_figure=_steps_figure(result),
         explainable_figure=_explainable_figure(result),
         explainable_words=explainable_words(result),
         standstill=standstill(result),
+        at_rest=_at_rest(result),
+        above_floor=_above_floor(result),
         step_note=step_note(result),
         floor=_floor_words(result),
-        motion=motion,
-        motion_is_known=isinstance(motion, MotionErrors),
+        motion=_motion(result, motion),
         finding_figures=_finding_figures(result),
-        joint_figures=[_joint_figures(result, joint) for joint in result.joints],
-        rounds=_rounds(result),
+        residuals=Section("", parts=tuple(_joint_residuals(result, joint) for joint in result.joints)),
+        alternatives=_alternatives(result),
+        tried=Section("", parts=tuple(_rounds(result))),
         gears=gear_section(result.deflection),
         data=check_section(result.checked),
+        dependences=_dependences(result),
         dependence_figures=_dependence_figures(result),
+        bands=_bands(result),
         band_figures=_band_figures(result),
         advice=next_measurements(result),
         parameters=_parameters(result),
         links=_links(result),
         moved_links=_moved_links(result),
-        moved_from=MOVED,
-        link_columns=list(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)),
-        facts=_facts(result),
-        version=package_version(),
-        script=script(),
-        script_hash=script_hash(),
+        facts=PageTable(("what", "how"), tuple(_facts(result)), "Settings", numbers=()),
         evidence=evidence,
-        near_floor=NEAR_FLOOR,
         segment_s=plots.SEGMENT_S,
-    )
+    )  # fmt: skip
 
 
 # ---- words ----------------------------------------------------------------------------------------------
@@ -283,97 +277,127 @@ def measured(estimate: Estimate) -> str:
 # ---- tables ---------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class JointErrors:
-    """One joint's line in a table of errors, N m and parts of its torque."""
-
-    joint: str
-    torque: float
-    before: float
-    after: float
-    floor: float | None
-
-    @property
-    def before_share(self) -> float | None:
-        return self.before / self.torque if self.torque > 0 else None
-
-    @property
-    def after_share(self) -> float | None:
-        return self.after / self.torque if self.torque > 0 else None
-
-    @property
-    def over_floor(self) -> float | None:
-        return self.after / self.floor if self.floor else None
-
-    @property
-    def worse(self) -> bool:
-        return self.after > 1.005 * self.before
-
-
-@dataclass(frozen=True)
-class RoleTable:
-    """Errors on the recordings of one role."""
-
-    role: str
-    what: str
-    relative_before: float
-    relative_after: float
-    rows: tuple[JointErrors, ...]
-
-
-def _roles(result: ClosedLoop) -> list[RoleTable]:
-    out = []
+def _error_tables(result: ClosedLoop) -> list[PageTable]:
+    """Errors of each joint on the recordings of each role, N m and parts of its torque; a joint that got worse is marked."""
     torques = plots.joint_torques(result)
-    for role, what in (("validation", "data that was not fitted"), ("identification", "data that was fitted")):
+    over = ("after / floor",) if result.noise_floor else ()
+    head = ("joint", "torque", "error before", "% of torque", "error after", "% of torque", "noise floor", *over)
+    out = []
+    for role, what in ROLES.items():
         before, after = getattr(result.before, role), getattr(result.after, role)
-        floors = result.noise_floor or (None,) * len(result.joints)
-        rows = zip(result.joints, torques[role].tolist(), before.torque_rms, after.torque_rms, floors, strict=True)
-        out.append(
-            RoleTable(role, what, before.relative_error, after.relative_error, tuple(JointErrors(*r) for r in rows))
-        )
+        rows, worse = [], ""
+        for i, joint in enumerate(result.joints):
+            torque, b, a = float(torques[role][i]), before.torque_rms[i], after.torque_rms[i]
+            floor = result.noise_floor[i] if result.noise_floor else None
+            mark = " ▲" if a > WORSE * b else ""
+            worse = worse or (mark and " ▲: larger than before.")
+            shares = [percent(e / torque) if torque > 0 else "–" for e in (b, a)]
+            ratio = (number(a / floor if floor else None),) if over else ()
+            known = "not known" if floor is None else number(floor)
+            rows.append((joint, number(torque), number(b), shares[0], number(a) + mark, shares[1], known, *ratio))
+        both = [percent(e.relative_error) for e in (before, after)]
+        rows.append(("all", "", "", both[0], "", both[1], "", *("" for _ in over)))
+        caption = f"{role.capitalize()}: {what}. Root mean square, N m.{worse}"
+        out.append(PageTable(head, tuple(rows), caption))
     return out
 
 
-@dataclass(frozen=True)
-class TrialRow:
-    """One effect that was tried in a round."""
-
-    trial: TorqueTrial
-    share: float | None
-    outcome: str
-    won: bool
-
-
-@dataclass(frozen=True)
-class Round:
-    """What was tried in one round of the search."""
-
-    title: str
-    rows: tuple[TrialRow, ...]
-    note: str
+def _above_floor(result: ClosedLoop) -> str:
+    if not result.noise_floor:
+        return "How much of it is noise is not known."
+    rms = zip(result.joints, result.after.identification.torque_rms, result.noise_floor, strict=True)
+    loud = [joint for joint, error, floor in rms if floor and error > NEAR_FLOOR * floor]
+    if loud:
+        return f"It is above {NEAR_FLOOR} times the noise floor, where fitted, at {', '.join(loud)}."
+    return f"At every joint it is within {NEAR_FLOOR} times the noise floor, where fitted."
 
 
-def _rounds(result: ClosedLoop) -> list[Round]:
+def _motion(result: ClosedLoop, motion: MotionErrors | str | None) -> Section | None:
+    """The simulated motion before and after beside the measured one."""
+    if not isinstance(motion, MotionErrors):
+        return None if motion is None else Section("", (motion,))
+    columns = {"motor, before": motion.motor_before_mrad, "motor, after": motion.motor_after_mrad}
+    if motion.link_before_mrad is not None and motion.link_after_mrad is not None:
+        columns |= {"link, before": motion.link_before_mrad, "link, after": motion.link_after_mrad}
+    rows = tuple((j, *(number(float(x[i])) for x in columns.values())) for i, j in enumerate(result.joints))
+    part = (
+        f"the first {motion.seconds:.3g} s of {motion.of_s:.3g} s"
+        if motion.seconds < motion.of_s
+        else f"{motion.seconds:.3g} s"
+    )
+    caption = (
+        f"Simulated less measured angle under the references of {motion.recording}, {part} of validation. RMS, mrad."
+    )
+    if motion.tip_before_mm is not None:
+        tip = (
+            f"The tip is {number(motion.tip_before_mm)} mm before and {number(motion.tip_after_mm)} mm after from where the measured "
+            "link angles put it (root mean square; bending of hinges is not measured)."
+        )
+    else:
+        tip = (
+            "No link side was measured: where the tip really was is not known. The tips of the two simulations are "
+            f"{number(motion.tip_apart_mm)} mm apart (root mean square)."
+        )
+    return Section("", (tip,), (PageTable(("joint", *columns), rows, caption),))
+
+
+def _alternatives(result: ClosedLoop) -> PageTable | None:
+    rows = []
+    for found in result.effects:
+        for other in found.alternatives:
+            more = other.size - found.trial.size
+            extra = f" ({more} more parameter{'s' if more > 1 else ''})" if more > 0 else ""
+            values = [
+                f"{name} = {number(value)} {unit_text(unit)}".rstrip()
+                for name, unit, value in other.effect.public_values()
+            ]
+            rows.append((
+                effect_words(found.effect), effect_words(other.effect) + extra, "; ".join(values), f"{100 * other.share:.1f}",
+                f"{other.behind:.1f}", other.advice,
+            ))  # fmt: skip
+    head = (
+        "found",
+        "could also be",
+        "with",
+        "explains, % of found",
+        "behind, standard errors",
+        "what would tell them apart",
+    )
+    return PageTable(head, tuple(rows), "Alternatives", numbers=(3, 4)) if rows else None
+
+
+def _rounds(result: ClosedLoop) -> list[Section]:
+    """What was tried in each round of the search, and what came of it."""
     out = []
     for i, found in enumerate(result.effects):
         same = [a.effect.label for a in found.alternatives]
         gain = found.trial.gain
-        rows = [TrialRow(found.trial, 1.0, "added", True)]
+        rows = [_tried(found.trial, "100 %", "added")]
         for t in found.rivals:
             outcome = "cannot be told from the winner" if t.effect.label in same else _outcome(t, result.effects, i)
-            rows.append(TrialRow(t, t.gain / gain if gain > 0 else None, outcome, False))
-        out.append(Round(f"{i + 1}: {effect_words(found.effect)}", tuple(rows), ""))
+            rows.append(_tried(t, f"{100 * t.gain / gain:.0f} %" if gain > 0 else percent(t.share), outcome))
+        out.append(_round(f"{i + 1}: {effect_words(found.effect)}", "gain, % of winner", rows))
     gone = result.last_round.taken_out
     if gone:
-        rows = [TrialRow(t, None, t.refusal, False) for t in gone]
-        out.append(Round("Taken out again: does not carry over", tuple(rows), ""))
+        rows = [_tried(t, percent(t.share), t.refusal) for t in gone]
+        out.append(_round("Taken out again: does not carry over", "share of squared error", rows))
     trials = result.last_round.trials
     if trials:
-        last = tuple(TrialRow(t, None, _outcome(t, (), 0), False) for t in trials)
-        out.append(Round("Last round: nothing more was added", last, ""))
+        rows = [_tried(t, percent(t.share), _outcome(t, (), 0)) for t in trials]
+        out.append(_round("Last round: nothing more was added", "share of squared error", rows))
     elif result.noise_floor is not None:
-        out.append(Round("Last round", (), "Not needed: the error had reached the noise floor."))
+        out.append(Section("Last round", ("Not needed: the error had reached the noise floor.",)))
     return out
+
+
+def _tried(trial: TorqueTrial, share: str, outcome: str) -> tuple[str, ...]:
+    effect = trial.effect
+    return _kind(effect), place_words(effect), share, f"{trial.gain_t:.1f}", p_value(trial.p_value), outcome
+
+
+def _round(title: str, share: str, rows: Sequence[tuple[str, ...]]) -> Section:
+    head = ("effect", "where", share, "held-out gain t", "p-value", "outcome")
+    return Section(title, tables=(PageTable(head, tuple(rows), numbers=(2, 3, 4)),))
 
 
 def _outcome(trial: TorqueTrial, effects: Sequence[FoundEffect], at: int) -> str:
@@ -385,18 +409,47 @@ def _outcome(trial: TorqueTrial, effects: Sequence[FoundEffect], at: int) -> str
     return "significant, but less sure than the winner" if effects else "no better once all is fitted again"
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """One identified parameter of the final model, its value in the declared one, and what the robot file gives."""
+def _at_rest(result: ClosedLoop) -> PageTable:
+    still, rms = standstill(result), result.after.validation.torque_rms
+    rows = tuple(
+        (
+            joint,
+            percent(still.time_share[i]),
+            percent(still.error_share[i]),
+            number(rms[i]),
+            number(still.moving_rms[i]),
+        )
+        for i, joint in enumerate(result.joints)
+    )
+    head = ("joint", "at rest, % of time", "% of squared error", "error, N m", "error in motion, N m")
+    caption = (
+        "What is left on validation, at rest and in motion. At rest: a joint slower than 1 % of its largest speed."
+    )
+    return PageTable(head, rows, caption)
 
-    effect: Effect
-    estimate: Estimate
-    earlier: Estimate | None
-    given: float | None
-    added: bool
+
+def _dependences(result: ClosedLoop) -> PageTable:
+    rows = tuple((d.joint, d.signal, f"{d.score:.3f}", p_value(d.p_value)) for d in result.unexplained.where)
+    caption = (
+        "What is left of a joint's torque (fitted and held-out recordings) and the signals that it still depends on."
+    )
+    return PageTable(("error of", "depends on", "score", "p-value"), rows, caption, numbers=(2, 3))
 
 
-def _parameters(result: ClosedLoop) -> list[ParameterRow]:
+def _bands(result: ClosedLoop) -> PageTable:
+    rows = tuple(
+        (b.joint, number(b.low_hz), number(b.high_hz), percent(b.score), p_value(b.p_value))
+        for b in result.unexplained.bands
+    )
+    caption = (
+        "Frequencies in which what is left repeats with the motion, beyond the noise that differs between periods: there the model "
+        "lacks something."
+    )
+    return PageTable(("error of", "from, Hz", "to, Hz", "share of its power", "p-value"), rows, caption)
+
+
+def _parameters(result: ClosedLoop) -> PageTable:
+    """Each identified parameter of the final model, its value in the declared one, and what the robot file gives."""
     declared: dict[tuple[str, tuple[str, ...], str], Estimate] = {}
     for i, effect in enumerate(result.declared.effects):
         declared |= {(effect.type_name(), effect.place, e.name): e for e in result.declared.estimates(i)}
@@ -407,51 +460,47 @@ def _parameters(result: ClosedLoop) -> list[ParameterRow]:
     new = [e.effect for e in result.effects]
     rows = []
     for effect, estimates in effect_estimates(result):
-        added = any(effect is e for e in new)
-        for estimate in estimates:
-            key = (effect.type_name(), effect.place, estimate.name)
-            rows.append(ParameterRow(effect, estimate, declared.get(key), given.get(key), added))
-    return rows
+        kind = _kind(effect) + (" (added)" if any(effect is e for e in new) else "")
+        for e in estimates:
+            key = (effect.type_name(), effect.place, e.name)
+            earlier = measured(declared[key]) if key in declared else "–"
+            rows.append((
+                kind, place_words(effect), e.name, measured(e), unit_text(e.unit), earlier, number(given.get(key)),
+            ))  # fmt: skip
+    head = (
+        "effect", "where", "parameter", "value ± standard deviation", "unit", "identified before", "in the robot file"
+    )  # fmt: skip
+    return PageTable(head, tuple(rows), "Parameters of the effects", numbers=(3, 5, 6))
 
 
-@dataclass(frozen=True)
-class LinkRow:
-    """A link parameter that the data determines: in the URDF, identified before anything was added, and in the end."""
-
-    link: str
-    name: str
-    unit: str
-    given: float
-    before: Estimate
-    after: Estimate
-
-    @property
-    def moved(self) -> float | None:
-        """From before to after, in standard deviations of before."""
-        if self.before.value is None or self.after.value is None or not self.before.std:
-            return None
-        return (self.after.value - self.before.value) / self.before.std
-
-
-def _moved_links(result: ClosedLoop) -> list[LinkRow]:
+def _moved_links(result: ClosedLoop) -> PageTable:
     """Link parameters that what was added moved by more than `MOVED` standard deviations."""
-    if not (result.effects and result.model.links_fitted):
-        return []
-    robot = result.model.regression.robot
-    names = [
-        (link, name, unit) for link, _ in robot.bodies for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True)
-    ]
-    before, after = result.declared.link_estimates(), result.model.link_estimates()
-    given = result.source.rigid().restricted(result.joints).link_parameters
-    rows = [LinkRow(*n, float(g), b, a) for n, g, b, a in zip(names, given, before, after, strict=True)]
-    return [r for r in rows if r.moved is not None and abs(r.moved) > MOVED]
+    rows = []
+    if result.effects and result.model.links_fitted:
+        robot = result.model.regression.robot
+        names = [
+            (b, name, unit) for b, _ in robot.bodies for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True)
+        ]
+        before, after = result.declared.link_estimates(), result.model.link_estimates()
+        given = result.source.rigid().restricted(result.joints).link_parameters
+        for (link, name, unit), g, b, a in zip(names, given, before, after, strict=True):
+            moved = None if b.value is None or a.value is None or not b.std else (a.value - b.value) / b.std
+            if moved is not None and abs(moved) > MOVED:
+                rows.append((link, name, unit_text(unit), number(float(g)), measured(b), measured(a), f"{moved:+.1f}"))
+    head = (
+        "link", "parameter", "unit", "in the URDF", "identified before", "after", "moved, standard deviations"
+    )  # fmt: skip
+    caption = f"Link parameters that moved by more than {MOVED:g} standard deviations when the effects were added."
+    return PageTable(head, tuple(rows), caption, numbers=(3, 4, 5, 6))
 
 
-def _links(result: ClosedLoop) -> list[tuple[str, Sequence[Estimate]]]:
-    estimates = result.model.link_estimates()
+def _links(result: ClosedLoop) -> PageTable:
+    texts = ["–" if e.value is None else measured(e) for e in result.model.link_estimates()]
     size = len(LINK_PARAMETERS)
     names = [link for link, _ in result.model.regression.robot.bodies]
-    return [(name, estimates[size * i : size * (i + 1)]) for i, name in enumerate(names)]
+    rows = tuple((name, *texts[size * i : size * (i + 1)]) for i, name in enumerate(names))
+    units = (f"{name}, {unit_text(unit)}" for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True))
+    return PageTable(("link", *units), rows, "Parameters of the links")
 
 
 def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
@@ -501,14 +550,6 @@ def _recording_words(role: str, samples: int, duration_s: float) -> str:
 # ---- figures --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class JointFigures:
-    """Residual plots of one joint."""
-
-    joint: str
-    figures: tuple[Image, ...]
-
-
 def _errors_figure(result: ClosedLoop, role: str) -> Image:
     text = f"Error of each joint on {role}, before and after"
     return image(plots.errors_by_joint(result, role), text, text)
@@ -545,16 +586,15 @@ def _finding_figures(result: ClosedLoop) -> list[Image | None]:
     return out
 
 
-def _joint_figures(result: ClosedLoop, joint: str) -> JointFigures:
+def _joint_residuals(result: ClosedLoop, joint: str) -> Section:
     kinds: tuple[tuple[Callable[[ClosedLoop, str], Figure], str], ...] = (
         (plots.residual_in_time, "In time: measured torque (grey) and final model (blue); error before; error after"),
         (plots.residual_in_frequency, "In frequency: amplitude spectrum of measured torque and error"),
         (plots.residual_against_position, "Against the joint's position: mean and ± 1 standard deviation"),
         (plots.residual_against_velocity, "Against the joint's velocity: mean and ± 1 standard deviation"),
     )
-    return JointFigures(
-        joint, tuple(image(draw(result, joint), f"Error of {joint}. {text}", text, zoom=True) for draw, text in kinds)
-    )
+    images = (image(draw(result, joint), f"Error of {joint}. {text}", text, zoom=True) for draw, text in kinds)
+    return Section(joint, images=tuple(images))
 
 
 def _dependence_figures(result: ClosedLoop) -> list[Image]:
