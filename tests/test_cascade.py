@@ -77,9 +77,9 @@ def test_a_cascade_that_is_saved_comes_back(tmp_path: Path) -> None:
 
 def test_a_wrong_cascade_is_one_line_that_names_file_and_key(tmp_path: Path) -> None:
     for numbers, words in (
-        ({"velocity_feedforward": 1.5}, r"cascade 1 \(joint_1\): velocity_feedforward is 1.5; expected 0 to 1"),
-        ({"velocity_lop": 1.0}, r"controller.toml: cascade 1 \(joint_1\): unknown key 'velocity_lop'"),
-        ({"integral_time_s": -1.0}, "integral_time_s is -1.0; expected a number of 0 or more"),
+        ({"velocity_feedforward": 1.5}, r"\[\[cascade\]\] 1: velocity_feedforward is 1.5; expected 0 to 1"),
+        ({"velocity_lop": 1.0}, r"controller.toml: \[\[cascade\]\] 1 'velocity_lop': unknown key"),
+        ({"integral_time_s": -1.0}, "integral_time_s: found -1, a number of 0 or more"),
     ):
         with pytest.raises(ValueError, match=words):
             load_cs8(controller_file(tmp_path, **numbers))

@@ -392,13 +392,13 @@ ONE_JOINT = "[[joint]]\nname = 'a'\n" + "".join(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "key 'joint' is missing"),
-        ("[[joint]]\nname = 'a'\n", "joint 1 .a.: key 'position_gain' is missing"),
+        ("", "joint: missing"),
+        ("[[joint]]\nname = 'a'\n", "1 position_gain: missing"),
         ("controler_rate_hz = 1.0\n[[joint]]\nname = 'a'\n", "did you mean 'controller_rate_hz'"),
-        ("log_cutoff_hz = 'x'\n[[joint]]\nname = 'a'\n", "expected a number of 0 or more"),
+        ("log_cutoff_hz = 'x'\n[[joint]]\nname = 'a'\n", "a finite number is expected"),
         (f"reference_rate_hz = 0.0\n{ONE_JOINT}", "reference_rate_hz is 0; expected a frequency above 0"),
         (f"controller_rate_hz = 0.0\n{ONE_JOINT}", "controller_rate_hz is 0; expected a frequency above 0"),
-        (f"{ONE_JOINT}[[cascade]]\nname = 'b'\n", "expected one kind, for all joints"),
+        (f"{ONE_JOINT}[[cascade]]\nname = 'b'\n", "one kind is expected, for all joints"),
     ],
 )
 def test_bad_controller_file_is_named(tmp_path, text: str, message: str) -> None:  # type: ignore[no-untyped-def]

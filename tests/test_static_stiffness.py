@@ -287,8 +287,8 @@ def test_a_toml_file_gives_the_lever_arm(tmp_path: Path) -> None:
         ("load_n,moment_nm,deformation_rad,direction", "1,1,1,up", None, "both"),
         ("load_n,deformation_rad,direction", "1,1,up", None, "lever_arm_m"),
         ("load_n,deformation_rad,direction", "1,1,up", 'file = "a.csv"\nlever_arm = 1', "did you mean 'lever_arm_m'"),
-        ("load_n,deformation_rad,direction", "1,1,up", 'file = "a.csv"\nlever_arm_m = -1', "lever_arm_m is -1"),
-        ("load_n,deformation_rad,direction", "1,1,up", "lever_arm_m = 1", "file is None"),
+        ("load_n,deformation_rad,direction", "1,1,up", 'file = "a.csv"\nlever_arm_m = -1', "lever_arm_m: found -1"),
+        ("load_n,deformation_rad,direction", "1,1,up", "lever_arm_m = 1", "file: missing"),
         ("load_n,deformation_rad,direction", "1,1,up", 'file = "b.csv"', "b.csv: no such file"),
     ],
 )

@@ -40,7 +40,8 @@ from rx90b_flex.diagnose.likelihood import (
 )
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.files.keys import check_keys, close_match
+from rx90b_flex.files.keys import close_match
+from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.robot import Robot, load_robot
 
@@ -149,76 +150,47 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
         One line that names file and key.
     """
     path = Path(path)
-    table = read_toml(path, "modal table")
-    check_keys(table, TABLE_KEYS, path)
-    joints = table.get("joints")
-    if not (isinstance(joints, list) and joints and all(isinstance(j, str) for j in joints)):
-        raise ValueError(f"{path}: joints is {joints!r}; expected the names of the joints whose drives moved")
-    poses = table.get("pose")
-    if not (isinstance(poses, list) and poses and all(isinstance(p, dict) for p in poses)):
-        raise ValueError(f"{path}: pose is missing; expected one or more [[pose]] tables")
-    read = tuple(_read_pose(p, tuple(joints), f"{path}: pose {i}") for i, p in enumerate(poses, start=1))
+    table = TomlTable(str(path), "", read_toml(path, "modal table"))
+    table.allow(*TABLE_KEYS)
+    joints = table.texts("joints")
+    read = tuple(_read_pose(pose, joints) for pose in table.sections("pose"))
     if not any(p.role == "identification" for p in read):
-        raise ValueError(f"{path}: every pose has the role 'validation'; expected one to identify with")
-    robot = table.get("robot")
-    if robot is not None and not isinstance(robot, str):
-        raise ValueError(f"{path}: robot is {robot!r}; expected a name or a file")
+        raise table.problem("pose", "every one has the role 'validation'; expected one to identify with")
+    robot = table.optional("robot", table.text)
     if robot is not None and Path(robot).suffix and not robot.startswith("example-robot-data:"):
         robot = str(path.parent / robot)
     everything = np.concatenate([m.hz for p in read for m in p.lists])
-    band = table.get("band_hz", [float(everything.min()), float(everything.max())])
-    low, high = _numbers(band, f"{path}: band_hz", 2)
+    band = table.numbers("band_hz", 2, "a band has") if table.has("band_hz") else (everything.min(), everything.max())
+    low, high = map(float, band)
     if not 0 < low < high:
-        raise ValueError(f"{path}: band_hz is {band}; expected a low and a higher frequency above 0")
-    return ModalTable(tuple(joints), (low, high), read, robot, path.stem)
+        raise table.problem("band_hz", f"found {[low, high]}, a low and a higher frequency above 0 are expected")
+    return ModalTable(joints, (low, high), read, robot, path.stem)
 
 
-def _read_pose(table: Mapping[str, Any], joints: tuple[str, ...], where: str) -> ModalPose:
-    check_keys(table, POSE_KEYS, where)
-    angles = table.get("angles_deg", {})
-    if not isinstance(angles, dict):
-        raise ValueError(f"{where}: angles_deg is {angles!r}; expected joints with angles, as {{ joint_2 = 90.0 }}")
-    turned = {j: float(np.deg2rad(_numbers([a], f"{where}: angles_deg.{j}", 1)[0])) for j, a in angles.items()}
-    role = table.get("role", "identification")
-    if role not in ROLES:
-        raise ValueError(f"{where}: role is {role!r}; {close_match(str(role), ROLES)}")
-    locked = table.get("antiresonance", {})
-    if not isinstance(locked, dict):
-        raise ValueError(f"{where}: antiresonance is {locked!r}; expected a table a joint, as antiresonance.joint_1")
-    for joint in locked:
+def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
+    table.allow(*POSE_KEYS)
+    angles = table.optional("angles_deg", table.section)
+    turned = {} if angles is None else {j: float(np.deg2rad(angles.number(j))) for j in angles.values}
+    locked = table.optional("antiresonance", table.section)
+    lists = [] if locked is None else [_read_list(locked.section(j), j) for j in joints if locked.has(j)]
+    for joint in locked.values if locked is not None else ():
         if joint not in joints:
-            raise ValueError(
-                f"{where}: antiresonance of {joint!r}, whose drive did not move; {close_match(joint, joints)}"
-            )
-    lists = [_read_list(locked[j], j, f"{where}: antiresonance.{j}") for j in joints if j in locked]
-    if "resonance" in table:
-        lists.insert(0, _read_list(table["resonance"], None, f"{where}: resonance"))
+            raise table.problem("antiresonance", f"the drive of {joint!r} did not move; {close_match(joint, joints)}")
+    if table.has("resonance"):
+        lists.insert(0, _read_list(table.section("resonance"), None))
     if not lists:
-        raise ValueError(f"{where}: neither resonance nor antiresonance; expected one or more lists of modes")
-    return ModalPose(turned, tuple(lists), role)
+        raise table.problem("resonance", "missing, and antiresonance too; one or more lists of modes are expected")
+    return ModalPose(turned, tuple(lists), table.one_of("role", ROLES))
 
 
-def _read_list(table: Any, locked: str | None, where: str) -> ModeList:
-    if not isinstance(table, dict):
-        raise ValueError(f"{where} is {table!r}; expected {{ hz = [...], std_hz = [...] }}")
-    check_keys(table, LIST_KEYS, where)
-    for key in LIST_KEYS:
-        if key not in table:
-            raise ValueError(f"{where}: key {key!r} is missing")
-    hz = np.array(_numbers(table["hz"], f"{where}.hz"))
-    std = np.array(_numbers(table["std_hz"], f"{where}.std_hz", len(hz)))
+def _read_list(table: TomlTable, locked: str | None) -> ModeList:
+    table.allow(*LIST_KEYS)
+    hz = table.numbers("hz")
+    std = table.numbers("std_hz", len(hz), "hz lists")
     if not ((hz > 0).all() and (std >= 0).all()):
-        raise ValueError(f"{where}: expected frequencies above 0 Hz and standard deviations of 0 Hz or more")
+        raise table.problem("hz", "expected frequencies above 0 Hz and standard deviations of 0 Hz or more")
     order = np.argsort(hz, kind="stable")
     return ModeList(locked, hz[order], std[order])
-
-
-def _numbers(values: Any, where: str, count: int | None = None) -> list[float]:
-    good = isinstance(values, list) and values and all(type(v) in (int, float) and np.isfinite(v) for v in values)
-    if not good or (count is not None and len(values) != count):
-        many = "numbers" if count is None else f"{count} number{'s' if count > 1 else ''}"
-        raise ValueError(f"{where} is {values!r}; expected {many}")
-    return [float(v) for v in values]
 
 
 # ---- the model's modes -----------------------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ pose at rest.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot
-from rx90b_flex.files.keys import check_keys
+from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.camera import (
     FRAME_PRIOR,
@@ -121,46 +120,32 @@ def read_markers(path: Path) -> MarkerRecording:
     ValueError
         One line that names the file and key, column or row.
     """
-    keys = read_toml(path, "file of markers")
-    check_keys(keys, KEYS, path)
-    for key in ("robot", "joint", "file"):
-        if not isinstance(keys.get(key), str):
-            raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
+    table = TomlTable(str(path), "", read_toml(path, "file of markers"))
+    table.allow(*KEYS)
     with named_in(path, "robot"):
-        robot = load_robot(named_beside(path, keys["robot"]))
-    joint = keys["joint"]
+        robot = load_robot(named_beside(path, table.text("robot")))
+    joint = table.text("joint")
     if joint not in robot.joints:
-        raise ValueError(f"{path}: unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}")
-    if any(robot.layout.index(joint, kind) is None for kind in KINDS):
-        raise ValueError(
-            f"{path}: {joint} of {robot.name} has no torsion and bendings; declare drive_flexibility and joint_flexibility there"
+        raise table.problem(
+            "joint", f"unknown joint {joint!r} for robot {robot.name}; {close_match(joint, robot.joints)}"
         )
-    std = 1e-3 * _numbers(path, keys, "std_mm", 3)
+    if any(robot.layout.index(joint, kind) is None for kind in KINDS):
+        raise table.problem(
+            "joint",
+            f"{joint} of {robot.name} has no torsion and bendings; declare drive_flexibility and joint_flexibility there",
+        )
+    std = 1e-3 * table.numbers("std_mm", 3, "a marker has")
     if not (std > 0.0).all():
-        raise ValueError(f"{path}: std_mm is {keys['std_mm']!r}; expected three numbers above 0")
-    count = keys.get("markers", 3)
-    if isinstance(count, bool) or not isinstance(count, int) or not 3 <= count <= 100:
-        raise ValueError(f"{path}: markers is {count!r}; expected 3 or more")
-    same = keys.get("same_bending", False)
-    if not isinstance(same, bool):
-        raise ValueError(f"{path}: same_bending is {same!r}; expected true or false")
-    frame_std = keys.get("frame_std_rad", FRAME_PRIOR)
-    if isinstance(frame_std, bool) or not isinstance(frame_std, int | float) or not 0.0 < frame_std < 1.0:
-        raise ValueError(f"{path}: frame_std_rad is {frame_std!r}; expected a number between 0 and 1")
+        raise table.problem("std_mm", f"found {(1e3 * std).tolist()}, three numbers above 0 are expected")
+    count = table.whole("markers", 3) if table.has("markers") else 3
+    frame_std = table.share("frame_std_rad") if table.has("frame_std_rad") else FRAME_PRIOR
     base = None
-    if "base_rpy_deg" in keys:
-        base = Rotation.from_euler("xyz", _numbers(path, keys, "base_rpy_deg", 3), degrees=True).as_matrix()
+    if table.has("base_rpy_deg"):
+        base = Rotation.from_euler("xyz", table.numbers("base_rpy_deg", 3, "a turn has"), degrees=True).as_matrix()
+    same = table.flag("same_bending")
     with named_in(path, "file"):
-        angles, markers, rate = _read_table(path.parent / keys["file"], robot, count)
-    return MarkerRecording(path, robot, joint, angles, markers, std, rate, base, same, float(frame_std))
-
-
-def _numbers(path: Path, keys: Mapping[str, Any], key: str, count: int) -> Array:
-    value = keys.get(key)
-    good = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-    if not good or len(value) != count or not np.isfinite(value).all():  # type: ignore[arg-type]
-        raise ValueError(f"{path}: {key} is {value!r}; expected {count} numbers")
-    return np.asarray(value, dtype=float)
+        angles, markers, rate = _read_table(path.parent / table.text("file"), robot, count)
+    return MarkerRecording(path, robot, joint, angles, markers, std, rate, base, same, frame_std)
 
 
 def _read_table(file: Path, robot: Robot, count: int) -> tuple[Array, Array, float | None]:

@@ -22,7 +22,6 @@ A file of tests (TOML)::
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ from scipy import special
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
-from rx90b_flex.files.keys import check_keys
+from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
@@ -96,100 +95,68 @@ def read_static_tests(path: Path) -> StaticTests:
     ValueError
         One line that names the file and the test, key, column or row.
     """
-    keys = read_toml(path, "file of tests")
-    check_keys(keys, KEYS, path)
+    table = TomlTable(str(path), "", read_toml(path, "file of tests"))
+    table.allow(*KEYS)
     robot = None
-    if "robot" in keys:
+    if table.has("robot"):
         with named_in(path, "robot"):
-            robot = load_robot(_robot_source(path, keys["robot"]))
-    skip, confidence = keys.get("skip", 0), keys.get("confidence", 0.95)
-    if isinstance(skip, bool) or not isinstance(skip, int) or skip < 0:
-        raise ValueError(f"{path}: skip is {skip!r}; expected a number of readings, 0 or more")
-    if isinstance(confidence, bool) or not isinstance(confidence, float) or not 0.0 < confidence < 1.0:
-        raise ValueError(f"{path}: confidence is {confidence!r}; expected a number between 0 and 1")
-    tables = keys.get("test")
-    if not isinstance(tables, list) or not tables:
-        raise ValueError(f"{path}: has no [[test]]; expected one or more")
-    tests = tuple(_read_test(path, f"{path}: test {k}", t, robot) for k, t in enumerate(tables, start=1))
+            robot = load_robot(named_beside(path, table.text("robot")))
+    skip = table.whole("skip", 0) if table.has("skip") else 0
+    confidence = table.share("confidence") if table.has("confidence") else 0.95
+    tests = tuple(_read_test(path, test, robot) for test in table.sections("test"))
     return StaticTests(path, robot, tests, skip, confidence)
 
 
-def _robot_source(path: Path, robot: Any) -> str:
-    if not isinstance(robot, str):
-        raise ValueError(f"{path}: robot is {robot!r}; expected a text")
-    return str(named_beside(path, robot))
-
-
-def _read_test(path: Path, where: str, table: Any, robot: Robot | None) -> StaticTest:
-    if not isinstance(table, dict):
-        raise ValueError(f"{where} is {table!r}; expected a table")
-    check_keys(table, TEST_KEYS, where)
-    for key in ("coordinate", "file"):
-        if not isinstance(table.get(key), str):
-            raise ValueError(f"{where}: {key} is {table.get(key)!r}; expected a text")
-    numbers = {key: _number(where, table, key) for key in ("lever_arm_m", "moment_std_nm", "deformation_std_rad")}
-    lever = numbers["lever_arm_m"]
-    if "frame" in table:
+def _read_test(path: Path, table: TomlTable, robot: Robot | None) -> StaticTest:
+    table.allow(*TEST_KEYS)
+    coordinate, file = table.text("coordinate"), table.text("file")
+    lever, moment_std, deformation_std = (
+        table.optional(key, table.positive) for key in ("lever_arm_m", "moment_std_nm", "deformation_std_rad")
+    )
+    if table.has("frame"):
         if lever is not None:
-            raise ValueError(f"{where}: has lever_arm_m and frame; expected one of them")
-        lever = _lever(where, table, robot)
-    elif "direction" in table or "angles_deg" in table:
-        raise ValueError(f"{where}: direction and angles_deg go with frame, where the load pulls")
-    coordinate = table["coordinate"]
+            raise table.problem("frame", "stands beside lever_arm_m; one of them is expected")
+        lever = _lever(table, robot)
+    for key in ("direction", "angles_deg"):
+        if table.has(key) and not table.has("frame"):
+            raise table.problem(key, "direction and angles_deg go with frame, where the load pulls")
     if robot is not None:
-        _hinge(where, robot, coordinate)
-    file = path.parent / table["file"]
-    with named_in(path, where.removeprefix(f"{path}: ") + " file"):
-        return read_static_table(file, coordinate, lever, numbers["moment_std_nm"], numbers["deformation_std_rad"])
+        _hinge(table, robot)
+    with named_in(path, f"{table.name} file"):
+        return read_static_table(path.parent / file, coordinate, lever, moment_std, deformation_std)
 
 
-def _number(where: str, table: Mapping[str, Any], key: str) -> float | None:
-    value = table.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < np.inf:
-        raise ValueError(f"{where}: {key} is {value!r}; expected a number above 0")
-    return float(value)
-
-
-def _hinge(where: str, robot: Robot, coordinate: str) -> int:
+def _hinge(table: TomlTable, robot: Robot) -> int:
+    coordinate = table.text("coordinate")
     hinges = [c for c in robot.coordinates if not c.endswith(":drive")]
     if coordinate not in hinges:
         hint = close_match(coordinate, hinges) if hinges else "none of its joints is flexible"
-        raise ValueError(f"{where}: {robot.name} has no hinge {coordinate!r}; {hint}")
+        raise table.problem("coordinate", f"{robot.name} has no hinge {coordinate!r}; {hint}")
     return robot.coordinates.index(coordinate)
 
 
-def _lever(where: str, table: Mapping[str, Any], robot: Robot | None) -> float:
+def _lever(table: TomlTable, robot: Robot | None) -> float:
     """Moment about the hinge's axis per newton at the frame: its row of the Jacobian, along the pull; m."""
     if robot is None:
-        raise ValueError(f"{where}: frame needs the file's robot")
-    place = _hinge(where, robot, table["coordinate"])
-    frames = [f.name for f in robot.model.frames]
-    if table["frame"] not in frames:
-        raise ValueError(f"{where}: unknown frame {table['frame']!r}; {close_match(str(table['frame']), frames)}")
-    pull = _vector(where, "direction", table.get("direction", [0.0, 0.0, -1.0]))
-    angles = _vector(where, "angles_deg", table.get("angles_deg", []))
-    if len(pull) != 3 or not np.linalg.norm(pull) > 0.0:
-        raise ValueError(f"{where}: direction is {table['direction']!r}; expected three numbers, not all 0")
+        raise table.problem("frame", "needs the file's robot")
+    place = _hinge(table, robot)
+    name, frames = table.text("frame"), [f.name for f in robot.model.frames]
+    if name not in frames:
+        raise table.problem("frame", f"unknown frame {name!r}; {close_match(name, frames)}")
+    pull = table.numbers("direction", 3, "a direction has") if table.has("direction") else np.array([0.0, 0.0, -1.0])
+    angles = table.numbers("angles_deg") if table.has("angles_deg") else np.zeros(0)
+    if not np.linalg.norm(pull) > 0.0:
+        raise table.problem("direction", "found three zeros, a direction is expected")
     if len(angles) > len(robot.joints):
-        raise ValueError(f"{where}: angles_deg has {len(angles)} numbers; expected at most {len(robot.joints)}")
+        raise table.problem("angles_deg", f"lists {len(angles)} values, at most {len(robot.joints)} are expected")
     q = robot.input_matrix @ np.deg2rad(np.pad(angles, (0, len(robot.joints) - len(angles))))
-    data, frame = robot.model.createData(), robot.model.getFrameId(table["frame"])
+    data, frame = robot.model.createData(), robot.model.getFrameId(name)
     jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
     lever = float(jacobian[:3, place] @ pull / np.linalg.norm(pull))
     if abs(lever) < SHORTEST_LEVER:
-        raise ValueError(
-            f"{where}: the load does not turn {table['coordinate']}: its lever is {lever:.2g} m in that pose"
-        )
+        coordinate = robot.coordinates[place]
+        raise table.problem("frame", f"the load does not turn {coordinate}: its lever is {lever:.2g} m in that pose")
     return lever
-
-
-def _vector(where: str, key: str, value: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    numbers = isinstance(value, list) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-    if not numbers or not np.isfinite(value).all():
-        raise ValueError(f"{where}: {key} is {value!r}; expected a list of numbers")
-    return np.asarray(value, dtype=float)
 
 
 def fit_tests(source: StaticTests) -> StaticResult:

@@ -25,13 +25,13 @@ import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.files.keys import check_keys
+from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.trajectories import LINE_DISTANCE, LINE_HEIGHT, LINE_LENGTH
@@ -345,44 +345,36 @@ def load_seam(source: str | Path, speed_mm_s: float | None = None) -> Seam:
     """
     path = Path(source)
     if str(source) in EXAMPLES and not path.exists():
-        return _seam(tomllib.loads(EXAMPLES[str(source)]), path, speed_mm_s)
+        return _seam(TomlTable(str(path), "", tomllib.loads(EXAMPLES[str(source)])), path, speed_mm_s)
     if path.suffix == ".toml":
-        return _seam(read_toml(path, "path file"), path, speed_mm_s)
+        return _seam(TomlTable(str(path), "", read_toml(path, "path file")), path, speed_mm_s)
     if path.suffix == ".csv":
         if speed_mm_s is None:
             raise ValueError(f"{path}: a table of points has no speed; give it with the command")
-        return _seam({"points_file": path.name}, path, speed_mm_s)
+        return _seam(TomlTable(str(path), "", {"points_file": path.name}), path, speed_mm_s)
     raise ValueError(f"{path}: expected a path file (.toml), a table of points (.csv), or one of {', '.join(EXAMPLES)}")
 
 
-def _seam(table: dict[str, Any], path: Path, speed_mm_s: float | None) -> Seam:
-    check_keys(table, KEYS, path)
+def _seam(table: TomlTable, path: Path, speed_mm_s: float | None) -> Seam:
+    table.allow(*KEYS)
     points, rotations = _points(table, path)
-    speed = table.get("speed_mm_s") if speed_mm_s is None else speed_mm_s
-    if speed is None:
-        raise ValueError(f"{path}: key 'speed_mm_s' is missing")
-    corner, orientation = table.get("corner", "stop"), table.get("orientation", "free")
-    _one_of(path, "corner", corner, ("stop", "blend"))
-    _one_of(path, "orientation", orientation, ("free", "keep"))
-    given = [key for key in ("orientation", "rpy_deg", "quaternion_xyzw") if key in table]
+    speed = table.number("speed_mm_s") if speed_mm_s is None else speed_mm_s
+    orientation = table.one_of("orientation", ("free", "keep"))
+    given = [key for key in ("orientation", "rpy_deg", "quaternion_xyzw") if table.has(key)]
     if len(given) + (rotations is not None and bool(given) and given[-1] == "orientation") > 1:
-        raise ValueError(f"{path}: {' and '.join(given)}: choose one way to give the orientation")
-    start = table.get("start_deg")
-    robot = table.get("robot")
-    if robot is not None and not (isinstance(robot, str) and robot):
-        raise ValueError(f"{path}: robot is {robot!r}; expected a robot's name or file")
+        raise table.problem(" and ".join(given), "choose one way to give the orientation")
     try:
         return Seam(
             name=path.stem,
             points=points,
-            speed=1e-3 * _number(path, "speed_mm_s", speed),
-            acceleration=_number(path, "acceleration", table.get("acceleration", ACCELERATION)),
-            corner=corner,
-            blend=1e-3 * _number(path, "blend_mm", table.get("blend_mm", 0.0)),
-            orientation=orientation if rotations is None else "given",
+            speed=1e-3 * speed,
+            acceleration=table.number("acceleration") if table.has("acceleration") else ACCELERATION,
+            corner=table.one_of("corner", ("stop", "blend")),  # type: ignore[arg-type]
+            blend=1e-3 * table.number("blend_mm") if table.has("blend_mm") else 0.0,
+            orientation=orientation if rotations is None else "given",  # type: ignore[arg-type]
             rotations=rotations,
-            start=None if start is None else np.deg2rad(_row(path, "start_deg", start)),
-            robot=robot,
+            start=np.deg2rad(table.numbers("start_deg")) if table.has("start_deg") else None,
+            robot=table.optional("robot", table.text),
         )
     except ValueError as error:
         text = str(error)
@@ -391,25 +383,21 @@ def _seam(table: dict[str, Any], path: Path, speed_mm_s: float | None) -> Seam:
         ) from None
 
 
-def _points(table: dict[str, Any], path: Path) -> tuple[Array, Array | None]:
+def _points(table: TomlTable, path: Path) -> tuple[Array, Array | None]:
     """Points, m, and tip frames at them."""
-    if ("points" in table) == ("points_file" in table):
-        raise ValueError(f"{path}: expected one of the keys 'points' and 'points_file'")
-    if "points_file" in table:
-        if not isinstance(table["points_file"], str):
-            raise ValueError(f"{path}: points_file is {table['points_file']!r}; expected a file's name")
+    if table.has("points") == table.has("points_file"):
+        raise table.problem("points", "one of the keys 'points' and 'points_file' is expected")
+    if table.has("points_file"):
         with named_in(path, "points_file"):
-            points, rotations = _read_points(path.parent / table["points_file"])
+            points, rotations = _read_points(path.parent / table.text("points_file"))
     else:
-        unit = table.get("unit", "m")
-        _one_of(path, "unit", unit, ("m", "mm"))
-        points, rotations = _rows(path, "points", table["points"], 3) * (1.0 if unit == "m" else 1e-3), None
+        points, rotations = table.rows("points", 3) * {"m": 1.0, "mm": 1e-3}[table.one_of("unit", ("m", "mm"))], None
     for key, width in (("rpy_deg", 3), ("quaternion_xyzw", 4)):
-        if key not in table:
+        if not table.has(key):
             continue
-        rows = _rows(path, key, table[key], width)
+        rows = table.rows(key, width)
         if len(rows) not in (1, len(points)):
-            raise ValueError(f"{path}: {key} has {len(rows)} rows; expected 1 or {len(points)}, one a point")
+            raise table.problem(key, f"has {len(rows)} rows; expected 1 or {len(points)}, one a point")
         rotations = _rotations(np.broadcast_to(rows, (len(points), width)), f"{path}: {key}")
     return points, rotations
 
@@ -435,26 +423,3 @@ def _rotations(rows: Array, where: str) -> Array:
     if (np.abs(np.linalg.norm(rows, axis=1) - 1.0) > 1e-3).any():
         raise ValueError(f"{where}: a quaternion has length other than 1")
     return np.asarray(Rotation.from_quat(rows).as_matrix())
-
-
-def _one_of(path: Path, key: str, value: object, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ValueError(f"{path}: {key} is {value!r}; expected {' or '.join(repr(x) for x in allowed)}")
-
-
-def _number(path: Path, key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{path}: {key} is {value!r}; expected a number")
-    return float(value)
-
-
-def _row(path: Path, key: str, value: object) -> Array:
-    if not isinstance(value, list) or not value:
-        raise ValueError(f"{path}: {key} is {value!r}; expected numbers in brackets")
-    return np.array([_number(path, key, x) for x in value])
-
-
-def _rows(path: Path, key: str, value: object, width: int) -> Array:
-    if not isinstance(value, list) or not value or not all(isinstance(x, list) and len(x) == width for x in value):
-        raise ValueError(f"{path}: {key} is not a list of rows of {width} numbers")
-    return np.stack([_row(path, f"{key}, row {i}", x) for i, x in enumerate(value, start=1)])

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
+from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, read_toml, toml_text
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.data_fault import DataFaultError
-from rx90b_flex.signals.section import CampaignSection
 from rx90b_flex.signals.stated import (
     JOINT_SIDES,
     Accelerometer,
@@ -235,7 +235,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     """
     path = Path(path)
     missing = "no such file; a campaign file (TOML) is expected"
-    root = CampaignSection(str(path), "", read_toml(path, "campaign file", missing))
+    root = TomlTable(str(path), "", read_toml(path, "campaign file", missing))
     layout = _read_layout(root)
     entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
     if not any(entry.role == "identification" for entry in entries):
@@ -388,7 +388,7 @@ class _CampaignLayout:
 class _Entry:
     """One [[recording]]."""
 
-    where: CampaignSection
+    where: TomlTable
     file: Path
     role: Role
     start_s: float | None
@@ -398,7 +398,7 @@ class _Entry:
     date: str | None
 
 
-def _read_layout(root: CampaignSection) -> _CampaignLayout:
+def _read_layout(root: TomlTable) -> _CampaignLayout:
     root.allow(
         "robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "torque", "accelerometer", "recording"
     )  # fmt: skip
@@ -460,11 +460,11 @@ def _read_layout(root: CampaignSection) -> _CampaignLayout:
 
 
 def _read_motor(
-    root: CampaignSection, joints: Sequence[str], has_current: bool, from_current: bool
+    root: TomlTable, joints: Sequence[str], has_current: bool, from_current: bool
 ) -> tuple[Array | None, Array, tuple[float | None, ...] | None]:
     """Gear matrix, offset and torque constants; the constants None where the torque does not come from currents."""
     count = len(joints)
-    motor = root.section("motor") if root.has("motor") else CampaignSection(root.file, "[motor]", {})
+    motor = root.section("motor") if root.has("motor") else TomlTable(root.file, "[motor]", {})
     motor.allow("gear_matrix", "offset", "torque_constant")
     if motor.has("torque_constant") and not has_current:
         raise motor.problem("torque_constant", "there is no [signals] motor_current that it belongs to")
@@ -481,7 +481,7 @@ def _read_motor(
     return gear_matrix, offset, constants if from_current else None
 
 
-def _read_entry(section: CampaignSection, campaign: Path, layout: _CampaignLayout) -> _Entry:
+def _read_entry(section: TomlTable, campaign: Path, layout: _CampaignLayout) -> _Entry:
     section.allow("file", "role", "start_s", "end_s", "period_s", "payload", "date")
     file = campaign.parent / section.text("file")
     try:
@@ -517,7 +517,7 @@ def _period_problem(period_s: float, rate: float, samples: int | None) -> str | 
     return None
 
 
-def _refuse_repeats(section: CampaignSection, key: str, names: Sequence[str]) -> None:
+def _refuse_repeats(section: TomlTable, key: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise section.problem(key, f"{name!r} is listed {names.count(name)} times")

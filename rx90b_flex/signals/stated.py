@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
-from rx90b_flex.signals.section import CampaignSection, shown
+from rx90b_flex.files.table import TomlTable, shown
 
 # A list in a TOML file holds no gaps, but it may hold this.
 LEFT_OUT = "nan"
@@ -35,7 +35,7 @@ class Accelerometer:
     position: tuple[float, float, float]
 
 
-def read_accelerometers(root: CampaignSection) -> tuple[tuple[Accelerometer, ...], tuple[str, ...]]:
+def read_accelerometers(root: TomlTable) -> tuple[tuple[Accelerometer, ...], tuple[str, ...]]:
     """Sensors of ``[[accelerometer]]`` (link, position in m, three columns in m/s^2), and the columns of all of them."""
     sensors: list[Accelerometer] = []
     columns: list[str] = []
@@ -75,7 +75,7 @@ class FlangeLoad:
         return self.mass * np.r_[1.0, c, inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
 
 
-def read_date(section: CampaignSection) -> str | None:
+def read_date(section: TomlTable) -> str | None:
     """`date` of a [[recording]], ISO 8601; None where it has none.
 
     Raises
@@ -93,7 +93,7 @@ def read_date(section: CampaignSection) -> str | None:
     return value.isoformat()
 
 
-def read_torque_side(root: CampaignSection, has_gears: bool, from_current: bool) -> str:
+def read_torque_side(root: TomlTable, has_gears: bool, from_current: bool) -> str:
     """`side` of a [torque] table: the motors' torques, those seen at the joints, or those of sensors behind the gears.
 
     Raises
@@ -117,7 +117,7 @@ def read_torque_side(root: CampaignSection, has_gears: bool, from_current: bool)
     return side
 
 
-def read_torque_constants(motor: CampaignSection, joints: Sequence[str]) -> tuple[float | None, ...]:
+def read_torque_constants(motor: TomlTable, joints: Sequence[str]) -> tuple[float | None, ...]:
     """`torque_constant` of a [motor] table, N m/A at the joint, one a joint; None for a value that is left out.
 
     Either a list with a value a joint, `nan` where it is left out, or a table ``{ joint = value }`` of those that are known; without
@@ -146,7 +146,7 @@ def read_torque_constants(motor: CampaignSection, joints: Sequence[str]) -> tupl
     return tuple(_constant(motor, key, value) for value in found)
 
 
-def _constant(motor: CampaignSection, key: str, value: object) -> float | None:
+def _constant(motor: TomlTable, key: str, value: object) -> float | None:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return None
     number = motor.finite(key, value)
@@ -155,7 +155,7 @@ def _constant(motor: CampaignSection, key: str, value: object) -> float | None:
     return number
 
 
-def read_flange_load(entry: CampaignSection) -> FlangeLoad | None:
+def read_flange_load(entry: TomlTable) -> FlangeLoad | None:
     """`payload = { mass = 2.6, centre = [0.0, 0.0, 0.05] }` of a [[recording]], kg and m in the tip frame; None where it has none.
 
     Raises
@@ -169,7 +169,7 @@ def read_flange_load(entry: CampaignSection) -> FlangeLoad | None:
     found = entry.values["payload"]
     if not isinstance(found, dict):
         raise entry.problem("payload", f"found {shown(found)}, {expected}")
-    inside = CampaignSection(entry.file, f"{entry.name} payload", found)
+    inside = TomlTable(entry.file, f"{entry.name} payload", found)
     inside.allow("mass", "centre")
     centre = found.get("centre")
     if not isinstance(centre, list) or len(centre) != 3:

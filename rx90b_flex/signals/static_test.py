@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from rx90b_flex.files.keys import check_keys, suggestion
+from rx90b_flex.files.keys import suggestion
+from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import read_toml
 from rx90b_flex.signals.tables import read_parquet, read_table, stem_of, write_whole
 
@@ -86,12 +86,12 @@ def read_static_test(path: str | os.PathLike[str]) -> StaticTest:
     path = Path(path)
     if path.suffix.lower() != ".toml":
         return read_static_table(path, stem_of(path), None, None, None)
-    keys = _read_keys(path)
-    file = keys["file"]
-    lever, moment_std, deformation_std = (_number(path, keys, key) for key in KEYS[2:])
-    if lever == 0.0:
-        raise ValueError(f"{path}: lever_arm_m is 0; expected a positive length in m")
-    coordinate = keys.get("coordinate", Path(file).stem)
+    table = TomlTable(str(path), "", read_toml(path, "file"))
+    table.allow(*KEYS)
+    file = table.text("file")
+    lever = table.optional("lever_arm_m", table.positive)
+    moment_std, deformation_std = (table.optional(key, table.not_negative) for key in KEYS[3:])
+    coordinate = table.optional("coordinate", table.text) or Path(file).stem
     return read_static_table(path.parent / file, coordinate, lever, moment_std, deformation_std)
 
 
@@ -100,24 +100,6 @@ def write_static_test(test: StaticTest, path: str | os.PathLike[str]) -> None:
     direction = np.where(test.rising, *DIRECTIONS)
     table = pd.DataFrame({"moment_nm": test.moment, "deformation_rad": test.deformation, "direction": direction})
     write_whole(Path(path), lambda temporary: table.to_csv(temporary, index=False))
-
-
-def _read_keys(path: Path) -> dict[str, Any]:
-    keys = read_toml(path, "file")
-    check_keys(keys, KEYS, path)
-    for key in ("file", "coordinate"):
-        if not isinstance(keys.get(key, "" if key == "coordinate" else None), str):
-            raise ValueError(f"{path}: {key} is {keys.get(key)!r}; expected a text")
-    return keys
-
-
-def _number(path: Path, keys: dict[str, Any], key: str) -> float | None:
-    value = keys.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < np.inf:
-        raise ValueError(f"{path}: {key} is {value!r}; expected a number, 0 or more")
-    return float(value)
 
 
 def read_static_table(

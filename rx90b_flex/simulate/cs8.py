@@ -10,14 +10,15 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.files.keys import check_keys, close_match
-from rx90b_flex.files.toml import read_toml, toml_text
+from rx90b_flex.files.keys import close_match
+from rx90b_flex.files.table import TomlTable
+from rx90b_flex.files.toml import named_in, read_toml, toml_text
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, robots_folder
 
@@ -323,31 +324,22 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
     from rx90b_flex.simulate.cascade import NEEDED, NUMBERS, Cascade
 
     path = robots_folder() / "cs8.toml" if source is None else Path(source)
-    table = read_toml(path, "controller file")
-    cascades = "cascade" in table
-    if cascades and "joint" in table:
-        raise ValueError(f"{path}: [[joint]] and [[cascade]] tables; expected one kind, for all joints")
-    entries = table.pop("cascade" if cascades else "joint", [])
-    if not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
-        raise ValueError(f"{path}: key 'joint' is missing; expected one [[joint]] or [[cascade]] table a joint")
+    table = TomlTable(str(path), "", read_toml(path, "controller file"))
+    kind = "cascade" if table.has("cascade") else "joint"
+    if kind == "cascade" and table.has("joint"):
+        raise table.problem("cascade", "stands beside [[joint]]; one kind is expected, for all joints")
     settings = [f.name for f in dataclasses.fields(CS8) if f.name != "joints"]
-    numbers = _numbers(table, settings, [], str(path))
+    numbers = _numbers(table, settings, [], kind)
     fields = [f.name for f in dataclasses.fields(JointController) if f.name != "name"]
     joints = []
-    for i, entry in enumerate(entries, start=1):
-        where = f"{path}: {'cascade' if cascades else 'joint'} {i}"
-        name = entry.pop("name", None)
-        if not isinstance(name, str):
-            raise ValueError(f"{where}: name is {name!r}; expected a joint's name")
-        where = f"{where} ({name})"
-        if not cascades:
-            needed = [field for field in fields if field not in SIGNED]
-            joints.append(JointController(name, **_numbers(entry, fields, needed, where)))
-            continue
-        try:
-            joints.append(Cascade(name, **_numbers(entry, NUMBERS, NEEDED, where)).as_pid())
-        except ValueError as error:
-            raise ValueError(str(error) if str(path) in str(error) else f"{where}: {error}") from None
+    for entry in table.sections(kind):
+        if kind == "cascade":
+            given = _numbers(entry, NUMBERS, NEEDED, "name")
+            with named_in(path, entry.name):
+                joints.append(Cascade(entry.text("name"), **given).as_pid())
+        else:
+            given = _numbers(entry, fields, [field for field in fields if field not in SIGNED], "name")
+            joints.append(JointController(entry.text("name"), **given))
     try:
         return CS8(tuple(joints), **numbers)
     except ValueError as error:
@@ -377,18 +369,11 @@ def controller_of_joints(controller: CS8, robot: Robot, where: str) -> CS8:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _numbers(table: dict[str, Any], allowed: Sequence[str], needed: Sequence[str], where: str) -> dict[str, float]:
-    check_keys(table, allowed, where)
-    for key, value in table.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or (value < 0 and key not in SIGNED):
-            raise ValueError(
-                f"{where}: {key} is {value!r}; expected a number{'' if key in SIGNED else ' of 0 or more'}"
-            )
-    for key in needed:
-        if key not in table:
-            raise ValueError(f"{where}: key {key!r} is missing")
-    return {key: float(value) for key, value in table.items()}
+def _numbers(table: TomlTable, allowed: Sequence[str], needed: Sequence[str], other: str) -> dict[str, float]:
+    """The numbers of a table that may hold one other key."""
+    table.allow(other, *allowed)
+    asked = [key for key in allowed if table.has(key) or key in needed]
+    return {key: table.number(key) if key in SIGNED else table.not_negative(key) for key in asked}
 
 
 def save_cs8(controller: CS8, path: str | os.PathLike[str]) -> None:

@@ -1,11 +1,11 @@
-"""Tables of a campaign file: values are asked for by key and type, and every error names file and key."""
+"""Tables of files that people write: values are asked for by key and type, and every error names file and key."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,22 @@ from numpy.typing import NDArray
 from rx90b_flex.files.keys import suggestion
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class CampaignSection:
-    """A table of the campaign file whose values are asked for by key and type; every error names file and key."""
+class TomlTable:
+    """A table of a TOML file whose values are asked for by key and type.
+
+    Each question raises a ValueError, one line that names file, table and key, where the value is missing or of another type.
+
+    Attributes
+    ----------
+    file : str
+    name : str
+        Of the table in it; empty for the file's own keys.
+    values : mapping
+    """
 
     file: str
     name: str
@@ -41,6 +52,30 @@ class CampaignSection:
             raise self.problem(key, "missing")
         return self.values[key]
 
+    def optional(self, key: str, read: Callable[[str], T]) -> T | None:
+        """What `read`, one of the questions, says of a key; None where the table has no such key."""
+        return read(key) if self.has(key) else None
+
+    def one_of(self, key: str, allowed: Sequence[str]) -> str:
+        """One of some words; the first where the table has no such key."""
+        value = self.values.get(key, allowed[0])
+        if value not in allowed:
+            raise self.problem(key, f"found {shown(value)}, {' or '.join(map(repr, allowed))} is expected")
+        return str(value)
+
+    def flag(self, key: str) -> bool:
+        """True or false; false where the table has no such key."""
+        value = self.values.get(key, False)
+        if not isinstance(value, bool):
+            raise self.problem(key, f"found {shown(value)}, true or false is expected")
+        return value
+
+    def whole(self, key: str, least: int) -> int:
+        value = self._get(key)
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise self.problem(key, f"found {shown(value)}, a whole number of at least {least} is expected")
+        return value
+
     def text(self, key: str) -> str:
         value = self._get(key)
         if not isinstance(value, str) or not value.strip():
@@ -56,18 +91,32 @@ class CampaignSection:
             raise self.problem(key, f"found {value:g}, a number above 0 is expected")
         return value
 
+    def not_negative(self, key: str) -> float:
+        value = self.number(key)
+        if value < 0.0:
+            raise self.problem(key, f"found {value:g}, a number of 0 or more is expected")
+        return value
+
+    def share(self, key: str) -> float:
+        value = self.number(key)
+        if not 0.0 < value < 1.0:
+            raise self.problem(key, f"found {value:g}, a number between 0 and 1 is expected")
+        return value
+
     def texts(self, key: str) -> tuple[str, ...]:
         value = self._get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
             raise self.problem(key, f"found {shown(value)}, a list of texts is expected")
         return tuple(value)
 
-    def numbers(self, key: str, count: int, meant: str = "joints lists") -> Array:
-        """So many finite numbers; `meant` is what asks for as many."""
+    def numbers(self, key: str, count: int | None = None, meant: str = "joints lists") -> Array:
+        """So many finite numbers, or at least one; `meant` is what asks for as many."""
         value = self._get(key)
-        if not isinstance(value, list):
-            raise self.problem(key, f"found {shown(value)}, a list of {count} numbers is expected")
-        if len(value) != count:
+        if not isinstance(value, list) or not (value or count):
+            raise self.problem(
+                key, f"found {shown(value)}, a list of {'' if count is None else f'{count} '}numbers is expected"
+            )
+        if count is not None and len(value) != count:
             raise self.problem(key, f"lists {len(value)} values, {meant} {count}")
         return np.array([self.finite(key, item) for item in value])
 
@@ -82,17 +131,24 @@ class CampaignSection:
             raise self.problem(key, f"has {len(value)} rows of {found} numbers, {expected}")
         return np.array([[self.finite(key, item) for item in row] for row in value])
 
-    def section(self, key: str) -> CampaignSection:
+    def rows(self, key: str, width: int) -> Array:
+        """Rows of so many finite numbers."""
+        value = self._get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(x, list) and len(x) == width for x in value):
+            raise self.problem(key, f"found {shown(value)}, a list of rows of {width} numbers is expected")
+        return np.array([[self.finite(key, item) for item in row] for row in value])
+
+    def section(self, key: str) -> TomlTable:
         value = self._get(key)
         if not isinstance(value, dict):
             raise self.problem(key, f"found {shown(value)}, a table [{key}] is expected")
-        return CampaignSection(self.file, f"[{key}]", value)
+        return TomlTable(self.file, f"{self.name} {key}" if self.name else f"[{key}]", value)
 
-    def sections(self, key: str) -> list[CampaignSection]:
+    def sections(self, key: str) -> list[TomlTable]:
         value = self._get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self.problem(key, f"found {shown(value)}, tables [[{key}]] are expected")
-        return [CampaignSection(self.file, f"[[{key}]] {index + 1}", item) for index, item in enumerate(value)]
+        return [TomlTable(self.file, f"[[{key}]] {index + 1}", item) for index, item in enumerate(value)]
 
     def finite(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
