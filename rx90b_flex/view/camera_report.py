@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.identify.camera_command import KINDS, CameraResult
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
+from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
@@ -72,8 +73,6 @@ def deformation_figure(result: CameraResult) -> Figure:
         ax.plot(ends, 1e3 * ends / k, color="#0072b2", linewidth=1.2)
         ax.set_title(f"{kind}, {k:.3g} N m/rad", fontsize=8)
         ax.set_xlabel("moment, N m", fontsize=8)
-        ax.tick_params(labelsize=8)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(color="#e6e6e6", linewidth=0.5)
+        plain_axes(ax)
     figure.axes[0].set_ylabel("deformation, 10⁻³ rad", fontsize=8)
     return figure

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.diagnose.deflection import GearDeflection
 from rx90b_flex.identify.deflection import GearFit, loops
+from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.page import Image, PageTable, Section, image
 
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
@@ -78,9 +79,7 @@ def loop_figure(fit: GearFit) -> Figure:
     ):
         ax.set_title(title, fontsize=9)
         ax.set_xlabel(label, fontsize=8)
-        ax.tick_params(labelsize=8)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(color="#e6e6e6", linewidth=0.5)
+        plain_axes(ax)
     before.set_ylabel("link less motor, mrad", fontsize=8)
     after.legend(fontsize=7, frameon=False)
     return figure

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.plots import AFTER, FLOOR, MEASURED
 
 WIDTH = 6.4  # inches
@@ -27,7 +27,7 @@ def torque_fit(time: Array, measured: Array, predicted: Array, joint: str, model
     below.set_xlabel("time, s", fontsize=9)
     above.legend(frameon=False, fontsize=8, ncols=2)
     for ax in (above, below):
-        _plain(ax)
+        plain_axes(ax)
     figure.align_ylabels((above, below))
     return figure
 
@@ -44,12 +44,5 @@ def relative_stds(names: Sequence[str], relative: Array) -> Figure:
     ax.xaxis.set_major_formatter("{x:g}")
     ax.axvline(10.0, color=FLOOR, linewidth=0.8, linestyle="--")
     ax.set_xlabel("standard deviation over value, %", fontsize=9)
-    _plain(ax)
+    plain_axes(ax)
     return figure
-
-
-def _plain(ax: Axes) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.tick_params(labelsize=8)
-    ax.set_axisbelow(True)
-    ax.grid(color="#dddddd", linewidth=0.5)

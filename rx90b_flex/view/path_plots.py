@@ -9,6 +9,7 @@ from matplotlib.ticker import FuncFormatter
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
+from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN, _figure, _legend
 
 PART_COLOURS = {"links": "#8a8a8a", "friction": "#d55e00", "flexibility": "#0072b2", "spring": "#009e73"}
@@ -89,8 +90,7 @@ def path_picture(result: PathCheck) -> Figure:
         ax.set_xlabel(f"{'xyz'[i]}, mm", fontsize=9)
         ax.set_ylabel(f"{'xyz'[j]}, mm", fontsize=9)
         ax.set_aspect("equal", adjustable="datalim")
-        ax.tick_params(labelsize=8)
-        ax.spines[["top", "right"]].set_visible(False)
+        plain_axes(ax)
     axes[0].set_title("from above", fontsize=9)
     axes[1].set_title("from the side", fontsize=9)
     handles, labels = axes[0].get_legend_handles_labels()

@@ -19,6 +19,7 @@ from rx90b_flex.diagnose.close import ClosedLoop, Prediction
 from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, at_rest, signals
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import lowpass
+from rx90b_flex.view.axes import plain_axes
 
 if TYPE_CHECKING:
     from rx90b_flex.simulate.closed_loop import Simulation
@@ -386,10 +387,7 @@ def _figure(
     figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False, sharex=sharex, height_ratios=heights)[:, 0]
     for ax in axes:
-        ax.tick_params(labelsize=8)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(color="#e6e6e6", linewidth=0.5)
-        ax.set_axisbelow(True)
+        plain_axes(ax)
     return figure, list(axes)
 
 

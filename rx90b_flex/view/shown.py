@@ -31,6 +31,7 @@ from rx90b_flex.path.check import PathCheck
 from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.view import frf_plots, grey_plots, path_plots, plots
+from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.camera_report import deformation_figure
 from rx90b_flex.view.fleet_report import fleet_figure, headline
 from rx90b_flex.view.identify_plots import torque_fit
@@ -193,7 +194,7 @@ def _(result: Checked) -> Figure:
     ax.set_yticks(rows, list(result.joints))
     ax.invert_yaxis()
     ax.set_xlabel("held-out error of a rigid model with basic friction, %", fontsize=9)
-    ax.spines[["top", "right"]].set_visible(False)
+    plain_axes(ax)
     return figure
 
 
@@ -360,7 +361,7 @@ def _(result: Modes) -> Figure:
     ax.semilogx(result.frequencies_hz[kept], 100 * result.damping_ratios[kept], "o", color=plots.AFTER, markersize=4)
     ax.set_xlabel("frequency, Hz", fontsize=9)
     ax.set_ylabel("damping ratio, %", fontsize=9)
-    ax.spines[["top", "right"]].set_visible(False)
+    plain_axes(ax)
     return figure
 
 

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.identify.static_stiffness import StaticStiffness
 from rx90b_flex.signals.static_test import StaticTest
+from rx90b_flex.view.axes import plain_axes
 
 LOADING, UNLOADING = "#d55e00", "#0072b2"
 
@@ -36,9 +37,7 @@ def static_test_figure(tests: Sequence[StaticTest], found: Sequence[StaticStiffn
             f"{result.coordinate}\n{result.stiffness / 1e5:.2f} ({low} to {high}) 10⁵ N m/rad, p = {result.p_value:.2g}",
             fontsize=8,
         )
-        ax.tick_params(labelsize=8)
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(color="#e6e6e6", linewidth=0.5)
+        plain_axes(ax)
     for ax in grid[:, 0]:
         ax.set_ylabel("deformation, 10⁻³ rad", fontsize=8)
     for place in range(len(tests)):

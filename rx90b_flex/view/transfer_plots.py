@@ -12,6 +12,7 @@ from rx90b_flex.identify.frequency_response import ComplexArray
 from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.identify.validation import LEVEL, whiteness
+from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN
 
 PANEL_IN = 1.9  # height of a row
@@ -41,7 +42,7 @@ def residual_correlation(fit: TransferFit) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 1.3 * len(joints) + 0.6), layout="constrained")
     rows = figure.subplots(len(joints), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
     for j, ax in enumerate(rows):
-        _plain_axes(ax)
+        plain_axes(ax)
         ax.plot([0, *white.lag], [1, *np.abs(white.correlation[:, j])], ".-", color=AFTER, markersize=3, linewidth=0.7)
         ax.plot(white.lag, white.bound, "--", color=BEFORE, linewidth=1.1, label="95 % bound")
         ax.set_title(f"{joints[j]}: {100 * white.inside[j]:.0f} % of lags within the bound", fontsize=9, loc="left")
@@ -55,7 +56,7 @@ def stabilisation(fit: TransferFit) -> Figure:
     """Modes of the fits of every order over frequency, and behind them the mean response (root mean square of its entries)."""
     figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
     ax = figure.subplots()
-    _plain_axes(ax)
+    plain_axes(ax)
     behind = ax.twinx()
     hz = fit.response.hz
     behind.semilogy(
@@ -94,7 +95,7 @@ def _grid(n: int) -> tuple[Figure, dict[tuple[int, int], Axes]]:
             grid[j, k].set_axis_off()
     axes = {(j, k): grid[j, k] for j in range(n) for k in range(j, n)}
     for ax in axes.values():
-        _plain_axes(ax)
+        plain_axes(ax)
     return figure, axes
 
 
@@ -111,10 +112,3 @@ def _finish(figure: Figure, axes: dict[tuple[int, int], Axes], label: str) -> No
 def _title(ax: Axes, fit: TransferFit, j: int, k: int) -> None:
     names: Array | tuple[str, ...] = fit.response.joints
     ax.set_title(f"{names[j]} from {names[k]}", fontsize=9, loc="left")
-
-
-def _plain_axes(ax: Axes) -> None:
-    ax.tick_params(labelsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(color="#e6e6e6", linewidth=0.5)
-    ax.set_axisbelow(True)
