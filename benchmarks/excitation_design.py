@@ -17,10 +17,10 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from designed_motion.limits import Limits
+from designed_motion.search import Design, design_excitation, periodic_derivative, simulated_margins
 
 import rx90b_flex as rf
-from rx90b_flex.excitation_design.limits import Limits
-from rx90b_flex.excitation_design.search import Design, design_excitation, periodic_derivative, simulated_margins
 from rx90b_flex.identify.all_coordinates import (
     CoordinatesFit,
     Equations,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -10,10 +11,17 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.excitation_design.limits import Limits, capsules
-from rx90b_flex.excitation_design.prediction import CandidateMotion, PrecisionPrediction
-from rx90b_flex.excitation_design.regressor_slope import regressor_slope
-from rx90b_flex.excitation_design.search import (
+from rx90b_flex.robot import Robot
+from rx90b_flex.simulate import CS8, Simulation, Trajectory, load_cs8, simulate, sine_excitation
+from rx90b_flex.simulate.cs8 import drive_places
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from designed_motion import figures
+from designed_motion.limits import Limits, capsules
+from designed_motion.prediction import CandidateMotion, PrecisionPrediction
+from designed_motion.regressor_slope import regressor_slope
+from designed_motion.search import (
     Design,
     _DesignProblem,
     _on_own_modes,
@@ -26,10 +34,6 @@ from rx90b_flex.excitation_design.search import (
     simulated_margins,
     steady_states,
 )
-from rx90b_flex.robot import Robot
-from rx90b_flex.simulate import CS8, Simulation, Trajectory, load_cs8, simulate, sine_excitation
-from rx90b_flex.simulate.cs8 import drive_places
-from rx90b_flex.view import design_plots
 
 PERIOD = 4.096
 
@@ -363,13 +367,13 @@ def test_a_parameter_without_value_is_refused() -> None:
 
 def test_figures_have_axes_with_units() -> None:
     design = small()
-    figures = [
-        design_plots.references(design),
-        design_plots.multisine_lines(design),
-        design_plots.singular_values(design, design.assess(section_422())),  # type: ignore[arg-type]
-        design_plots.search(design),
+    drawn = [
+        figures.references(design),
+        figures.multisine_lines(design),
+        figures.singular_values(design, design.assess(section_422())),  # type: ignore[arg-type]
+        figures.search(design),
     ]
-    for figure in figures:
+    for figure in drawn:
         assert all(ax.get_ylabel() for ax in figure.axes)
         assert figure.axes[-1].get_xlabel()
 

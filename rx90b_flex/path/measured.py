@@ -30,7 +30,6 @@ from rx90b_flex.path.planning import HOLD_S
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.tables import read_table
 
-FILES = ("measured.json", "measured.csv")
 FEWEST = 10  # places
 SHIFTS, SAMPLES = 401, 400  # of the first look for the clocks' shift
 FAR = 0.1  # of the path's length (m), and at least NEAR: a tip farther from the path was not on it, or in another frame

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from rx90b_flex.excitation_design.search import Assessment, Design
+from designed_motion.search import Assessment, Design
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 BEFORE, AFTER = "#d55e00", "#0072b2"

@@ -9,11 +9,11 @@ line's amplitude and phase are chosen so that the regressor of equations 3.85-3.
 the parameters that can be told at all) has the smallest condition number, or the largest determinant, while angles,
 speeds, torques and distances keep to their limits.
 
-During the search the flexible motion is predicted, not simulated (`rx90b_flex.excitation_design.prediction`). The motion that
+During the search the flexible motion is predicted, not simulated (`designed_motion.prediction`). The motion that
 results is then simulated in full, and judged by that.
 
     import rx90b_flex as rf
-    from rx90b_flex.excitation_design.search import design_excitation
+    from designed_motion.search import design_excitation
     from rx90b_flex.simulate import load_cs8
 
     design = design_excitation(rf.load_robot("rx90b_4dof"), seed=0, controller=load_cs8())
@@ -33,10 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, signal
 
+from designed_motion.limits import Limits, Margins
+from designed_motion.prediction import CandidateMotion, Frame, PrecisionPrediction
+from designed_motion.regressor_slope import regressor_slope
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.excitation_design.limits import Limits, Margins
-from rx90b_flex.excitation_design.prediction import CandidateMotion, Frame, PrecisionPrediction
-from rx90b_flex.excitation_design.regressor_slope import regressor_slope
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.closed_loop import Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, drive_places

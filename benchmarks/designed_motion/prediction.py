@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from designed_motion.limits import Limits
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.excitation_design.limits import Limits
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.trajectories import RATE_HZ
