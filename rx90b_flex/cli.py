@@ -662,9 +662,10 @@ def _values(parameters: Sequence[Any]) -> Iterator[str]:
     """Of an effect; what of it is not determined is said once."""
     yield from (_value(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None)
     missing = [p.name for p in parameters if p.value is None]
-    numbered = len({re.sub(r"_\d+$", "", name) for name in missing}) == 1 < len(missing)
     if missing:
-        yield f"{f'{missing[0]} to {missing[-1]}' if numbered else ', '.join(missing)} not determined"
+        from rx90b_flex.view.report import untold_names
+
+        yield f"{untold_names(missing)} not determined"
 
 
 def _value(name: str, value: float, std: float | None, unit: str) -> str:

@@ -24,7 +24,7 @@ from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Recording, write_campaign
 from rx90b_flex.view import plots, report_html, write_report
 from rx90b_flex.view.advice import next_measurements, standstill
-from rx90b_flex.view.report import headline, measured, number, p_value, percent
+from rx90b_flex.view.report import headline, measured, number, p_value, percent, values
 from rx90b_flex.view.zoom import envelope, script, script_hash
 
 JOINTS = ("shoulder", 'elbow <b>"1" & $x_1$</b>')  # names that break HTML or mathematics if they are not escaped
@@ -354,6 +354,8 @@ def test_undetermined_parameters_are_named_and_get_no_value(nothing: ClosedLoop,
     assert undetermined
     assert measured(undetermined[0]) == "not determined by this data"
     assert empty_page.text.count("–") >= len(undetermined)
+    several = [dataclasses.replace(undetermined[0], name=f"torques_{i}") for i in range(1, 10)]
+    assert values(several) == ["torques_1 to torques_9: not determined by this data"]
 
 
 def test_a_joint_that_stands_still_holds_its_share_of_the_error(nothing: ClosedLoop) -> None:

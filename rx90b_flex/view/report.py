@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from functools import singledispatch
 from pathlib import Path
@@ -83,7 +84,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
     return render(
         "report.html",
         {
-            "percent": percent, "p": p_value, "unit": unit_text, "measured": measured,
+            "percent": percent, "p": p_value, "values": values,
             "place": place_words, "kind": _kind, "meaning": _meaning,
         },
         title=f"{result.robot}: closing the loop",
@@ -259,6 +260,19 @@ def p_value(value: float) -> str:
 def unit_text(unit: str) -> str:
     """A unit as it is printed: superscripts where there are some, nothing for a pure number."""
     return "" if unit == "-" else unit.replace("^2", "²").replace("^3", "³")
+
+
+def values(parameters: Sequence[Estimate]) -> list[str]:
+    """Of an effect, one a line; what of it is not determined is said once."""
+    out = [f"{p.name} = {measured(p)} {unit_text(p.unit)}".rstrip() for p in parameters if p.value is not None]
+    untold = untold_names([p.name for p in parameters if p.value is None])
+    return [*out, f"{untold}: not determined by this data"] if untold else out
+
+
+def untold_names(names: Sequence[str]) -> str:
+    """Names in a row, those that only count by the first and the last; empty for none."""
+    counted = len({re.sub(r"_\d+$", "", name) for name in names}) == 1 < len(names)
+    return f"{names[0]} to {names[-1]}" if counted else ", ".join(names)
 
 
 def measured(estimate: Estimate) -> str:
