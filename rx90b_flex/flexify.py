@@ -46,7 +46,6 @@ __all__ = [
     "lock",
     "moving_joints",
     "neutral_position",
-    "normalisation_notes",
     "normalise",
     "read_urdf",
     "read_xml",
@@ -440,8 +439,6 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
     - axes become unit vectors; absent effort and velocity limits become `UNLIMITED`;
     - prismatic and fixed joints stay.
 
-    `normalisation_notes` says in words what this changed.
-
     Raises
     ------
     ValueError
@@ -471,20 +468,6 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
             limit.velocity = UNLIMITED if limit.velocity is None else limit.velocity
             joint.limit = limit
     return _refresh(result)
-
-
-def normalisation_notes(urdf: yourdfpy.URDF) -> tuple[str, ...]:
-    """What `normalise` changes in `urdf` that a reader of results should know, one sentence a joint."""
-    notes = []
-    for joint in urdf.robot.joints:
-        if joint.mimic is not None and joint.type in _MOVING_TYPES:
-            position = neutral_position(urdf, joint.name)
-            unit = "m" if joint.type == "prismatic" else "rad"
-            notes.append(f"joint '{joint.name}' mimics '{joint.mimic.joint}': held at {position:g} {unit}")
-        elif joint.type == "continuous":
-            limit = f"{CONTINUOUS_LIMIT:.0f} rad"
-            notes.append(f"joint '{joint.name}' is continuous: its angle counts turns, limits are +-{limit}")
-    return tuple(notes)
 
 
 def lock(urdf: yourdfpy.URDF, keep: Sequence[str]) -> yourdfpy.URDF:

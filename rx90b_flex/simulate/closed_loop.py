@@ -82,29 +82,16 @@ class RawLog:
         """s, shape (N,)."""
         return np.arange(len(self.position)) / self.rate_hz
 
-    def rms_above(self, hz: float = 125.0) -> dict[str, Array]:
-        """RMS of each signal above a frequency, by signal, each (joints,): what would alias into a slower log.
-
-        Hann window, trends left out; the torque's holds the controller's quantisation.
-        """
-        return {name: np.sqrt(self._power(x, hz)) for name, x in self._signals().items()}
-
     def share_above(self, hz: float = 125.0) -> dict[str, Array]:
-        """Part of each signal's power above a frequency; of little meaning for a joint that stands still."""
+        """Part of each signal's power above a frequency (Hann window, trends left out); of little meaning for a joint at rest."""
+        window = signal.windows.hann(len(self.position))[:, None]
+        lines = np.fft.rfftfreq(len(window), 1.0 / self.rate_hz)
         out = {}
-        for name, x in self._signals().items():
-            total = self._power(x, 0.0)
-            out[name] = np.divide(self._power(x, hz), total, out=np.zeros_like(total), where=total > 0)
+        for name, x in (("position", self.position), ("velocity", self.velocity), ("torque", self.torque)):
+            power = np.abs(np.fft.rfft(signal.detrend(x, axis=0) * window, axis=0)) ** 2
+            above, total = (power[lines > at].sum(axis=0) for at in (hz, 0.0))
+            out[name] = np.divide(above, total, out=np.zeros_like(total), where=total > 0)
         return out
-
-    def _signals(self) -> dict[str, Array]:
-        return {"position": self.position, "velocity": self.velocity, "torque": self.torque}
-
-    def _power(self, x: Array, hz: float) -> Array:
-        window = signal.windows.hann(len(x))
-        power = np.abs(np.fft.rfft(signal.detrend(x, axis=0) * window[:, None], axis=0)) ** 2
-        above = np.fft.rfftfreq(len(x), 1.0 / self.rate_hz) > hz
-        return np.asarray(2.0 * power[above].sum(axis=0) / (len(x) * (window @ window)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -122,9 +122,7 @@ def _(result: ClosedLoop) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns).astype({"value": float, "std": float})
 
 
-@figure_of.register
-def _(result: ClosedLoop) -> Figure:
-    return plots.errors_by_joint(result)
+figure_of.register(ClosedLoop, plots.errors_by_joint)
 
 
 RESIDUALS = {
@@ -262,9 +260,7 @@ def _(result: GreyBox) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(INTERVAL))
 
 
-@figure_of.register
-def _(result: GreyBox) -> Figure:
-    return grey_plots.intervals(result)
+figure_of.register(GreyBox, grey_plots.intervals)
 
 
 @words_of.register
@@ -291,9 +287,7 @@ def _(result: FrequencyResponse) -> pd.DataFrame:
     )
 
 
-@figure_of.register
-def _(result: FrequencyResponse) -> Figure:
-    return frf_plots.magnitude(result)
+figure_of.register(FrequencyResponse, frf_plots.magnitude)
 
 
 @words_of.register
@@ -336,9 +330,7 @@ def _(result: CameraResult) -> pd.DataFrame:
     return _hinges(result.hinges)
 
 
-@figure_of.register
-def _(result: CameraResult) -> Figure:
-    return deformation_figure(result)
+figure_of.register(CameraResult, deformation_figure)
 
 
 @words_of.register
@@ -385,9 +377,7 @@ def _(result: PathCheck) -> pd.DataFrame:
     return table.sort_values("rms_across", ascending=False, ignore_index=True)
 
 
-@figure_of.register
-def _(result: PathCheck) -> Figure:
-    return path_plots.deviation_along_path(result)
+figure_of.register(PathCheck, path_plots.deviation_along_path)
 
 
 @words_of.register
@@ -406,9 +396,7 @@ def _(result: MeasuredTip) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-@figure_of.register
-def _(result: MeasuredTip) -> Figure:
-    return measured_along_path(result)
+figure_of.register(MeasuredTip, measured_along_path)
 
 
 @words_of.register
@@ -423,9 +411,7 @@ def _(result: Simulation) -> pd.DataFrame:
     return pd.DataFrame(columns | {f"tip_{axis}": result.tip[:, i, 3] for i, axis in enumerate("xyz")})
 
 
-@figure_of.register
-def _(result: Simulation) -> Figure:
-    return plots.tip_deviation(result)
+figure_of.register(Simulation, plots.tip_deviation)
 
 
 @words_of.register
@@ -437,10 +423,7 @@ def _(result: Simulation) -> str:
 # ---- a fleet ----------------------------------------------------------------------------------------------------
 
 
-@table_of.register
-def _(result: Fleet) -> pd.DataFrame:
-    """A row a robot and parameter."""
-    return fleet_table(result)
+table_of.register(Fleet, fleet_table)
 
 
 @figure_of.register

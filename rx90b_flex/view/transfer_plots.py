@@ -1,39 +1,16 @@
-"""Figures of fitted transfer functions: magnitude and errors with bands, correlation of residuals, stabilisation over orders."""
+"""Figures of fitted transfer functions: correlation of residuals, stabilisation over orders."""
 
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.frequency_response import ComplexArray
 from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit
-from rx90b_flex.identify.validation import LEVEL, whiteness
+from rx90b_flex.identify.validation import whiteness
 from rx90b_flex.view.axes import plain_axes
 from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN
-
-PANEL_IN = 1.9  # height of a row
-BAND = float(np.sqrt(-np.log(1 - LEVEL)))  # half width of a complex number's 95 % band in standard deviations
-
-
-def differences(fit: TransferFit, truth: ComplexArray | None = None) -> Figure:
-    """Estimate minus fit, with the 95 % bands of both (figure 6.12); with the truth, fit minus truth too."""
-    hz, n = fit.response.hz, len(fit.response.joints)
-    figure, axes = _grid(n)
-    model = fit.model.frf(hz)
-    left, own, data = np.abs(fit.response.value - model), BAND * fit.frf_std(hz), BAND * fit.response.std()
-    for (j, k), ax in axes.items():
-        ax.semilogy(hz, left[:, j, k], ".", color=MEASURED, markersize=3, label="estimate − fit")
-        ax.semilogy(hz, data[:, j, k], ":", color=BEFORE, linewidth=1.1, label="band of the estimate")
-        ax.semilogy(hz, own[:, j, k], "--", color=AFTER, linewidth=1.1, label="band of the fit")
-        if truth is not None:
-            ax.semilogy(hz, np.abs(model - truth)[:, j, k], color=FLOOR, linewidth=0.8, label="fit − truth")
-        _title(ax, fit, j, k)
-    _finish(figure, axes, "|ΔP|, rad/s² per N m")
-    return figure
 
 
 def residual_correlation(fit: TransferFit) -> Figure:
@@ -83,32 +60,3 @@ def stabilisation(fit: TransferFit) -> Figure:
     ax.set_ylabel("modes of the fit", fontsize=9)
     ax.legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     return figure
-
-
-def _grid(n: int) -> tuple[Figure, dict[tuple[int, int], Axes]]:
-    """One panel an entry on and above the diagonal, the rest empty."""
-    width = WIDTH_IN * max(1.0, n / 2)
-    figure = Figure(figsize=(width, PANEL_IN * n + 0.4), layout="constrained")
-    grid = figure.subplots(n, n, squeeze=False, sharex=True)
-    for j in range(n):
-        for k in range(j):
-            grid[j, k].set_axis_off()
-    axes = {(j, k): grid[j, k] for j in range(n) for k in range(j, n)}
-    for ax in axes.values():
-        plain_axes(ax)
-    return figure, axes
-
-
-def _finish(figure: Figure, axes: dict[tuple[int, int], Axes], label: str) -> None:
-    for (j, k), ax in axes.items():
-        if j == k:  # nothing stands below it or to its left
-            ax.set_xlabel("frequency, Hz", fontsize=9)
-            ax.set_ylabel(label, fontsize=9)
-            ax.tick_params(labelbottom=True)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.02, 0.03))
-
-
-def _title(ax: Axes, fit: TransferFit, j: int, k: int) -> None:
-    names: Array | tuple[str, ...] = fit.response.joints
-    ax.set_title(f"{names[j]} from {names[k]}", fontsize=9, loc="left")
