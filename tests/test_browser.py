@@ -290,7 +290,7 @@ def test_a_line_zooms_where_it_is_dragged_and_comes_back(browser: Any, tmp_path:
     page = opened(browser, (tmp_path / "report.html").as_uri(), pictures)
     figures = page.page.locator("figure.zoom")
     assert figures.count() == page.page.locator("figure.zoom.drawn").count() > 0
-    figure = page.page.locator(".joint figure.zoom").first
+    figure = page.page.locator("#residuals figure.zoom").first
     figure.scroll_into_view_if_needed()
     at = figure.locator(".u-over").first.bounding_box()
 

@@ -121,30 +121,15 @@ def consistent_parameters(
         Shapes do not fit, or the solver finds no solution.
     """
     prior, estimate = np.asarray(prior, dtype=float), np.asarray(estimate, dtype=float)
+    information = np.asarray(information, dtype=float)
     least = np.zeros(0) if lower is None else np.asarray(lower, dtype=float)
     links = np.size(prior) - len(least)
-    bodies = links // 10
-    if estimate.shape != prior.shape:
-        raise ValueError(f"estimate has shape {estimate.shape}; expected {prior.shape}, as the prior")
-    prior_bodies = as_bodies(prior[:links], bodies, "prior")
-    as_bodies(estimate[:links], bodies, "estimate")
-    if not np.isfinite(np.r_[estimate[links:], prior[links:]]).all():
-        raise ValueError(f"estimate or prior of the last {len(least)} parameters is not finite")
-    difference = estimate - prior
-    information = np.asarray(information, dtype=float)
-    if information.shape != (len(prior),) * 2 or not np.isfinite(information).all():
-        raise ValueError(f"information has shape {information.shape}; expected {(len(prior),) * 2}, all finite")
+    _check_problem(estimate, information, prior, links)
     if not (pull > 0 and margin > 0):
         raise ValueError(f"pull is {pull!r} and margin {margin!r}; expected positive numbers")
-
-    # In scaled coordinates u a body's ten numbers are the entries of D P D, and |u| is its Frobenius norm.
     unit = np.maximum(np.abs(prior[links:]), np.abs(estimate[links:]))
     unit[unit == 0] = 1.0
-    to_scaled = [_scaled_coordinates(mass, length) for mass, length in _sizes(prior_bodies)]
-    inverses = [np.linalg.inv(block) for block in to_scaled]
-    from_scaled = linalg.block_diag(*inverses, np.diag(unit))[: len(prior)]
-    scaled_bodies = [block @ body for block, body in zip(to_scaled, prior_bodies, strict=True)]
-    scaled_prior = np.concatenate([*scaled_bodies, prior[links:] / unit])
+    scaled_prior, from_scaled = _scaled(prior, links, unit)
 
     # The cost is |root (x - estimate)|^2 + pull |u - u_prior|^2 = |z|^2 + constant, with u = free + spread z: in z
     # all directions weigh the same, though the information spans many decades. The singular value decomposition keeps
@@ -154,7 +139,7 @@ def consistent_parameters(
     padded = np.zeros(len(prior))
     padded[: len(values)] = values
     along = np.zeros(len(prior))
-    along[: len(values)] = (left.T @ (root @ difference))[: len(values)]
+    along[: len(values)] = (left.T @ (root @ (estimate - prior)))[: len(values)]
     free = scaled_prior + right.T @ (padded / (padded**2 + pull) * along)
     spread = right.T / np.sqrt(padded**2 + pull)
 
@@ -165,6 +150,31 @@ def consistent_parameters(
     parameters[links:] = np.maximum(parameters[links:], least)  # where the solver was a rounding below
     increase = float(np.sum((root @ (parameters - estimate)) ** 2))
     return ConsistentParameters(parameters, increase, len(root), status)
+
+
+def _check_problem(estimate: Array, information: Array, prior: Array, links: int) -> None:
+    """Refuse what does not fit together or is not finite."""
+    if estimate.shape != prior.shape:
+        raise ValueError(f"estimate has shape {estimate.shape}; expected {prior.shape}, as the prior")
+    as_bodies(prior[:links], links // 10, "prior")
+    as_bodies(estimate[:links], links // 10, "estimate")
+    if not np.isfinite(np.r_[estimate[links:], prior[links:]]).all():
+        raise ValueError(f"estimate or prior of the last {len(prior) - links} parameters is not finite")
+    if information.shape != (len(prior),) * 2 or not np.isfinite(information).all():
+        raise ValueError(f"information has shape {information.shape}; expected {(len(prior),) * 2}, all finite")
+
+
+def _scaled(prior: Array, links: int, unit: Array) -> tuple[Array, Array]:
+    """The prior in scaled coordinates u, and the matrix that leads back from them.
+
+    In u a body's ten numbers are the entries of D P D, and their norm is its Frobenius norm; the rest is in its `unit`.
+    """
+    bodies = as_bodies(prior[:links], links // 10, "prior")
+    to_scaled = [_scaled_coordinates(mass, length) for mass, length in _sizes(bodies)]
+    inverses = [np.linalg.inv(block) for block in to_scaled]
+    scaled_bodies = [block @ body for block, body in zip(to_scaled, bodies, strict=True)]
+    back = linalg.block_diag(*inverses, np.diag(unit))[: len(prior)]
+    return np.concatenate([*scaled_bodies, prior[links:] / unit]), back
 
 
 def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]]:

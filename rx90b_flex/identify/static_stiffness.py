@@ -138,20 +138,7 @@ def fit_static_stiffness(
     area, weight = hysteresis_area(test)
     test = _without_beginnings(test, skip)
     given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
-    for name, rows in (("up", test.rising), ("down", ~test.rising)):
-        if rows.sum() < 3 or np.ptp(given[rows]) == 0.0:
-            raise ValueError(
-                f"static test {test.coordinate!r}: direction {name!r} has {rows.sum()} readings"
-                f" of {len(np.unique(given[rows]))} loads; expected at least three, not all the same"
-            )
-
-    centre = given - given.mean()
-    one = np.ones(len(test))
-    up, down = test.rising.astype(float), 1.0 - test.rising
-    line = _fit(np.stack([centre, one], axis=1), noisy)
-    parallel = _fit(np.stack([centre, up, down], axis=1), noisy)
-    both = _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy)
-
+    line, parallel, both = _fits(test, given, noisy)
     slope = float(parallel.values[0])
     if not SMALLEST_SLOPE < slope < 1.0 / SMALLEST_SLOPE:
         raise ValueError(
@@ -187,6 +174,23 @@ def fit_static_stiffness(
         slope_p_value=_f_test(parallel, both),
         hysteresis_area=area,
         hysteresis_std=float(deformation_std * np.linalg.norm(weight)),
+    )
+
+
+def _fits(test: StaticTest, given: Array, noisy: Array) -> tuple[_StaticFit, _StaticFit, _StaticFit]:
+    """One line through all readings; a height for each direction; a slope for each, too."""
+    for name, rows in (("up", test.rising), ("down", ~test.rising)):
+        if rows.sum() < 3 or np.ptp(given[rows]) == 0.0:
+            raise ValueError(
+                f"static test {test.coordinate!r}: direction {name!r} has {rows.sum()} readings"
+                f" of {len(np.unique(given[rows]))} loads; expected at least three, not all the same"
+            )
+    centre = given - given.mean()
+    up, down = test.rising.astype(float), 1.0 - test.rising
+    return (
+        _fit(np.stack([centre, np.ones(len(test))], axis=1), noisy),
+        _fit(np.stack([centre, up, down], axis=1), noisy),
+        _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy),
     )
 
 

@@ -133,8 +133,6 @@ class TransferFit(FittedModel):
     alternatives : tuple of CandidateModel
         All that were tried: each number of modes with every choice of terms. Standard deviations of resonances, damping ratios and
         antiresonances hold what these differ by (`stability.spread`).
-    pole_sets : tuple of PoleSet
-        Of the linear fits.
     worth : array, shape (m,)
         By how much the cost rises without each mode, over what a mode has to save by the criterion that decides: below 1 the
         fit is as good without it.
@@ -143,7 +141,6 @@ class TransferFit(FittedModel):
     response: FrequencyResponse
     candidates: tuple[CandidateModel, ...]
     alternatives: tuple[CandidateModel, ...]
-    pole_sets: tuple[PoleSet, ...]
     worth: Array
 
     def resonances_std_hz(self) -> Array:
@@ -260,18 +257,9 @@ def fit_transfer_functions(
         raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
     response = _without(response, leave_out_hz)
     n = len(response.joints)
-    low, high = (float(response.hz[0]), float(response.hz[-1])) if len(response.hz) else (0.0, 1.0)
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
-    count = {"none": 0, "common": 1, "each": n}[delays]
-    terms = POWERS_OF_S if start is None else tuple(p for p in POWERS_OF_S if p == 0 or getattr(start, TERMS[p]).any())
-    layouts = {m: TermLayout(m, n, high, count, terms, low) for m in tried}
     rows = 2 * len(response.hz) * n * n
-    needed = max((layout.count for layout in layouts.values()), default=0)
-    if not tried or min(tried) < 1 or rows < 2 * needed:
-        raise ValueError(
-            f"{len(response.hz)} lines give {rows} numbers for the {needed} parameters of {max(tried, default=0)} modes; "
-            "expected modes from 1 on and twice as many numbers as parameters"
-        )
+    layouts = _layouts(response, tried, {"none": 0, "common": 1, "each": n}[delays], start, rows)
     bounds = _filled(bounds or Bounds(), response)
     _check_start_hz(start_hz, tried, bounds)
     problem = _TransferFunctionProblem(response, _zero_bounds(bounds, response))
@@ -291,7 +279,23 @@ def fit_transfer_functions(
     every = _with_fewer_terms(problem, wholes, bounds, price) if start is None else [[one] for one in wholes]
     found = [min(order, key=lambda one: one.score) for order in every]
     best = min(found, key=lambda one: one.score)
-    return _result(problem, best, found, list(chain(*every)), sets, _worth(problem, best, bounds, price))
+    return _result(problem, best, found, list(chain(*every)), _worth(problem, best, bounds, price))
+
+
+def _layouts(
+    response: FrequencyResponse, tried: tuple[int, ...], delays: int, start: TransferFunctions | None, rows: int
+) -> dict[int, TermLayout]:
+    """The parameters of each number of modes, for which there must be enough numbers."""
+    low, high = (float(response.hz[0]), float(response.hz[-1])) if len(response.hz) else (0.0, 1.0)
+    terms = POWERS_OF_S if start is None else tuple(p for p in POWERS_OF_S if p == 0 or getattr(start, TERMS[p]).any())
+    layouts = {m: TermLayout(m, len(response.joints), high, delays, terms, low) for m in tried}
+    needed = max((layout.count for layout in layouts.values()), default=0)
+    if not tried or min(tried) < 1 or rows < 2 * needed:
+        raise ValueError(
+            f"{len(response.hz)} lines give {rows} numbers for the {needed} parameters of {max(tried, default=0)} modes; "
+            "expected modes from 1 on and twice as many numbers as parameters"
+        )
+    return layouts
 
 
 @dataclass(frozen=True, eq=False)
@@ -623,7 +627,6 @@ def _result(
     best: _Climbed,
     found: Sequence[_Climbed],
     every: Sequence[_Climbed],
-    sets: tuple[PoleSet, ...],
     worth: Array,
 ) -> TransferFit:
     fitted = {id(one): _with_covariance(problem, one) for one in every}
@@ -633,7 +636,7 @@ def _result(
     }
     candidates = tuple(tried[id(one)] for one in sorted(found, key=lambda one: one.layout.modes))
     order = np.argsort(best.model.frequency_hz)
-    return TransferFit(*fitted[id(best)], problem.response, candidates, tuple(tried.values()), sets, worth[order])
+    return TransferFit(*fitted[id(best)], problem.response, candidates, tuple(tried.values()), worth[order])
 
 
 def _worth(problem: _TransferFunctionProblem, best: _Climbed, bounds: Bounds, price: float) -> Array:
