@@ -41,12 +41,14 @@ class PageTable:
     rows : one text a column each.
     caption : what the table shows.
     numbers : columns that hold numbers; all but the first where not given.
+    folds : whether a long one waits to be opened.
     """
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     numbers: tuple[int, ...] | None = None
+    folds: bool = True
 
     def is_number(self, column: int) -> bool:
         """Whether a column stands to the right."""

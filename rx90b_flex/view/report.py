@@ -120,7 +120,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         parameters=_parameters(result),
         links=_links(result),
         moved_links=_moved_links(result),
-        facts=PageTable(("what", "how"), tuple(_facts(result)), "Settings", numbers=()),
+        facts=PageTable(("what", "how"), tuple(_facts(result)), "Settings", numbers=(), folds=False),
         evidence=evidence,
         segment_s=plots.SEGMENT_S,
     )  # fmt: skip
