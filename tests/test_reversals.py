@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from rx90b_flex.diagnose.reversals import trust
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects.friction import CoulombFriction, ViscousFriction
+from rx90b_flex.effects.torque_gain import TorqueGain
 from rx90b_flex.identify.least_squares import identify
+from rx90b_flex.identify.physical import gains_again
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
@@ -79,14 +83,32 @@ def test_a_model_without_a_step_doubts_no_row(robot: Robot) -> None:
     assert (known > 0.99).all()
 
 
+def test_a_gain_is_fitted_again_where_links_were_moved(robot: Robot) -> None:
+    """A log of twice the torque: the gain is two with the true links, and four with half of them."""
+    data = regression(robot, 0.0)
+    (stretch,) = data.stretches
+    twice = dataclasses.replace(data, stretches=(dataclasses.replace(stretch, torque=2.0 * stretch.torque),))
+    effects = [CoulombFriction(joint=robot.joints[0]), *(TorqueGain(joint=j) for j in robot.joints)]
+    model = identify(twice, effects, fit_links=False)
+    first = len(model.theta) - 2
+    assert model.theta[first:] == pytest.approx(1.0, rel=1e-2)
+    half = dataclasses.replace(
+        model,
+        link_parameters=0.5 * model.link_parameters,
+        effects=tuple(e.with_coefficients(0.5 * e.coefficients) if not e.multiplies else e for e in model.effects),
+    )
+    assert gains_again(half)[first:] == pytest.approx(3.0, rel=1e-2)
+
+
 # ---- gains from block to block --------------------------------------------------------------------------------------
 
 
-def trial(gains: list[float], colour: float = 1.0) -> TorqueTrial:
-    block_gains = np.array(gains)
+def trial(gains: list[float], colour: float = 1.0, lost: list[float] | None = None) -> TorqueTrial:
+    block_gains, lost_there = np.array(gains), np.array(lost or [])
     return TorqueTrial(
-        CoulombFriction(joint="a", torque=1.0), float(block_gains.sum()), block_gains, 1e-9, 1, 0.5, True, colour
-    )
+        CoulombFriction(joint="a", torque=1.0), float(block_gains.sum()), block_gains, 1e-9, 1, 0.5, True, colour,
+        lost=lost_there, by_chance=np.full(len(lost_there), 20.0 * colour),
+    )  # fmt: skip
 
 
 def test_an_effect_that_half_of_the_blocks_show_is_accepted_though_its_gains_spread() -> None:
@@ -96,6 +118,13 @@ def test_an_effect_that_half_of_the_blocks_show_is_accepted_though_its_gains_spr
 
 def test_one_block_is_no_replication() -> None:
     assert not trial([400.0, 0.0, 0.0, 5.0, -1.0, 3.0, 0.0, 1.0]).accepted
+
+
+def test_one_block_of_each_recording_is_replication() -> None:
+    """Friction held at rest shows where a recording rests, which may be once."""
+    rests = [400.0, 0.0, -1.0, 3.0, 1.0, 300.0, 0.0, -2.0]
+    assert trial(rests, lost=[-390.0, -310.0]).accepted
+    assert not trial(rests, lost=[-700.0, -15.0]).accepted
 
 
 def test_blocks_that_lose_more_than_noise_does_refuse_an_effect() -> None:

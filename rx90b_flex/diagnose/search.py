@@ -22,6 +22,7 @@ from rx90b_flex.identify.least_squares import (
     CORRELATION_S,
     Identification,
     damped_step,
+    identify,
     shared_values,
 )
 from rx90b_flex.identify.regression import Regression, of_motion_alone
@@ -209,7 +210,8 @@ class Search:
                 progress((i + 1) / (len(candidates) + 4))
         rough.sort(key=lambda item: -item.gain)
         trials: list[TorqueTrial] = []
-        for item in rough[:REFINED]:
+        # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
+        for item in [*rough[:REFINED], *(r for r in rough[REFINED:] if r.effect.multiplies and r.gain > FAMILY_GAIN)]:
             if len(trials) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(trials):
                 break  # neither this one nor those behind it can win
             trials.append(self._tried(item, bases[None]))
@@ -246,8 +248,32 @@ class Search:
 
     def _tried(self, item: _Rough, present: Base) -> TorqueTrial:
         """The trial of what was looked at, by more than a glimpse."""
+        if item.effect.multiplies:
+            return self._fitted(item.effect)
         closer = self._looked(item, False) if item.glimpsed else item
         return self.trial(closer.effect, closer.base, present, self.tests)
+
+    def _fitted(self, effect: Effect) -> TorqueTrial:
+        """The trial of an effect that scales the model's torque, which a fit without it has bent: about the fit with it."""
+        known = self.model
+        model = identify(
+            self.regression,
+            [*known.effects, effect],
+            fit_links=known.links_fitted,
+            start=known,
+            with_covariance=False,
+        )
+        beside = Search(model, self.sites, self.kinds)
+        found = beside.without(model.effects[-1])
+        weighted = dataclasses.replace(beside.shared, weight=self.shared.weight)
+        new = dataclasses.replace(beside.present, shared=weighted)
+        block_gains = self.present.held_out - new.held_out
+        gain = float(block_gains.sum())
+        lost = np.zeros(0)
+        if len(found.lost):
+            lost = new.grouped(self.longest_parts).held_out - self.present.grouped(self.longest_parts).held_out
+        touched = self.present.squares[self.regression.joints.index(effect.joints[0])]
+        return dataclasses.replace(found, gain=gain, block_gains=block_gains, share=gain / touched, lost=lost)
 
     def _looked(self, item: _Rough, glimpsed: bool) -> _Rough:
         """With the best of its shapes and what that gains, by a glimpse of the log or a first look at it."""
@@ -471,17 +497,17 @@ class Search:
 
     def _left_out(
         self, base: Base, present: Base, products: tuple[Array, ...], chance: float, gain: float
-    ) -> tuple[float, float]:
-        """`worst` and `carried` where whole recordings, or parts of a single one, are left out; none if it is short."""
+    ) -> tuple[Array, Array]:
+        """`lost` and `by_chance` where whole recordings, or parts of a single one, are left out; nothing if it is short."""
         if (len(self.blocks) < 2 * PARTS and len(self.regression.spans) < FEWEST_RECORDINGS) or gain <= 0:
-            return 0.0, 1.0
+            return np.zeros(0), np.zeros(0)
         b, y, d = (np.array([part[at].sum(axis=0) for at in self.longest_parts]) for part in products)
         before = present.grouped(self.longest_parts)
         lost = self._held_out(base.grouped(self.longest_parts), b, y, d) - before.held_out
         parts = np.array([len(at) for at in self.longest_parts]) / len(self.blocks)
         # what a fit to the others costs a recording by chance: as much as it is longer than they are together
         spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
-        return float((lost / np.maximum(spread, 1e-300)).max()), float(-lost.sum() / gain)
+        return lost, spread
 
     def _follows_motion(self, residual: Array, effect: Effect) -> bool:
         """Whether a line sits among the harmonics of a motion that repeats, and does not stand out of those beside it.

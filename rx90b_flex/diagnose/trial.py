@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import stats
@@ -72,10 +72,9 @@ class TorqueTrial(Trial):
         Why its values are not lawful; empty where they are.
     small : str
         Why it is not worth a name by its own rule (`Effect.too_small`); empty where it is.
-    worst : float
-        Largest loss on a recording that was left out as a whole, over what chance explains; below one: none.
-    carried : float
-        Part of the gain on held-out blocks that is left where whole recordings are held out.
+    lost, by_chance : array, shape (recordings,)
+        Rise of the squared error of each recording that was left out as a whole, and what chance explains of one; empty where
+        the log is too short for that.
     members : tuple of TorqueTrial
         Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
     """
@@ -89,8 +88,8 @@ class TorqueTrial(Trial):
     lawful: bool
     colour: float = 1.0
     objection: str = ""
-    worst: float = 0.0
-    carried: float = 1.0
+    lost: Array = field(default_factory=lambda: np.zeros(0))
+    by_chance: Array = field(default_factory=lambda: np.zeros(0))
     members: tuple[TorqueTrial, ...] = ()
     small: str = ""
 
@@ -113,17 +112,30 @@ class TorqueTrial(Trial):
         return float(roots.mean() / error) if error > 0 else np.inf
 
     @property
+    def worst(self) -> float:
+        """Largest loss on a recording that was left out as a whole, over what chance explains; below one: none."""
+        return float((self.lost / np.maximum(self.by_chance, 1e-300)).max()) if len(self.lost) else 0.0
+
+    @property
+    def carried(self) -> float:
+        """Part of the gain on held-out blocks that is left where whole recordings are held out."""
+        return -float(self.lost.sum()) / self.gain if len(self.lost) else 1.0
+
+    @property
     def replicated(self) -> bool:
-        """Whether several held-out blocks show it, each beyond its own noise, and what the others lose is within theirs.
+        """Whether several held-out blocks show it, or all recordings that were left out, each beyond its own noise, and what
+        other blocks lose is within theirs.
 
         A gain g of an effect that is there has the variance 4 g `colour`. An effect that acts in bursts leaves some blocks
-        without a gain; their spread says little of it, but every block that has one is an experiment of its own.
+        without a gain; their spread says little of it, but every block that has one is an experiment of its own. One that acts
+        at rest alone may have a single such block in a recording: then each recording is.
         """
         if self.effect.last_resort:
             return False  # a curve of no known law has nothing but carrying over everywhere to speak for it
         shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
         lost = -float(np.minimum(self.block_gains, 0.0).sum())
-        return bool(shown.sum() >= REPLICAS and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))
+        often = shown.sum() >= REPLICAS or self.worst < -1.0
+        return bool(often and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))
 
     @property
     def sure_gain(self) -> float:
@@ -188,8 +200,8 @@ def family(members: Sequence[TorqueTrial], kinds: int) -> TorqueTrial:
         size=sum(m.size for m in members),
         share=gain / touched_squares,
         colour=max(m.colour for m in members),
-        worst=max(m.worst for m in members),
-        carried=sum(m.carried * m.gain for m in members) / gain,
+        lost=np.sum([m.lost for m in members], axis=0),
+        by_chance=np.sum([m.by_chance for m in members], axis=0),
         members=tuple(members),
     )
 

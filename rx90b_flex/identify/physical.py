@@ -196,7 +196,27 @@ def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]
     held = (before < lower) & (rest - lower <= AT_BOUND * np.abs(lower - before))
     rest = np.where(held, lower, rest)  # the solver ends a little above
     labels = model.coefficient_names[len(links) :]
-    return np.r_[theta[: len(links)], rest], tuple(label for label, h in zip(labels, held, strict=True) if h)
+    moved = with_coefficients(model, np.r_[theta[: len(links)], rest])
+    values = moved.theta if np.array_equal(moved.theta, model.theta) else gains_again(moved)
+    return values, tuple(label for label, h in zip(labels, held, strict=True) if h)
+
+
+def gains_again(model: Identification) -> Array:
+    """Coefficients in which each torque gain is the one that fits the torque of the others best.
+
+    A gain multiplies what the other coefficients say: where these were moved far, what it is moved by beside them is wrong in
+    second order.
+    """
+    theta = model.theta.copy()
+    motors = model.regression.motors
+    seen = motors.with_model(model.link_parameters, model.effects)
+    for i, effect in enumerate(model.effects):
+        if effect.multiplies:
+            at = motors.joints.index(effect.joints[0])
+            said, torque = seen.columns(effect)[:, at, 0], seen.torque[:, at]
+            if said @ torque > 0:
+                theta[model.first_column(i)] = said @ torque / (said @ said) - 1.0
+    return theta
 
 
 def with_coefficients(model: Identification, theta: Array) -> Identification:
