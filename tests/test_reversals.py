@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from rx90b_flex.diagnose.reversals import trust
+from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import TorqueTrial
+from rx90b_flex.effects import Sites
 from rx90b_flex.effects.friction import CoulombFriction, ViscousFriction
 from rx90b_flex.effects.torque_gain import TorqueGain
 from rx90b_flex.identify.least_squares import identify
@@ -30,15 +32,29 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(folder / "two.urdf")
 
 
-def regression(robot: Robot, noise: float) -> Regression:
-    """Joint 1 swings to and fro and sticks at the ends, joint 2 only goes one way; dry friction of joint 1, white noise."""
+def with_memory(q: np.ndarray, deflection: float) -> np.ndarray:
+    """Dahl's friction over its torque along angles q: it turns over within a deflection and rests where it came to."""
+    out = np.zeros(len(q))
+    for i, step in enumerate(np.diff(q)):
+        sign = np.sign(step)
+        out[i + 1] = sign - (sign - out[i]) * np.exp(-abs(step) / deflection)
+    return out
+
+
+def regression(robot: Robot, noise: float, deflection: float | None = None) -> Regression:
+    """Joint 1 swings to and fro and sticks at the ends, joint 2 only goes one way; dry friction of joint 1 (a sign, or
+    Dahl's of a deflection), white noise.
+    """
     time = np.arange(round(8.0 * RATE_HZ)) / RATE_HZ
     angle = 2 * np.pi * HARMONIC_HZ * time
     q = np.stack([0.5 * np.clip(np.sin(angle), -0.95, 0.95), 0.3 * time + 0.02 * np.sin(2 * angle)], axis=1)
     v = np.gradient(q, 1 / RATE_HZ, axis=0)
     a = np.gradient(v, 1 / RATE_HZ, axis=0)
-    rigid = robot.rigid().with_effects([CoulombFriction(joint=robot.joints[0], torque=DRY)])
+    sign = [CoulombFriction(joint=robot.joints[0], torque=DRY)] if deflection is None else []
+    rigid = robot.rigid().with_effects(sign)
     torque = np.array([rigid.inverse_dynamics(*row) for row in zip(q, v, a, strict=True)])
+    if deflection is not None:
+        torque[:, 0] += DRY * with_memory(q[:, 0], deflection)
     torque += noise * np.random.default_rng(0).standard_normal(torque.shape)
     recording = Recording(
         name="run",
@@ -133,3 +149,20 @@ def test_blocks_that_lose_more_than_noise_does_refuse_an_effect() -> None:
 
 def test_coloured_noise_asks_for_larger_gains() -> None:
     assert not trial([400.0, 0.0, 0.0, 90.0, -1.0, 30.0, 0.0, 1.0], colour=3.0).accepted
+
+
+@pytest.mark.parametrize("deflection", (None, 0.02))
+def test_friction_that_holds_at_rest_takes_a_sign_s_place_and_adds_no_parameter(
+    robot: Robot, deflection: float | None
+) -> None:
+    data = regression(robot, 0.1, deflection)
+    model = identify(data, [CoulombFriction(joint=robot.joints[0])], fit_links=False)
+    search = Search(model, Sites(robot.joints, robot.tip_frame))
+    trials = [t for t in search.run() if "coulomb_friction" in t.effect.stands_for()]
+    held = [t for t in trials if t.accepted]
+    if deflection is None:
+        assert not held  # a true sign needs no memory
+    else:
+        assert held[0].size == 0 and held[0].share > 0.5
+        assert held[0].effect.coefficients == pytest.approx([DRY], rel=0.05)
+        assert held[0].effect.shape == pytest.approx([deflection], rel=0.1)

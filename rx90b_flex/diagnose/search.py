@@ -229,7 +229,7 @@ class Search:
                 kinds.setdefault(kind, []).append(item)
         sums = {kind: sum(max(item.gain, 0.0) for item in items) for kind, items in kinds.items()}
         liked = sorted(kinds, key=lambda kind: -sums[kind])[:FAMILIES]
-        tried = {t.effect.label: t for t in known}
+        tried = {(type(t.effect), t.label): t for t in known}
         sure = _sure(known)
         fewest = max(2, len(self.sites.joints) / 2)
         out = []
@@ -240,7 +240,7 @@ class Search:
             members: list[TorqueTrial] = []
             while left and len(members) + len(left) >= fewest:
                 item = left.pop()  # the weakest first: it tells soonest that they are too few
-                found = tried.get(item.effect.label) or self._tried(item, present)
+                found = tried.get((type(item.effect), item.effect.label)) or self._tried(item, present)
                 members = [found, *members] if found.belongs(self.tests) else members
             if len(members) >= fewest:
                 out.append(family(members, len(kinds)))
@@ -469,7 +469,13 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         beta = solve_beside(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
         block_gains = present.held_out - self._held_out(base, b, y, d)
-        p_value, objection, colour, left_over = self._evidence(effect, base, rows, beside, beta)
+        # one that takes another's place and adds no parameter is there if it tells something beside that one, too
+        known, also = base, beta
+        if size <= 0:
+            known = present
+            left, own, score = present.projected(rows, columns)
+            also = solve_beside(left, own, score)
+        p_value, objection, colour, left_over = self._evidence(effect, known, rows, beside, also)
         if effect.by_clock and self._follows_motion(base.residual[rows], effect):
             objection = "its line lies among those of the motion itself"
         elif effect.by_clock and len(self.regression.spans) < FEWEST_RECORDINGS:

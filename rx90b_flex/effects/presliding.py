@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import dahl
-from rx90b_flex.effects.effect import FRICTION, Remembering, derived, linear
+from rx90b_flex.effects.effect import FRICTION, Effect, Remembering, Sites, derived, linear
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
 
@@ -28,6 +28,8 @@ class PreslidingFriction(Remembering):
     ---------
     After each reversal the torque turns over gradually, along the same small angle whatever the speed: a loop
     against position.
+
+    Where it is all of a joint's dry friction it stands in `coulomb_friction`'s place, and holds at rest what it last overcame.
 
     Neighbours
     ----------
@@ -119,6 +121,28 @@ class PreslidingFriction(Remembering):
 
     def independent_shapes(self, motion: Motion) -> int:
         return 3
+
+    @classmethod
+    def over_time(cls, sites: Sites) -> list[Effect]:
+        """Beside dry friction, and in its place."""
+        return [form(joint=j) for form in (PreslidingFriction, _InPlaceOfASign) for j in sites.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _InPlaceOfASign(PreslidingFriction):
+    """All of a joint's dry friction, which then holds at rest what it last overcame; no parameter more than a sign has."""
+
+    replaces: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
+    needs: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
+
+    @classmethod
+    def type_name(cls) -> str:
+        return PreslidingFriction.type_name()
+
+    def in_tree(self, motion: Motion) -> Effect:
+        return PreslidingFriction(
+            joint=self.joint, torque=self.torque, stiffness=self.stiffness, deflection=self.deflection
+        )
 
 
 def lost_in_noise(deflection: float, at: JointMotion) -> str:
