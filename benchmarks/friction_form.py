@@ -37,10 +37,12 @@ CASES = {  # effect and the factors of its shape
 
 
 def reshaped(robot: Robot, kind: str, factors: tuple[float, ...]) -> Robot:
-    """The robot with the shapes of all effects of a kind times factors."""
+    """The robot with the first shapes of all effects of a kind times factors."""
     return robot.with_effects(
         [
-            e.with_shape(np.array([getattr(e, name) for name in e.shape_names()]) * factors)
+            dataclasses.replace(
+                e, **{name: factor * getattr(e, name) for name, factor in zip(e.shape_names(), factors, strict=False)}
+            )
             if e.type_name() == kind
             else e
             for e in robot.effects

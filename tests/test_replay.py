@@ -16,11 +16,11 @@ from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_respons
 from rx90b_flex.identify.grey_box import GreyBox, grey_box
 from rx90b_flex.identify.grey_model import response_derivatives
 from rx90b_flex.identify.replay import (
+    Less,
     Replay,
     _friction_derivatives,
     _friction_step,
     _frictions,
-    _response,
     _with_friction,
     grey_box_by_replay,
     linear_response,
@@ -82,10 +82,35 @@ def test_the_response_without_distortion_is_the_linear_one(
 ) -> None:
     robot = load_robot("rx90b_3dof")
     line = linear_response(robot, robot.joints, np.array([0.0, 0.5 * np.pi, 0.0]), SLOPES, measured.hz)
-    plain, doubted = _response(measured, true_replayed, line, np.array([0.0, 0.5 * np.pi, 0.0]))
-    was, left = (np.median(np.abs(x - line) / np.abs(line), axis=0) for x in (measured.value, plain.value))
+    less = Less(measured, true_replayed, line, np.array([0.0, 0.5 * np.pi, 0.0]))
+    was, left = (np.median(np.abs(x - line) / np.abs(line), axis=0) for x in (measured.value, less.response.value))
     assert (np.diag(left) < 0.1 * np.diag(was)).all()
-    assert (doubted.std() >= plain.std()).all()
+    assert np.mean(less.doubted.std() >= less.response.std()) > 0.9
+    # what is left of a right robot's replay is noise, so that hardly more than the simulation's own error is doubted
+    assert (less.left < 0.3).all()
+    # what is stated of the mean's error is what it has, entries' correlations with it: unit variance, over 145 lines of 9 entries
+    whitener = np.linalg.inv(np.linalg.cholesky(less.response.covariance))
+    error = np.einsum("fab,fb->fa", whitener, (less.response.value - line).reshape(len(line), -1))
+    assert 0.8 < np.sqrt(np.mean(np.abs(error) ** 2)) < 1.25
+
+
+def test_what_a_replay_leaves_of_the_distortion_is_not_trusted(
+    measured: MeasuredResponse, true_replayed: np.ndarray
+) -> None:
+    """A joint whose friction is replayed wrongly is trusted less, and the others as before; one that is not replayed, not at all."""
+    robot = load_robot("rx90b_3dof")
+    line = linear_response(robot, robot.joints, np.array([0.0, 0.5 * np.pi, 0.0]), SLOPES, measured.hz)
+    torque = np.linalg.solve(line, true_replayed - line)
+
+    def left(*factors: float) -> np.ndarray:
+        simulated = line + line @ (np.array(factors)[:, None] * torque)
+        return Less(measured, simulated, line, np.zeros(3)).left
+
+    right = left(1.0, 1.0, 1.0)
+    wrong = left(1.0, 0.8, 1.0)
+    assert wrong[1] > 1.5 * right[1] and wrong[1] > 0.35
+    np.testing.assert_allclose(wrong[[0, 2]], right[[0, 2]])
+    np.testing.assert_allclose(left(0.0, 0.0, 0.0), 1.0)
 
 
 def test_steps_of_a_slow_controller_are_known_and_no_distortion(replay: Replay) -> None:
@@ -185,7 +210,7 @@ def test_logged_torques_replay_the_experiments_without_controller_and_references
     simulated = Replay.from_torques(bare, measured, robot).responses(robot)
     pose = np.array([0.0, 0.5 * np.pi, 0.0])
     line = linear_response(robot, robot.joints, pose, SLOPES, measured.hz)
-    plain, _ = _response(measured, simulated, line, pose)
+    plain = Less(measured, simulated, line, pose).response
     before, after = (x.std(axis=0, ddof=1) for x in (measured.realisations, measured.realisations - simulated))
     was, left = (np.median(np.abs(x - line) / np.abs(line), axis=0) for x in (measured.value, plain.value))
     assert (np.diag(np.median(after / before, axis=0)) < 0.3).all()

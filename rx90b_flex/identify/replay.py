@@ -18,7 +18,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import joblib
 import numpy as np
@@ -29,7 +29,7 @@ from rx90b_flex.effects.friction import ViscousFriction, friction_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
-from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
+from rx90b_flex.identify.grey_box import FRICTION_ERROR, SMOOTHED, GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_model import SLOPE, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
@@ -46,7 +46,6 @@ REPLAY_ERROR = 0.1
 # the mean 1.3 times as large a part, root mean square over entries and forms, at worst 2.9 times (joint 1, which hardly
 # vibrates); with Stribeck velocities or powers 30 % off on that campaign.
 FORM_ERROR = 2.0
-ALIKE_HZ = 10.0  # of lines that share an error of the distortion's mean
 SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parameter changes by more, rounds end
 HELD_HZ = (
     5.0  # bandwidth of what leads a robot that logged torques drive: below the first lines, and settled within a period
@@ -342,12 +341,7 @@ def grey_box_by_replay(
     poses, slopes = [r.pose for r in first.responses], _slopes(first, joints)
     band = min(float(m.hz[0]) for m in measured), max(float(m.hz[-1]) for m in measured)
     fit = partial(
-        grey_box,
-        starts=0,
-        link_mass_std=link_mass_std,
-        bending_alike_std=bending_alike_std,
-        model_error=None,
-        friction_error=None,
+        grey_box, robot, band_hz=band, starts=0, link_mass_std=link_mass_std, bending_alike_std=bending_alike_std
     )
     by_friction: list[ComplexArray] | None = None
     for number in range(rounds):
@@ -367,21 +361,29 @@ def grey_box_by_replay(
             simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
             friction, std = friction * (1.0 + step), friction * std
         lines = _at_poses(linear_response, fitted, poses, slopes, measured, shifts)
-        found = [_response(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
-        start = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
-        start |= {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
+        less = [Less(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
         tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
-        last, doubted = grey, [x for _, x in found]
-        grey = fit(robot, doubted, band_hz=band, start=start)
+        start = _start(grey, slopes)
+        last, grey = grey, fit([x.response for x in less], start=start, model_error=None, friction_error=None)
         if _settled(last, grey):
             break
-    frictions = _friction_estimates(declared, friction, std)
-    left = [m.realisations - s + line for m, s, line in zip(measured, simulated, lines, strict=True)]
-    before, after = (np.array([_spread(x) for x in each]) for each in ([m.realisations for m in measured], left))
-    robot = _with_friction(grey.robot, joints, friction)
-    grey = _less_what_is_left(first, grey, before, after)
-    responses = tuple(whole for whole, _ in found)
-    return ReplayedGreyBox(grey, robot, responses, frictions, slopes, before, after, number + 1)
+    grey = _with_what_is_left(grey, less, fit)
+    return ReplayedGreyBox(
+        grey,
+        _with_friction(grey.robot, joints, friction),
+        tuple(x.doubted for x in less),
+        _friction_estimates(declared, friction, std),
+        slopes,
+        np.array([_spread(x.measured.realisations) for x in less]),
+        np.array([_spread(x.rest) for x in less]),
+        number + 1,
+    )
+
+
+def _start(grey: GreyBox, slopes: dict[str, float]) -> dict[str, float]:
+    """Values where a fit with one slope a joint begins: of the fit before, and those slopes."""
+    own = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
+    return own | {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
 
 
 def _by_steps(
@@ -416,10 +418,24 @@ def _known_friction(declared: Sequence[Effect]) -> Array:
     return values
 
 
-def _less_what_is_left(first: GreyBox, grey: GreyBox, before: Array, after: Array) -> GreyBox:
-    """With the part of the bias that a replay is not trusted with in its intervals, by the spreads of realisations."""
-    left = min(math.hypot(FORM_ERROR * float(np.median(after / before)), REPLAY_ERROR), 1.0)
-    return grey.doubted({name: left * shift for name, shift in shifts_between(first, grey).items()})
+def _with_what_is_left(grey: GreyBox, less: Sequence[Less], fit: Callable[..., GreyBox]) -> GreyBox:
+    """With the distortion that a replay is not trusted with in its intervals.
+
+    As errors of friction's slopes that no residual shows, for inertias take them up; and as what each joint's distortion moves the
+    fit by, for itself: the mean square over two halves of the realisations, which holds how far these differ.
+    """
+    left = float(np.sqrt(np.mean([x.left**2 for x in less])))
+    sizes = {"model_error": grey.model_error, "friction_error": max(grey.friction_error, min(left, FRICTION_ERROR))}
+
+    def again(responses: Sequence[FrequencyResponse]) -> GreyBox:
+        return fit(responses, start={e.name: e.value for e in grey.estimates}, **sizes)
+
+    out = base = again([x.response for x in less])
+    for joint in range(len(less[0].measured.joints)):
+        for first in (0, 1):
+            moved = shifts_between(base, again([x.with_distortion_of(joint, slice(first, None, 2)) for x in less]))
+            out = out.doubted({name: shift / math.sqrt(2.0) for name, shift in moved.items()})
+    return out
 
 
 def shifts_between(before: GreyBox, after: GreyBox) -> dict[str, float]:
@@ -467,30 +483,89 @@ def _spread(realisations: ComplexArray) -> Array:
     return np.asarray(np.median(deviation, axis=0))
 
 
-def _response(
-    measured: MeasuredResponse, simulated: ComplexArray, line: ComplexArray, pose: Array
-) -> tuple[FrequencyResponse, FrequencyResponse]:
-    """The measured response with L in place of what was simulated; and the same as the grey box takes it.
+@dataclass(frozen=True, eq=False)
+class Less:
+    """A pose's measured response less the distortion that its replay showed.
 
-    What the replay leaves of the differences between realisations beyond noise, it leaves of the distortion's mean, too, times
-    `FORM_ERROR`, and `REPLAY_ERROR` of it besides. That part of the mean is in the covariance; it is an error that `ALIKE_HZ` of
-    lines share, so that the grey box, which takes each line for itself, may not average it out.
+    Attributes
+    ----------
+    measured : MeasuredResponse
+    simulated : complex array, shape (R, F, n, n)
+    line : complex array, shape (F, n, n)
+        L.
+    pose : array, rad
     """
-    realisations = measured.realisations - simulated + line
-    covariance, freedom = _over_realisations(realisations, _neighbours(measured))
-    noise = _noise(measured)
-    apart, before = (
-        np.maximum(np.median(x.var(axis=0, ddof=1), axis=0) - noise, 0.0) for x in (realisations, measured.realisations)
-    )
-    # where noise hides the distortion, all of it is doubted
-    share = np.divide(apart, before, out=np.ones_like(apart), where=before > apart)
-    doubt = np.abs(simulated.mean(axis=0) - line) ** 2 * (FORM_ERROR**2 * share + REPLAY_ERROR**2)
-    doubted = doubt.reshape(len(doubt), -1)[:, :, None] * np.eye(doubt[0].size)
-    alike = max(ALIKE_HZ / float(np.median(np.diff(measured.hz))), 1.0)
-    whole = FrequencyResponse(
-        measured.hz, realisations.mean(axis=0), covariance + doubted, measured.joints, pose, measured.noise_covariance, freedom
-    )  # fmt: skip
-    return whole, dataclasses.replace(whole, covariance=covariance + alike * doubted)
+
+    measured: MeasuredResponse
+    simulated: ComplexArray
+    line: ComplexArray
+    pose: Array
+
+    @cached_property
+    def rest(self) -> ComplexArray:
+        """Realisations with L in place of what was simulated."""
+        return self.measured.realisations - self.simulated + self.line
+
+    @cached_property
+    def left(self) -> Array:
+        """Of each joint's distortion, the share that the replay is not trusted with, (n,).
+
+        It is `FORM_ERROR` times the share that it leaves of the differences between realisations, as torques and beyond noise, and
+        `REPLAY_ERROR` besides. Where noise hides the distortion, it is all.
+        """
+        inverse, count = np.linalg.inv(self.line), len(self.rest)
+        noise: Array | float = 0.0
+        if self.measured.noise_covariance is not None:
+            each = self.measured.noise_covariance.reshape(-1, *2 * self.line.shape[1:])
+            noise = count * np.einsum("fja,fakbk,fjb->j", inverse, each, inverse.conj()).real
+
+        def size(x: ComplexArray) -> Array:
+            return np.maximum(
+                (np.abs(inverse @ (x - x.mean(axis=0))) ** 2).sum(axis=(0, 1, 3)) / (count - 1) - noise, 0.0
+            )
+
+        after, before = size(self.rest), size(self.measured.realisations)
+        share = np.divide(after, before, out=np.ones_like(after), where=before > after)
+        return np.minimum(np.sqrt(FORM_ERROR**2 * share + REPLAY_ERROR**2), 1.0)
+
+    @cached_property
+    def response(self) -> FrequencyResponse:
+        """Their mean. Its covariance is of what each realisation and line has for itself, noise among it.
+
+        As many lines count as give the degrees of freedom that a grey box asks for: compared as torques, unlike responses, they are
+        alike across resonances.
+        """
+        m, (count, _, n, _) = self.measured, self.rest.shape
+        neighbours = max(math.ceil((SMOOTHED * n * n / (count - 1) - 1) / 2), _neighbours(m))
+        covariance, freedom = _over_realisations(self.rest, neighbours)
+        return FrequencyResponse(
+            m.hz, self.rest.mean(axis=0), covariance, m.joints, self.pose, m.noise_covariance, freedom
+        )
+
+    @property
+    def doubted(self) -> FrequencyResponse:
+        """The same, its covariance with what of the distortion's mean the replay is not trusted with, line by line.
+
+        What the replay leaves of the differences between realisations beyond noise, it leaves of the mean, too, times `FORM_ERROR`,
+        and `REPLAY_ERROR` of it besides.
+        """
+        covariance, freedom = _over_realisations(self.rest, _neighbours(self.measured))
+        noise = _noise(self.measured)
+        apart, before = (
+            np.maximum(np.median(x.var(axis=0, ddof=1), axis=0) - noise, 0.0)
+            for x in (self.rest, self.measured.realisations)
+        )
+        # where noise hides the distortion, all of it is doubted
+        share = np.divide(apart, before, out=np.ones_like(apart), where=before > apart)
+        doubt = np.abs(self.simulated.mean(axis=0) - self.line) ** 2 * (FORM_ERROR**2 * share + REPLAY_ERROR**2)
+        covariance = covariance + doubt.reshape(len(doubt), -1)[:, :, None] * np.eye(doubt[0].size)
+        return dataclasses.replace(self.response, covariance=covariance, degrees_of_freedom=freedom)
+
+    def with_distortion_of(self, joint: int, which: slice) -> FrequencyResponse:
+        """The response with what the replay is not trusted with of one joint's distortion in some realisations, as their mean."""
+        torque = np.linalg.solve(self.line, self.simulated[which].mean(axis=0) - self.line)
+        back = self.left[joint] * self.line[:, :, [joint]] * torque[:, [joint], :]
+        return dataclasses.replace(self.response, value=self.response.value + back)
 
 
 def _noise(measured: MeasuredResponse) -> Array | float:
