@@ -67,6 +67,8 @@ def closed(folder: Path, out: Path | None) -> Row:
     start = time.process_time()
     result = rf.close_loop(folder / "campaign.toml")
     seconds = time.process_time() - start
+    if result.verdict == "data_fault":
+        raise SystemExit(f"{folder}: " + " ".join(f.message for f in result.data_faults))
     if out is not None:
         write_result(result, out / folder.name, extra=[lambda r, at: write_report(r, at / "report.html")])
     known = result.explainable

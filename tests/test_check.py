@@ -164,6 +164,7 @@ FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | No
     "angles in degrees": (lambda r: with_angles(r, np.degrees), "unit", tuple(range(6)), np.degrees(1.0)),
     "a torque in N mm": (lambda r: with_torques(r, scaled(ELBOW, 1000.0)), "unit", (ELBOW,), 1000.0),
     "a wrong motor constant": (lambda r: with_torques(r, scaled(LIFT, 2.5)), "torque_gain", (LIFT,), 2.5),
+    "a torque thirty times too large": (lambda r: with_torques(r, scaled(ELBOW, 30.0)), "torque_gain", (ELBOW,), 30.0),
     "torques a second late": (
         lambda r: [_cut(x, 100) for x in with_torques(r, lambda t: np.roll(t, 100, axis=0))],
         "time_shift", tuple(range(6)), 1.0,
