@@ -25,6 +25,9 @@ from rx90b_flex.files.keys import suggestion
 EXTENSIONS = (".csv", ".csv.gz", ".parquet")
 PIECE = 4 << 20  # bytes of text that are parsed at once
 ROOM = 64 * PIECE  # what the parser and its thread reserve for that, with some to spare
+# BLAS takes its working memory at its first product, and ends the process where there is none: now, before a log fills what there is
+np.eye(64) @ np.eye(64)
+
 LARGEST_TIME = 1e20  # nanoseconds since 1970 are 2e18
 LARGEST = 1e9  # of any number that is read: no signal of a robot has so many SI units
 _NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
