@@ -145,6 +145,22 @@ def test_a_bias_that_is_known_of_is_part_of_the_intervals_and_of_the_covariance(
     )
 
 
+def test_values_stay_where_the_widths_are_those_of_a_fit_that_allows_for_more():
+    data = response(robot(), BENT, 0.03, np.random.default_rng(3))
+    narrow = grey_box(robot(), data, starts=0, **EXACT)
+    wide = grey_box(robot(), data, starts=0, **EXACT | {"friction_error": 0.3})
+    both = narrow.as_wide_as(wide)
+    for own, width, now in zip(narrow.estimates, wide.estimates, both.estimates, strict=True):
+        assert now.value == own.value
+        assert now.std / now.value == pytest.approx(width.std / width.value, rel=1e-12)
+        assert np.log(now.high / now.low) == pytest.approx(np.log(width.high / width.low), abs=1e-12)
+        assert now.low <= now.value <= now.high
+    inertias = [e.name for e in both.estimates if "inertia" in e.name]
+    assert all(both[name].std > narrow[name].std for name in inertias)
+    assert (both.friction_error, both.model_error) == (0.3, wide.model_error)
+    np.testing.assert_array_equal(both.covariance, wide.covariance)
+
+
 def test_starts_half_off_end_in_one_minimum():
     true = robot()
     data = response(true, BENT, 0.03, np.random.default_rng(0))

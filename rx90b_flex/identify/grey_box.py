@@ -405,6 +405,23 @@ class GreyBox(Showing):
                 return estimate
         raise ValueError(f"no parameter {name!r}; {close_match(name, [e.name for e in self.estimates])}")
 
+    def as_wide_as(self, other: GreyBox) -> GreyBox:
+        """The same values with the relative standard deviations and the covariance of another fit of these parameters.
+
+        For one that allows for errors which this one's residual does not show: its intervals count them, its values give away to
+        them what the data tell.
+        """
+        pairs = [(e, other[e.name], e.value / other[e.name].value) for e in self.estimates]
+        estimates = [dataclasses.replace(e, std=w.std * x, low=w.low * x, high=w.high * x) for e, w, x in pairs]
+        return dataclasses.replace(
+            self,
+            estimates=tuple(estimates),
+            covariance=other.covariance,
+            directions=other.directions,
+            model_error=other.model_error,
+            friction_error=other.friction_error,
+        )
+
     def doubted(self, shifts: Mapping[str, float]) -> GreyBox:
         """The same with a bias of the logarithms, by parameter, as one more error that all of them share."""
         shift = np.array([shifts.get(e.name, 0.0) for e in self.estimates])

@@ -422,7 +422,8 @@ def _with_what_is_left(grey: GreyBox, less: Sequence[Less], fit: Callable[..., G
     """With the distortion that a replay is not trusted with in its intervals.
 
     As errors of friction's slopes that no residual shows, for inertias take them up; and as what each joint's distortion moves the
-    fit by, for itself: the mean square over two halves of the realisations, which holds how far these differ.
+    fit by, for itself: the mean square over two halves of the realisations, which holds how far these differ. The values stay those
+    of the fit whose errors its residual shows.
     """
     left = float(np.sqrt(np.mean([x.left**2 for x in less])))
     sizes = {"model_error": grey.model_error, "friction_error": max(grey.friction_error, min(left, FRICTION_ERROR))}
@@ -430,7 +431,8 @@ def _with_what_is_left(grey: GreyBox, less: Sequence[Less], fit: Callable[..., G
     def again(responses: Sequence[FrequencyResponse]) -> GreyBox:
         return fit(responses, start={e.name: e.value for e in grey.estimates}, **sizes)
 
-    out = base = again([x.response for x in less])
+    base = again([x.response for x in less])
+    out = grey.as_wide_as(base)
     for joint in range(len(less[0].measured.joints)):
         for first in (0, 1):
             moved = shifts_between(base, again([x.with_distortion_of(joint, slice(first, None, 2)) for x in less]))
