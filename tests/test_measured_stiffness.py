@@ -252,6 +252,7 @@ def test_poses_at_rest_are_enough(tmp_path: Path, command: Command, robot: Robot
         ('file = "markers.csv"', 'file = "none.csv"', "none.csv"),
         ("frame_std_rad", "frame_st_rad", "'frame_std_rad'"),
         ("std_mm", "markers = 4\nstd_mm", "'before_4_x'"),
+        ("std_mm", "markers = 1000000000000\nstd_mm", "at most 100"),
     ],
 )
 def test_a_bad_file_of_markers_is_one_line_and_nothing_is_written(

@@ -190,7 +190,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += impossible_sizes(look, faults)
         faults += stuck(mended, np.sqrt(fit.error))
         lost = unrelated(campaign.joints, *_errors_at_least(look), moving, constant)
-        faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign, mended)
+        faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
         side = torque_side(campaign.torque_side, look, faults, moving)

@@ -265,6 +265,8 @@ class Search:
         )
         beside = Search(model, self.sites, self.kinds)
         found = beside.without(model.effects[-1])
+        if found.gain <= 0.0:
+            return found  # held-out blocks are better off without it, even where it had its say in all the rest
         weighted = dataclasses.replace(beside.shared, weight=self.shared.weight)
         new = dataclasses.replace(beside.present, shared=weighted)
         block_gains = self.present.held_out - new.held_out

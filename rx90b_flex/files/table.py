@@ -70,11 +70,13 @@ class TomlTable:
             raise self.problem(key, f"found {shown(value)}, true or false is expected")
         return value
 
-    def whole(self, key: str, least: int) -> int:
+    def whole(self, key: str, least: int, most: int | None = None) -> int:
         value = self._get(key)
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise self.problem(key, f"found {shown(value)}, a whole number of at least {least} is expected")
-        return value
+        wrong = isinstance(value, bool) or not isinstance(value, int) or value < least
+        if wrong or (most is not None and value > most):
+            up_to = "" if most is None else f" and at most {most}"
+            raise self.problem(key, f"found {shown(value)}, a whole number of at least {least}{up_to} is expected")
+        return int(value)
 
     def text(self, key: str) -> str:
         value = self._get(key)

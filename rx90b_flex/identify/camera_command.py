@@ -51,6 +51,7 @@ from rx90b_flex.signals.filters import differentiate
 from rx90b_flex.signals.tables import read_table
 
 KEYS = ("robot", "joint", "file", "std_mm", "markers", "base_rpy_deg", "same_bending", "frame_std_rad")
+MOST_MARKERS = 100  # on a link
 KINDS = ("torsion", "bend_1", "bend_2")
 JITTER = 0.01  # of a sample's time
 SIDES = ("before", "behind")
@@ -137,7 +138,7 @@ def read_markers(path: Path) -> MarkerRecording:
     std = 1e-3 * table.numbers("std_mm", 3, "a marker has")
     if not (std > 0.0).all():
         raise table.problem("std_mm", f"found {(1e3 * std).tolist()}, three numbers above 0 are expected")
-    count = table.whole("markers", 3) if table.has("markers") else 3
+    count = table.whole("markers", 3, MOST_MARKERS) if table.has("markers") else 3
     frame_std = table.share("frame_std_rad") if table.has("frame_std_rad") else FRAME_PRIOR
     base = None
     if table.has("base_rpy_deg"):

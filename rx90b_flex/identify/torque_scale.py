@@ -20,7 +20,7 @@ from rx90b_flex.identify.least_squares import (
 )
 from rx90b_flex.identify.normal_equations import NormalEquations, Solution, fit_weighted
 from rx90b_flex.identify.regression import Regression
-from rx90b_flex.identify.torque_sensors import sensor_gain
+from rx90b_flex.identify.torque_sensors import sensor_gain, sensors_to_use
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign
 
@@ -65,12 +65,13 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
     if stated is None:
         return campaign, ()
     found: dict[str, TorqueConstant] = {}
+    sensed = sensors_to_use(campaign)
     for joint, value in zip(campaign.joints, stated, strict=True):
         if value is not None:
             found[joint] = TorqueConstant(
                 joint, value, 0.0, "stated", f"Torque constant of {joint}: {value:g} N m/A, as stated."
             )
-        elif (told := sensor_gain(campaign, joint)) is not None:
+        elif joint in sensed and (told := sensor_gain(campaign.identification, joint)) is not None:
             words = f"Torque constant of {joint}: {told[0]:.4g} ± {told[1]:.2g} N m/A, told by its torque sensor."
             found[joint] = TorqueConstant(joint, *told, "torque sensor", words)
     known = _scaled(campaign, {j: c.value for j, c in found.items() if c.source == "torque sensor" and c.value})

@@ -97,7 +97,7 @@ def _exchanged(own: SensorFit, best: SensorFit) -> WrongSensor | None:
         return None
     text = (
         f"The torque sensor of {own.joint} (joint_torque) follows the motor of {best.motor} and not its own: columns exchanged? "
-        "It is not used."
+        "Neither sensor is used."
     )
     return WrongSensor("swapped_columns", (own.joint, best.motor), None, text)
 
@@ -124,12 +124,10 @@ def _wrong(fit: SensorFit, *, unit_known: bool) -> WrongSensor | None:
     return None
 
 
-def sensor_gain(campaign: Campaign, joint: str) -> tuple[float, float] | None:
-    """N m of a joint's torque sensor per unit of its motor's torque, and its standard deviation; None where no sensor tells it."""
-    if joint not in sensors_to_use(campaign):
-        return None
-    place = campaign.joints.index(joint)
-    runs = _filtered(campaign.identification)
+def sensor_gain(recordings: Sequence[Recording], joint: str) -> tuple[float, float] | None:
+    """N m of a joint's torque sensor per unit of its motor's torque, and its standard deviation; None where the motion tells none."""
+    place = recordings[0].joints.index(joint)
+    runs = _filtered(recordings)
     rows = _rows(runs, place, place)
     if rows is None:
         return None

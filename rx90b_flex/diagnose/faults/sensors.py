@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-
 from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.identify.torque_sensors import wrong_sensors
-from rx90b_flex.signals import Campaign, Recording
+from rx90b_flex.signals import Campaign
 
 
-def sensor_faults(campaign: Campaign, recordings: Sequence[Recording]) -> list[DataFault]:
-    """Of the torque sensors in a campaign's `recordings`; the data can be used all the same, without them."""
-    looked_at = dataclasses.replace(campaign, recordings=tuple(recordings))
+def sensor_faults(campaign: Campaign) -> list[DataFault]:
+    """Of a campaign's torque sensors, as a fit would find them; the data can be used all the same, without them."""
     return [
-        DataFault(w.kind, "joint_torque", w.joints, w.factor, None, w.message, True) for w in wrong_sensors(looked_at)
+        DataFault(w.kind, "joint_torque", w.joints, w.factor, None, w.message, True) for w in wrong_sensors(campaign)
     ]
