@@ -176,3 +176,20 @@ def test_sound_sensors_have_no_fault_and_motor_and_sensor_that_disagree_are_said
     assert rf.check(campaign(tmp_path)).data_faults == ()
     result = rf.close_loop(campaign(tmp_path, gains=(1.2, 1.0)), despite_faults=True)
     assert any("does not say which of them" in c for c in result.cautions)
+
+
+@pytest.mark.parametrize("scale", [0.97, 1.02])
+def test_a_sensor_off_within_its_calibration_makes_no_effect_and_is_told_of(tmp_path: Path, scale: float) -> None:
+    path = campaign(tmp_path)
+    for file in sorted(tmp_path.glob("log_*.csv")):
+        header = file.read_text().splitlines()[0]
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+        table[:, 5] *= scale
+        np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    result = rf.close_loop(path)
+    assert found(result) == [] and result.after.validation.relative_error < 0.005
+    (said,) = [c for c in result.cautions if "within the 5% of a calibration" in c]
+    assert "torque sensor of shoulder" in said
+    value, std = estimates(result, "shoulder.drive_inertia")["inertia"]
+    assert value is not None and std is not None and abs(value - ROTOR[0]) < 3.0 * std
+    assert any("within the 5%" in c for c in rf.identify(path).cautions)

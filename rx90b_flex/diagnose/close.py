@@ -35,6 +35,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_scale import resolved
+from rx90b_flex.identify.torque_sensors import calibrated
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
@@ -350,6 +351,7 @@ def _closed(
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
     _check_joints(campaign, declared_robot)
     campaign, constants = resolved(campaign, declared_robot)
+    campaign, scaled = calibrated(campaign)
     data = TorqueData.of(declared_robot, campaign)
     if len(data.regression.blocks()) < FEWEST_BLOCKS:
         seconds = sum(r.duration_s for r in campaign.identification)
@@ -367,7 +369,7 @@ def _closed(
     residual = TorqueResidual(data, campaign, sites, declared_robot.inertial_parameters == "fitted", gains)
     loop = ClosingLoop(residual, tell, MOST_EFFECTS)
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
-    return ended.result(seed, checked, tuple(c.message for c in constants), tell)
+    return ended.result(seed, checked, (*(c.message for c in constants), *scaled), tell)
 
 
 @dataclass(frozen=True, eq=False)

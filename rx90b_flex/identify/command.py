@@ -25,7 +25,7 @@ from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
 from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.identify.torque_scale import resolved
-from rx90b_flex.identify.torque_sensors import sensors_to_use, wrong_sensors
+from rx90b_flex.identify.torque_sensors import calibrated, sensors_to_use, wrong_sensors
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
@@ -221,6 +221,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
             f"{campaign.robot_source}: nothing to identify: inertial_parameters is 'known' and no effects are declared"
         )
     tell("differentiating", 0.1)
+    campaign, scaled = calibrated(campaign)
     sensors = sensors_to_use(campaign)
     regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz, sensors)
     tell("identifying", 0.3)
@@ -250,7 +251,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         _error(kept) if kept else None,
         kept or fit,
         estimator.name(),
-        (*(c.message for c in constants), *(w.message for w in wrong_sensors(campaign))),
+        (*(c.message for c in constants), *scaled, *(w.message for w in wrong_sensors(campaign))),
     )
 
 

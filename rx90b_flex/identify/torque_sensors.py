@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,6 +21,8 @@ COPY = 1e-6  # of the sensor: so little is left of two columns of one signal alo
 ENOUGH = 20_000  # samples of one that tell whose a sensor is
 FEWEST = 64  # samples of a recording that are looked at
 UNIT = 18.0  # a gain beyond it, or below its inverse, is no motor constant that is a little off
+CALIBRATION = 0.05  # relative error of a sensor's gain that is an ordinary one; more is worth a name of its own
+DETERMINED = 3.0  # standard deviations by which a gain has to be off to be corrected
 CORRELATION_S = 1.0  # longest correlation of the residual that the standard deviation allows for
 
 
@@ -76,6 +79,29 @@ def sensors_to_use(campaign: Campaign) -> tuple[str, ...]:
     """Joints whose torque sensors fit their motors, so that a fit may use them beside the motors."""
     wrong = {j for w in wrong_sensors(campaign) for j in w.joints}
     return tuple(j for j in sensed_joints(campaign.identification) if j not in wrong)
+
+
+def calibrated(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
+    """A campaign whose torque sensors agree with their motors within the ordinary error of a calibration, and what was done.
+
+    Two torques of one joint that differ by a small factor would otherwise leave a residual in both that follows the load, for
+    which any effect with the load's shape would be a name. A larger difference stays: it is a `torque_gain` to be found.
+    """
+    gains = {j: told for j in sensors_to_use(campaign) if (told := sensor_gain(campaign.identification, j)) is not None}
+    off = {j: g for j, (g, std) in gains.items() if DETERMINED * std < abs(g - 1.0) < CALIBRATION}
+    if not off:
+        return campaign, ()
+    by = np.array([1.0 / off.get(j, 1.0) for j in campaign.joints])
+    runs = tuple(
+        r if r.joint_torque is None else dataclasses.replace(r, joint_torque=r.joint_torque * by)
+        for r in campaign.recordings
+    )
+    words = tuple(
+        f"The torque sensor of {j} reads {g:.4g} ± {gains[j][1]:.1g} times its motor's torque, within the {CALIBRATION:.0%} of a "
+        "calibration: it is divided by that. Which of the two is off, the log does not say."
+        for j, g in off.items()
+    )
+    return dataclasses.replace(campaign, recordings=runs), words
 
 
 def wrong_sensors(campaign: Campaign) -> tuple[WrongSensor, ...]:
