@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from grey_box import BAND_HZ, declared_wrong, show, timed
 
-from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import estimate_frequency_response
 from rx90b_flex.identify.frf_command import feedback_of, mean_motion
 from rx90b_flex.identify.grey_box import grey_box
-from rx90b_flex.identify.grey_model import declared_parameters, poses_along
+from rx90b_flex.identify.grey_data import GreyBoxOptions, PoseResponse
+from rx90b_flex.identify.grey_model import declared_parameters
 from rx90b_flex.identify.replay import Replay, grey_box_by_replay
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import load_campaign
@@ -59,6 +59,7 @@ def main() -> None:
     options = parser.parse_args()
     true, controller = load_robot("rx90b_3dof"), load_cs8()
     truth, declared = declared_parameters(true), declared_wrong(true, 0.2, 0.1, options.seed)
+    chosen = GreyBoxOptions(starts=0, bending_alike_std=0.1)
     print("errors in per cent: inertia of drives | stiffness of drives | of joints | intervals that hold | processor")
     for case in options.cases:
         path = options.folder / f"{options.seed}_{case.replace(' ', '_')}"
@@ -70,21 +71,12 @@ def main() -> None:
             )
         runs = load_campaign(path / "campaign.toml").identification
         measured = estimate_frequency_response(runs, band_hz=BAND_HZ)
-        motion = mean_motion(runs, declared.joints)
-        plain = {f.name: getattr(measured, f.name) for f in dataclasses.fields(FrequencyResponse)}
-        data = FrequencyResponse(**{**plain, "pose": motion.mean(axis=0)})
-        first, seconds = timed(
-            lambda data=data, motion=motion, measured=measured: grey_box(
-                declared, data, starts=0, bending_alike_std=0.1, along=[poses_along(motion)],
-                feedback=feedback_of(controller, data.joints), torques=[measured.torque],
-            )
-        )  # fmt: skip
+        data = PoseResponse.of(measured, mean_motion(runs, declared.joints), feedback_of(controller, measured.joints))
+        first, seconds = timed(lambda data=data: grey_box(declared, [data], chosen))
         print(case)
         show("  as measured", first, truth, seconds)
         replay = Replay.of(runs, measured, controller)
-        better, seconds = timed(
-            lambda first=first, replay=replay: grey_box_by_replay(declared, first, replay, bending_alike_std=0.1)
-        )
+        better, seconds = timed(lambda first=first, replay=replay: grey_box_by_replay(declared, first, replay))
         show("  by replay", better.grey, truth, seconds)
         before, after = (100 * np.median(np.diag(x[0])) for x in (better.before, better.after))
         print(f"  drive points deviate by {before:.2f} % as measured, by {after:.2f} % less the replay", flush=True)

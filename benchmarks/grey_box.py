@@ -11,7 +11,6 @@ cent, how many 95 % intervals of the twelve stiffnesses and inertias hold it, an
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,11 +19,11 @@ from typing import TypeVar
 import numpy as np
 
 from rx90b_flex.export import with_link_parameters
-from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import estimate_frequency_response
 from rx90b_flex.identify.frf_command import feedback_of, mean_motion
 from rx90b_flex.identify.grey_box import GreyBox, grey_box
-from rx90b_flex.identify.grey_model import declared_parameters, poses_along
+from rx90b_flex.identify.grey_data import GreyBoxOptions, PoseResponse
+from rx90b_flex.identify.grey_model import declared_parameters
 from rx90b_flex.identify.replay import Replay, grey_box_by_replay
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.identify.validation import validate
@@ -97,16 +96,11 @@ def one(campaign: Campaign, robot: Robot, truth: dict[str, float]) -> dict[str, 
     measured, first = timed(lambda: estimate_frequency_response(campaign, band_hz=BAND_HZ))
     _, fitting = timed(lambda: validate(fit_transfer_functions(measured)))
     motion = mean_motion(campaign.identification, robot.joints)
-    plain = {f.name: getattr(measured, f.name) for f in dataclasses.fields(FrequencyResponse)}
-    data = dataclasses.replace(FrequencyResponse(**plain), pose=motion.mean(axis=0))
-    loop, torques = feedback_of(controller, data.joints), [measured.torque]
+    data = PoseResponse.of(measured, motion, feedback_of(controller, measured.joints))
     replay = Replay.of(campaign.identification, measured, controller)
 
     def grey(of: Robot, alike: float = 0.1, mass: float = 0.0, starts: int = 4) -> GreyBox:
-        return grey_box(
-            of, data, starts=starts, bending_alike_std=alike, link_mass_std=mass,
-            along=[poses_along(motion)], feedback=loop, torques=torques,
-        )  # fmt: skip
+        return grey_box(of, [data], GreyBoxOptions(starts=starts, bending_alike_std=alike, link_mass_std=mass))
 
     print("errors in per cent: inertia of drives | stiffness of drives | of joints | intervals that hold | processor")
     out = {}
@@ -128,7 +122,7 @@ def one(campaign: Campaign, robot: Robot, truth: dict[str, float]) -> dict[str, 
     for name, mass in ((WAYS[3], 0.0), (WAYS[4], 0.02)):
         found, seconds = timed(lambda mass=mass: grey(other, mass=mass, starts=0))
         out[name] = show(name, found, truth, seconds)
-    better, seconds = timed(lambda: grey_box_by_replay(other, found, replay, link_mass_std=0.02))
+    better, seconds = timed(lambda: grey_box_by_replay(other, found, replay))
     out[WAYS[5]] = show(WAYS[5], better.grey, truth, seconds)
     return out
 

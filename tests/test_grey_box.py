@@ -9,14 +9,16 @@ import pytest
 
 from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.identify.frequency_response import FrequencyResponse
-from rx90b_flex.identify.grey_box import REACH_HZ, GreyBox, _problem, grey_box, smoothed_covariance
+from rx90b_flex.identify.grey_box import GreyBox, grey_box
+from rx90b_flex.identify.grey_data import REACH_HZ, GreyBoxOptions, PoseResponse, smoothed_covariance
 from rx90b_flex.identify.grey_model import poses_along
+from rx90b_flex.identify.grey_problem import grey_problem
 from rx90b_flex.robot import Robot, load_robot
 
 HZ = np.arange(33, 322, 2) / 4.096
 SLOPES = (60.0, 32.0, 14.0)
 STRETCHED, BENT = np.array([0.0, 0.5 * np.pi, 0.0]), np.array([0.0, 0.5 * np.pi, 1.0])
-EXACT = {"model_error": 0.0, "friction_error": 0.0}
+EXACT = GreyBoxOptions(starts=0, model_error=0.0, friction_error=0.0)
 
 
 def robot() -> Robot:
@@ -69,8 +71,8 @@ def scores(grey: GreyBox, true: dict[str, float]) -> np.ndarray:
 
 def test_the_model_is_the_linearised_robot():
     true = robot()
-    problem = _problem(true, (response(true, BENT, 0.03),), (8.0, 80.0), 0.02, (), None, None, None, 0.0)
-    np.testing.assert_allclose(problem.predicted(problem.declared)[0], problem.responses[0].value, rtol=1e-9)
+    problem = grey_problem(true, [PoseResponse(response(true, BENT, 0.03))], GreyBoxOptions(link_mass_std=0.02))
+    np.testing.assert_allclose(problem.predicted(problem.declared)[0], problem.terms[0].response.value, rtol=1e-9)
 
 
 @pytest.mark.parametrize("motion", ["one pose", "closed loop, three experiments"])
@@ -79,15 +81,15 @@ def test_the_jacobian_is_the_derivative(motion):
     rng = np.random.default_rng(3)
     along, feedback, torques = None, None, None
     if motion != "one pose":
-        along = [STRETCHED + 0.1 * np.array([-1.0, 0.0, 1.0])[:, None]]
-        torques = [rng.standard_normal((len(HZ), 3, 3)) + 1j * rng.standard_normal((len(HZ), 3, 3))]
+        along = STRETCHED + 0.1 * np.array([-1.0, 0.0, 1.0])[:, None]
+        torques = rng.standard_normal((len(HZ), 3, 3)) + 1j * rng.standard_normal((len(HZ), 3, 3))
 
         def feedback(hz):
             s = 2j * np.pi * np.asarray(hz)[:, None, None]
             return (7e4 + 1.5e3 * s) / s**2 * np.eye(3)
 
-    given = (response(true, STRETCHED, 0.03),)
-    problem = _problem(true, given, (8.0, 80.0), 0.02, (), along, feedback, torques, 0.1)
+    given = PoseResponse(response(true, STRETCHED, 0.03), along, torques, feedback)
+    problem = grey_problem(true, [given], GreyBoxOptions(link_mass_std=0.02, bending_alike_std=0.1))
     problem = problem.with_bias(problem.declared, (0.01, 0.5))
     x = problem.declared + 0.1 * rng.standard_normal(len(problem.declared))
     jacobian = problem.jacobian(x[problem.free])
@@ -103,7 +105,7 @@ def test_the_jacobian_is_the_derivative(motion):
 def test_three_per_cent_of_noise_gives_stiffness_and_inertia():
     true = robot()
     data = response(true, BENT, 0.03, np.random.default_rng(0))
-    grey = grey_box(wrong(true, 0.3, 1), data, starts=4, **EXACT)
+    grey = grey_box(wrong(true, 0.3, 1), data, dataclasses.replace(EXACT, starts=4))
     z = scores(grey, truth(true))
     # 24 standard normal numbers: one beyond 4 in 660 trials
     assert np.abs(z).max() < 4.0
@@ -122,18 +124,18 @@ def test_torques_logged_late_are_told_as_that_and_move_nothing_else(delay):
     true = robot()
     data = response(true, BENT, 0.01, np.random.default_rng(6))
     skewed = dataclasses.replace(data, value=data.value * np.exp(2j * np.pi * HZ * delay)[:, None, None])
-    grey = grey_box(wrong(true, 0.1, 1), skewed, starts=0, **EXACT)
+    grey = grey_box(wrong(true, 0.1, 1), skewed, EXACT)
     found = grey.torque_delay
     assert found.std < 5e-6 and abs(found.value - delay) < min(4.0 * found.std, 10e-6)
     assert np.abs(scores(grey, truth(true))).max() < 4.0
     assert not grey.bias_detected
-    trusted = grey_box(true, skewed, starts=0, delay_std=0.0, **EXACT)
+    trusted = grey_box(true, skewed, dataclasses.replace(EXACT, delay_std=0.0))
     assert trusted.torque_delay is None
     assert bool(delay) == trusted.bias_detected
 
 
 def test_a_bias_that_is_known_of_is_part_of_the_intervals_and_of_the_covariance():
-    grey = grey_box(robot(), response(robot(), BENT, 0.03), starts=0, **EXACT)
+    grey = grey_box(robot(), response(robot(), BENT, 0.03), EXACT)
     off = {"joint_1.drive_stiffness": 0.2, "joint_2.drive_inertia": -0.1}
     doubted = grey.doubted(off)
     for was, now in zip(grey.estimates, doubted.estimates, strict=True):
@@ -147,8 +149,8 @@ def test_a_bias_that_is_known_of_is_part_of_the_intervals_and_of_the_covariance(
 
 def test_values_stay_where_the_widths_are_those_of_a_fit_that_allows_for_more():
     data = response(robot(), BENT, 0.03, np.random.default_rng(3))
-    narrow = grey_box(robot(), data, starts=0, **EXACT)
-    wide = grey_box(robot(), data, starts=0, **EXACT | {"friction_error": 0.3})
+    narrow = grey_box(robot(), data, EXACT)
+    wide = grey_box(robot(), data, dataclasses.replace(EXACT, friction_error=0.3))
     both = narrow.as_wide_as(wide)
     for own, width, now in zip(narrow.estimates, wide.estimates, both.estimates, strict=True):
         assert now.value == own.value
@@ -164,8 +166,8 @@ def test_values_stay_where_the_widths_are_those_of_a_fit_that_allows_for_more():
 def test_starts_half_off_end_in_one_minimum():
     true = robot()
     data = response(true, BENT, 0.03, np.random.default_rng(0))
-    here = grey_box(true, data, starts=0, **EXACT)
-    far = grey_box(wrong(true, 0.5, 7), data, starts=6, **EXACT)
+    here = grey_box(true, data, EXACT)
+    far = grey_box(wrong(true, 0.5, 7), data, dataclasses.replace(EXACT, starts=6))
     # the declared values are also the centre of a prior with a standard deviation of 2, hardly felt
     assert far.cost == pytest.approx(here.cost, abs=1.0)
 
@@ -173,15 +175,15 @@ def test_starts_half_off_end_in_one_minimum():
 def test_a_stretched_arm_hardly_tells_where_it_rolls_and_says_so():
     # stretched out, joint_2 and joint_3 both bend about the arm's own axis; what parts them is link 2 between them
     true = robot()
-    stretched = grey_box(true, response(true, STRETCHED, 0.03), starts=0, **EXACT)
+    stretched = grey_box(true, response(true, STRETCHED, 0.03), EXACT)
     names = {name for d in stretched.directions for name, _ in d.parts}
     assert {"joint_2.joint_damping_1", "joint_3.joint_damping_1"} <= names
     assert "joint 2 joint damping 1" in " ".join(d.words for d in stretched.directions)
     rolling = ("joint_2.joint_stiffness_1", "joint_3.joint_stiffness_1")
     others = [e.std / e.value for e in stretched.estimates if "stiffness" in e.name and e.name not in rolling]
     # a second pose tells them apart, as does the assumption that bearings are round
-    both = grey_box(true, [response(true, pose, 0.03) for pose in (STRETCHED, BENT)], starts=0, **EXACT)
-    alike = grey_box(true, response(true, STRETCHED, 0.03), starts=0, bending_alike_std=0.05, **EXACT)
+    both = grey_box(true, [response(true, pose, 0.03) for pose in (STRETCHED, BENT)], EXACT)
+    alike = grey_box(true, response(true, STRETCHED, 0.03), dataclasses.replace(EXACT, bending_alike_std=0.05))
     for name in rolling:
         assert stretched[name].std > 5 * max(others) * stretched[name].value
         assert both[name].std < 0.5 * stretched[name].std
@@ -198,8 +200,8 @@ def test_wrong_masses_are_within_the_intervals_where_a_prior_allows_for_them():
     off = np.array([1.02, 0.98, 1.02])[: len(true.bodies)]
     heavier = with_link_parameters(true, np.repeat(off, 10) * true.link_parameters, allow_inconsistent=True)
     data = response(true, BENT, 0.03, np.random.default_rng(2))
-    stated = grey_box(heavier, data, starts=0, link_mass_std=0.02, **EXACT)
-    trusted = grey_box(heavier, data, starts=0, **EXACT)
+    stated = grey_box(heavier, data, dataclasses.replace(EXACT, link_mass_std=0.02))
+    trusted = grey_box(heavier, data, EXACT)
     known = truth(true)
     stiff = [j for j, e in enumerate(stated.estimates) if "stiffness" in e.name]
     z = [
@@ -225,7 +227,7 @@ def test_friction_of_each_experiment_is_told_apart():
         columns.append(rubbed.linearize(rubbed.input_matrix @ BENT).frf(HZ) @ torques[:, :, k, None])
     value = np.concatenate(columns, axis=2) @ np.linalg.inv(torques)
     data = dataclasses.replace(response(true, BENT, 0.01), value=value)
-    grey = grey_box(true, data, starts=0, torques=[torques], **EXACT)
+    grey = grey_box(true, [PoseResponse(data, torques=torques)], EXACT)
     assert (
         grey.cost < 1e-3 * grey.expected_cost
     )  # no noise in it; the weak prior of the slopes' start is all that is left
@@ -245,10 +247,9 @@ def test_the_size_of_a_smooth_error_is_estimated():
     size = 0.02
     off = dataclasses.replace(data, value=data.value + size * np.abs(data.value) * smooth)
     # some 14 independent values an entry, of 9 entries: 126 complex numbers, less 24 real parameters
-    assert grey_box(true, off, starts=0, model_error=None, friction_error=0.0).model_error == pytest.approx(
-        size, rel=0.3
-    )
-    none = grey_box(true, data, starts=0, model_error=None, friction_error=0.0)
+    estimated = dataclasses.replace(EXACT, model_error=None)
+    assert grey_box(true, off, estimated).model_error == pytest.approx(size, rel=0.3)
+    none = grey_box(true, data, estimated)
     assert none.model_error < 0.003  # not above the noise
 
 
@@ -277,13 +278,15 @@ def test_bad_input_is_named():
     true, data = robot(), response(robot(), BENT, 0.03)
     cases = [
         ({"band_hz": (200.0, 300.0)}, "0 lines between 200 and 300 Hz"),
-        ({"fixed": ["joint_2.drive_stifness"]}, r"no parameter 'joint_2.drive_stifness'.*drive_stiffness"),
-        ({"start": {"joint_1.drive_stiffness": -1.0}}, "joint_1.drive_stiffness is -1"),
-        ({"torques": [np.ones((3, 3, 3))]}, "torques has shape"),
+        ({"fixed": ("joint_2.drive_stifness",)}, r"no parameter 'joint_2.drive_stifness'.*drive_stiffness"),
     ]
-    for arguments, message in cases:
+    for chosen, message in cases:
         with pytest.raises(ValueError, match=message):
-            grey_box(true, data, **arguments)
+            grey_box(true, data, GreyBoxOptions(**chosen))
+    with pytest.raises(ValueError, match=r"joint_1\.drive_stiffness is -1"):
+        grey_box(true, data, start={"joint_1.drive_stiffness": -1.0})
+    with pytest.raises(ValueError, match="torques has shape"):
+        PoseResponse(data, torques=np.ones((3, 3, 3)))
     with pytest.raises(ValueError, match="pose has shape"):
         grey_box(true, dataclasses.replace(data, pose=np.zeros(0)))
     with pytest.raises(ValueError, match=r"not positive definite at 8\.06 Hz"):
@@ -300,7 +303,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     true, inside = robot(), []
     for seed in range(40):
         data = response(true, BENT, 0.03, np.random.default_rng(seed))
-        grey = grey_box(true, data, starts=0, **EXACT)
+        grey = grey_box(true, data, EXACT)
         inside.append(np.abs(scores(grey, truth(true))) < 1.96)
     # intervals of one seed depend on each other: their mean over a seed is one number, with a deviation found over the seeds
     each = np.mean(inside, axis=1)

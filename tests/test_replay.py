@@ -14,12 +14,12 @@ from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
 from rx90b_flex.identify.grey_box import GreyBox, grey_box
+from rx90b_flex.identify.grey_data import GreyBoxOptions
 from rx90b_flex.identify.grey_model import response_derivatives
 from rx90b_flex.identify.replay import (
     Less,
+    PosesReplayed,
     Replay,
-    _friction_derivatives,
-    _friction_step,
     _frictions,
     _with_friction,
     grey_box_by_replay,
@@ -142,13 +142,14 @@ def test_wrong_friction_is_found_from_the_distortion(replay: Replay) -> None:
     true = friction(robot)
     wrong = true * (1.0 + 0.1 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0]))
     pose, found, by_friction = np.array([0.0, 0.5 * np.pi, 0.0]), wrong, None
+    at = PosesReplayed((replay,), (pose,), SLOPES)
     for _ in range(3):
         off = _with_friction(robot, robot.joints, found)
         now = replay.responses(off)
         if by_friction is None:
-            by_friction = _friction_derivatives([replay], off, found, [now])
+            by_friction = at.friction_derivatives(off, found, [now])
         linear = response_derivatives(off, robot.joints, pose, SLOPES, replay.measured.hz)
-        step, std = _friction_step([replay.measured], [now], by_friction, [linear])
+        step, std = at.friction_step([now], by_friction, [linear])
         found = found * (1.0 + step)
     # reversals shift with the friction: a step leaves more than products of errors, at worst half of them, an eighth after three
     error = np.abs(found / true - 1.0)
@@ -162,8 +163,9 @@ def test_intervals_hold_the_truth_as_measured_and_by_replay(replay: Replay, meas
     """Friction's bias that the replay tells of is in the intervals of the fit that still has it."""
     robot = load_robot("rx90b_3dof")
     pose = np.array([0.0, 0.5 * np.pi, 0.0])
-    first = grey_box(robot, dataclasses.replace(measured, pose=pose), starts=0, bending_alike_std=0.1)
-    found = grey_box_by_replay(robot, first, replay, rounds=2, fit_friction=False, bending_alike_std=0.1)
+    options = GreyBoxOptions(starts=0, bending_alike_std=0.1)
+    first = grey_box(robot, dataclasses.replace(measured, pose=pose), options)
+    found = grey_box_by_replay(robot, first, replay, rounds=2, fit_friction=False)
     told = first.doubted(shifts_between(first, found.grey))
 
     def inside(grey: GreyBox) -> float:

@@ -25,7 +25,7 @@ from rx90b_flex.diagnose.likelihood import MOST_CHANGES, Change, LikelihoodFit, 
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
-from rx90b_flex.identify.grey_box import REACH_HZ, smoothed_covariance
+from rx90b_flex.identify.grey_data import REACH_HZ, smoothed_covariance
 from rx90b_flex.identify.grey_model import DELAY_STD, DELAY_UNIT, Delay, late
 from rx90b_flex.robot import Robot, load_robot
 

@@ -23,10 +23,10 @@ from scipy.signal import resample
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.accelerometers import AccelerationResponse
-from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
+from rx90b_flex.identify.frequency_response import ComplexArray
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
-from rx90b_flex.identify.grey_box import Feedback, GreyBox, Progress, grey_box
-from rx90b_flex.identify.grey_model import poses_along
+from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
+from rx90b_flex.identify.grey_data import Feedback, GreyBoxOptions, PoseResponse
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
 from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between
 from rx90b_flex.identify.stability import stable
@@ -460,29 +460,20 @@ def mean_motion(recordings: Iterable[Recording], joints: tuple[str, ...]) -> Arr
 def _grey_box(
     poses: Sequence[AtPose], robot: Robot, controller: CS8 | None, options: FrfOptions, tell: Progress
 ) -> GreyBox:
-    motions = [mean_motion(p.recordings, robot.joints) for p in poses]
-    responses = []
-    for p in poses:
-        plain = {f.name: getattr(p.measured, f.name) for f in dataclasses.fields(FrequencyResponse)}
-        responses.append(FrequencyResponse(**{**plain, "pose": p.pose}))
-    shown = [p.accelerations for p in poses if p.accelerations is not None]
-    torques = [p.measured.torque for p in poses]
-    one_number = len({torque.shape[2] for torque in torques}) == 1
-    return grey_box(
-        robot,
-        responses,
-        band_hz=options.band_hz,
-        start=_start(robot, [p.drives for p in poses if p.drives is not None]),
-        starts=options.starts,
-        seed=options.seed,
-        link_mass_std=options.link_mass_std,
-        bending_alike_std=options.bending_alike_std,
-        along=[poses_along(motion) for motion in motions],
-        feedback=None if controller is None else feedback_of(controller, poses[0].measured.joints),
-        torques=torques if one_number else None,  # else one friction slope a joint serves all experiments
-        accelerations=shown if len(shown) == len(poses) else None,
-        progress=lambda text, part: tell(text, 0.6 + 0.15 * part),
-    )
+    feedback = None if controller is None else feedback_of(controller, poses[0].measured.joints)
+    sensed = all(p.accelerations is not None for p in poses)
+    measured = [
+        PoseResponse.of(
+            p.measured, mean_motion(p.recordings, robot.joints), feedback, p.accelerations if sensed else None
+        )
+        for p in poses
+    ]
+    chosen = GreyBoxOptions(
+        options.band_hz, options.starts, seed=options.seed,
+        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std,
+    )  # fmt: skip
+    start = _start(robot, [p.drives for p in poses if p.drives is not None])
+    return grey_box(robot, measured, chosen, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
 
 
 def _replay(
@@ -501,8 +492,6 @@ def _replay(
             else Replay.of(p.recordings, p.measured, controller)
             for p in poses
         ],
-        link_mass_std=options.link_mass_std,
-        bending_alike_std=options.bending_alike_std,
         jobs=options.jobs,
         progress=lambda text, part: tell(text, 0.75 + 0.2 * part),
     )

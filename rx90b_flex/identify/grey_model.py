@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -187,6 +187,10 @@ class GreyExperiments:
         """Shape (p, F, joints, joints)."""
         each = [motion.derivatives(hz, p) @ share for motion, share in zip(self.motions, self.shares, strict=True)]
         return np.asarray(sum(each))
+
+    def of_sensors(self) -> GreyExperiments:
+        """The same experiments as accelerometers show them."""
+        return replace(self, motions=tuple(replace(m, sensors=True) for m in self.motions))
 
     def coarser(self, keep: slice) -> GreyExperiments:
         """Some of the lines, with each motion's middle pose alone."""

@@ -29,7 +29,8 @@ from rx90b_flex.effects.friction import ViscousFriction, friction_side
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, _over_realisations, estimate_frequency_response
-from rx90b_flex.identify.grey_box import FRICTION_ERROR, SMOOTHED, GreyBox, Progress, grey_box
+from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
+from rx90b_flex.identify.grey_data import FRICTION_ERROR, SMOOTHED, GreyBoxOptions
 from rx90b_flex.identify.grey_model import SLOPE, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
@@ -296,8 +297,6 @@ def grey_box_by_replay(
     *,
     rounds: int = 4,
     fit_friction: bool = True,
-    link_mass_std: float = 0.0,
-    bending_alike_std: float = 0.0,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> ReplayedGreyBox:
@@ -308,15 +307,13 @@ def grey_box_by_replay(
     robot : Robot
         As declared, the one that `first` was fitted to; all its friction must have values.
     first : GreyBox
-        Of the responses as measured.
+        Of the responses as measured; its options hold on, but for starts and errors of model and friction, which are estimated.
     replay : Replay or sequence of them
         One a response of `first`, in that order. Friction is one, at all poses.
     rounds : int
         At most, of simulating, correcting and fitting; they end where parameters change no more (`SETTLED`).
     fit_friction : bool
         Fit the coefficients of the friction on the moving joints to the distortion. It takes one simulation more a coefficient.
-    link_mass_std, bending_alike_std : float
-        As in `grey_box`.
     jobs : int
         Processes for simulations that do not wait for each other: those of the poses and of the friction coefficients.
     progress : callable, optional
@@ -332,39 +329,29 @@ def grey_box_by_replay(
     if len(replays) != len(first.responses):
         raise ValueError(f"{len(replays)} replays; expected {len(first.responses)}, one a response of the grey box")
     tell = progress or (lambda text, part: None)
-    measured, grey = [r.measured for r in replays], first
-    joints = measured[0].joints
+    joints = replays[0].measured.joints
+    # mean of the reference's poses and of viscosities over experiments, from the fit before
+    at = PosesReplayed(replays, tuple(r.pose for r in first.responses), _slopes(first, joints), jobs)
     declared = _frictions(robot, joints)
     friction = _known_friction(declared)
-    std = np.zeros_like(friction)
-    # mean of the reference's poses and of viscosities over experiments, from the fit before
-    poses, slopes = [r.pose for r in first.responses], _slopes(first, joints)
-    band = min(float(m.hz[0]) for m in measured), max(float(m.hz[-1]) for m in measured)
-    fit = partial(
-        grey_box, robot, band_hz=band, starts=0, link_mass_std=link_mass_std, bending_alike_std=bending_alike_std
-    )
+    std, grey, fit = np.zeros_like(friction), first, partial(grey_box, robot, options=_options(first, replays))
     by_friction: list[ComplexArray] | None = None
     for number in range(rounds):
         tell(f"replay {number + 1} of {rounds}", number / rounds)
         fitted = _with_friction(grey.robot, joints, friction)
-        delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
-        shifts = [late(m.hz, delay) for m in measured]  # simulated signals are logged together
-        together = _simulated([(r, fitted) for r in replays], jobs)
-        apart = _by_steps(replays, fitted, poses, slopes)
-        simulated = [(s - d) * x for s, d, x in zip(together, apart, shifts, strict=True)]
+        shifts = at.shifts(grey)
+        together = at.simulated([fitted])[0]
+        simulated = [(s - d) * x for s, d, x in zip(together, at.by_steps(fitted), shifts, strict=True)]
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
-                by_friction = _friction_derivatives(replays, fitted, friction, together, jobs)
-            linear = _at_poses(_linear_changes, fitted, poses, slopes, measured, shifts)
+                by_friction = at.friction_derivatives(fitted, friction, together)
             changes = [by * x for by, x in zip(by_friction, shifts, strict=True)]
-            step, std = _friction_step(measured, simulated, changes, linear)
+            step, std = at.friction_step(simulated, changes, at.linear(_linear_changes, fitted, shifts))
             simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
             friction, std = friction * (1.0 + step), friction * std
-        lines = _at_poses(linear_response, fitted, poses, slopes, measured, shifts)
-        less = [Less(*each) for each in zip(measured, simulated, lines, poses, strict=True)]
+        less = at.less(simulated, at.linear(linear_response, fitted, shifts))
         tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
-        start = _start(grey, slopes)
-        last, grey = grey, fit([x.response for x in less], start=start, model_error=None, friction_error=None)
+        last, grey = grey, fit([x.response for x in less], start=_start(grey, at.slopes))
         if _settled(last, grey):
             break
     grey = _with_what_is_left(grey, less, fit)
@@ -373,41 +360,96 @@ def grey_box_by_replay(
         _with_friction(grey.robot, joints, friction),
         tuple(x.doubted for x in less),
         _friction_estimates(declared, friction, std),
-        slopes,
+        at.slopes,
         np.array([_spread(x.measured.realisations) for x in less]),
         np.array([_spread(x.rest) for x in less]),
         number + 1,
     )
 
 
+def _options(first: GreyBox, replays: Sequence[Replay]) -> GreyBoxOptions:
+    """Of the fits to all lines that are replayed, with one friction slope a joint."""
+    band = min(float(r.measured.hz[0]) for r in replays), max(float(r.measured.hz[-1]) for r in replays)
+    fixed = tuple(name for name in first.options.fixed if SLOPE not in name)
+    return dataclasses.replace(
+        first.options, band_hz=band, starts=0, fixed=fixed, model_error=None, friction_error=None
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PosesReplayed:
+    """Replays at all poses, and the linear robot that stands for each: at a pose, with viscous slopes (N m s/rad) by joint."""
+
+    replays: tuple[Replay, ...]
+    poses: tuple[Array, ...]
+    slopes: dict[str, float]
+    jobs: int = 1
+
+    @property
+    def measured(self) -> list[MeasuredResponse]:
+        return [r.measured for r in self.replays]
+
+    def shifts(self, grey: GreyBox) -> list[ComplexArray]:
+        """What torques logged late multiply the response at each pose by; simulated signals are logged together."""
+        delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
+        return [late(m.hz, delay) for m in self.measured]
+
+    def simulated(self, robots: Sequence[Robot]) -> list[list[ComplexArray]]:
+        """Realisations' responses of each robot at each pose, (R, F, n, n)."""
+        tasks = [joblib.delayed(Replay.responses)(replay, robot) for robot in robots for replay in self.replays]
+        found = iter(joblib.Parallel(n_jobs=min(self.jobs, len(tasks)))(tasks))
+        return [[next(found) for _ in self.replays] for _ in robots]
+
+    def by_steps(self, robot: Robot) -> list[ComplexArray]:
+        """What the simulation's steps add to a linear robot's response at each pose."""
+        out = []
+        for replay, pose in zip(self.replays, self.poses, strict=True):
+            line = partial(linear_response, robot, replay.measured.joints, pose, self.slopes)
+            out.append(replay.by_steps(line) - line(replay.measured.hz))
+        return out
+
+    def linear(
+        self, response: Callable[..., ComplexArray], robot: Robot, shifts: Sequence[ComplexArray]
+    ) -> list[ComplexArray]:
+        """A linear response at each pose, as late as its torques were logged."""
+        each = zip(self.poses, self.measured, shifts, strict=True)
+        return [response(robot, m.joints, q, self.slopes, m.hz) * shift for q, m, shift in each]
+
+    def less(self, simulated: Sequence[ComplexArray], lines: Sequence[ComplexArray]) -> list[Less]:
+        return [Less(*each) for each in zip(self.measured, simulated, lines, self.poses, strict=True)]
+
+    def friction_derivatives(self, robot: Robot, friction: Array, now: Sequence[ComplexArray]) -> list[ComplexArray]:
+        """Derivatives of the realisations' responses by relative changes of friction coefficients, (c, R, F, n, n) at each pose."""
+        joints = self.measured[0].joints
+        changed = [
+            _with_friction(robot, joints, friction + STEP * value * (np.arange(len(friction)) == place))
+            for place, value in enumerate(friction)
+        ]
+        each = zip(now, zip(*self.simulated(changed), strict=True), strict=True)
+        return [np.array([(other - at) / STEP for other in others]) for at, others in each]
+
+    def friction_step(
+        self, simulated: Sequence[ComplexArray], by_friction: Sequence[ComplexArray], linear: Sequence[ComplexArray]
+    ) -> tuple[Array, Array]:
+        """Relative changes of the friction coefficients and their standard deviations, beside the linear parameters.
+
+        Least squares on the realisations' ``P_m - S_m`` as torques, ``P^-1 (P_m - S_m)``: friction is one. A linear parameter adds
+        the same to all realisations of a pose, one of `linear`, (p, F, n, n). Arguments hold one array a pose.
+        """
+        both = [_friction_rows(*each) for each in zip(self.measured, simulated, by_friction, linear, strict=True)]
+        slopes, target = (np.concatenate(x) for x in zip(*both, strict=True))
+        scale = np.linalg.norm(slopes, axis=0)
+        step = np.linalg.lstsq(slopes / scale, target, rcond=1e-6)[0] / scale
+        rest = target - slopes @ step
+        covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
+        own = slice(len(linear[0]), None)
+        return np.clip(step[own], -LARGEST, LARGEST), np.sqrt(np.diag(covariance_of_step)[own])
+
+
 def _start(grey: GreyBox, slopes: dict[str, float]) -> dict[str, float]:
     """Values where a fit with one slope a joint begins: of the fit before, and those slopes."""
     own = {e.name: e.value for e in grey.estimates if f".{SLOPE}" not in e.name}
     return own | {f"{joint}.{SLOPE}": slope for joint, slope in slopes.items()}
-
-
-def _by_steps(
-    replays: Sequence[Replay], robot: Robot, poses: Sequence[Array], slopes: dict[str, float]
-) -> list[ComplexArray]:
-    """What the simulation's steps add to a linear robot's response at each pose."""
-    out = []
-    for replay, pose in zip(replays, poses, strict=True):
-        line = partial(linear_response, robot, replay.measured.joints, pose, slopes)
-        out.append(replay.by_steps(line) - line(replay.measured.hz))
-    return out
-
-
-def _at_poses(
-    response: Callable[..., ComplexArray],
-    robot: Robot,
-    poses: Sequence[Array],
-    slopes: dict[str, float],
-    measured: Sequence[MeasuredResponse],
-    shifts: Sequence[ComplexArray],
-) -> list[ComplexArray]:
-    """A linear response at each pose, as late as its torques were logged."""
-    each = zip(poses, measured, shifts, strict=True)
-    return [response(robot, m.joints, q, slopes, m.hz) * late for q, m, late in each]
 
 
 def _known_friction(declared: Sequence[Effect]) -> Array:
@@ -426,10 +468,11 @@ def _with_what_is_left(grey: GreyBox, less: Sequence[Less], fit: Callable[..., G
     of the fit whose errors its residual shows.
     """
     left = float(np.sqrt(np.mean([x.left**2 for x in less])))
-    sizes = {"model_error": grey.model_error, "friction_error": max(grey.friction_error, min(left, FRICTION_ERROR))}
+    friction_error = max(grey.friction_error, min(left, FRICTION_ERROR))
+    options = dataclasses.replace(grey.options, model_error=grey.model_error, friction_error=friction_error)
 
     def again(responses: Sequence[FrequencyResponse]) -> GreyBox:
-        return fit(responses, start={e.name: e.value for e in grey.estimates}, **sizes)
+        return fit(responses, options=options, start={e.name: e.value for e in grey.estimates})
 
     base = again([x.response for x in less])
     out = grey.as_wide_as(base)
@@ -456,16 +499,10 @@ def _linear_changes(
 
 def _settled(before: GreyBox, now: GreyBox) -> bool:
     return all(
-        abs(np.log(e.value / before[e.name].value)) < SETTLED * e.std / e.value
+        abs(np.log(e.value / before[e.name].value)) <= SETTLED * e.std / e.value
         for e in now.estimates
         if SLOPE not in e.name
     )
-
-
-def _simulated(tasks: Sequence[tuple[Replay, Robot]], jobs: int) -> list[ComplexArray]:
-    """Responses of replays on robots."""
-    work = (joblib.delayed(Replay.responses)(replay, robot) for replay, robot in tasks)
-    return list(joblib.Parallel(n_jobs=min(jobs, len(tasks)))(work))
 
 
 def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
@@ -607,40 +644,6 @@ def _slopes(grey: GreyBox, joints: Sequence[str]) -> dict[str, float]:
         j: float(np.exp(np.mean([np.log(e.value) for e in grey.estimates if e.name.startswith(f"{j}.{SLOPE}")])))
         for j in joints
     }
-
-
-def _friction_derivatives(
-    replays: Sequence[Replay], robot: Robot, friction: Array, now: Sequence[ComplexArray], jobs: int = 1
-) -> list[ComplexArray]:
-    """Derivatives of the realisations' responses by relative changes of the friction coefficients, (c, R, F, n, n) a replay."""
-    joints = replays[0].measured.joints
-    changed = [
-        _with_friction(robot, joints, friction + STEP * value * (np.arange(len(friction)) == place))
-        for place, value in enumerate(friction)
-    ]
-    found = iter(_simulated([(replay, other) for replay in replays for other in changed], jobs))
-    return [np.array([(next(found) - at) / STEP for _ in changed]) for at in now]
-
-
-def _friction_step(
-    measured: Sequence[MeasuredResponse],
-    simulated: Sequence[ComplexArray],
-    by_friction: Sequence[ComplexArray],
-    linear: Sequence[ComplexArray],
-) -> tuple[Array, Array]:
-    """Relative changes of the friction coefficients and their standard deviations, beside the linear parameters.
-
-    Least squares on the realisations' ``P_m - S_m`` as torques, ``P^-1 (P_m - S_m)``: friction is one. A linear parameter adds the
-    same to all realisations of a pose, one of `linear`, (p, F, n, n). Arguments hold one array a pose.
-    """
-    both = [_friction_rows(*each) for each in zip(measured, simulated, by_friction, linear, strict=True)]
-    slopes, target = (np.concatenate(x) for x in zip(*both, strict=True))
-    scale = np.linalg.norm(slopes, axis=0)
-    step = np.linalg.lstsq(slopes / scale, target, rcond=1e-6)[0] / scale
-    rest = target - slopes @ step
-    covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
-    own = slice(len(linear[0]), None)
-    return np.clip(step[own], -LARGEST, LARGEST), np.sqrt(np.diag(covariance_of_step)[own])
 
 
 def _friction_rows(
