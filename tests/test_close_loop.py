@@ -348,15 +348,22 @@ def test_what_was_refused_though_it_would_explain_much_is_said_with_its_reason(n
     forbidden = dataclasses.replace(
         likely, effect=catalogue()["viscous_friction"](joint=JOINTS[1]), lawful=False, objection="wrong sign"
     )
+    fell = dataclasses.replace(
+        likely,
+        p_value=1e-9,
+        block_gains=np.arange(4.0, 10.0),
+        objection="with everything fitted again it does not help",
+    )
     family = dataclasses.replace(
         likely, members=(likely, dataclasses.replace(likely, effect=catalogue()["torque_offset"](joint=JOINTS[4])))
     )
-    rounds = dataclasses.replace(nothing.result.last_round, trials=(likely, little, forbidden, family))
+    rounds = dataclasses.replace(nothing.result.last_round, trials=(likely, little, forbidden, fell, family))
     found = closed_loop_json(dataclasses.replace(nothing.result, last_round=rounds))["unexplained"]["refused"]
     chance = "chance would do as well (p = 0.5)"
     assert found == [
         {"type": "torque_offset", "joint": JOINTS[2], "share": 0.1, "reason": chance},
         {"type": "viscous_friction", "joint": JOINTS[1], "share": 0.1, "reason": "wrong sign"},
+        {"type": "torque_offset", "joint": JOINTS[2], "share": 0.1, "reason": fell.objection},
         {"type": "torque_offset", "joint": None, "joints": [JOINTS[2], JOINTS[4]], "share": 0.1, "reason": chance},
     ]
 

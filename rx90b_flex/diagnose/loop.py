@@ -102,6 +102,10 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """The settled model with a trial's candidate, None where that does not help; and the trial, which may fall with it."""
         return self.settled(self.joined(model, trial)), trial
 
+    def fallen(self, trial: TrialT, why: str) -> TrialT:
+        """A trial that was accepted by itself and is not added all the same, with the reason."""
+        return trial
+
     def errors_of(self, model: ModelT) -> Any:
         """A model's errors, which are kept with every addition; the models themselves are too large for that."""
         return None
@@ -215,11 +219,15 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             if best is None:
                 return None
             left.remove(best)
+            place = trials.index(best)
             if self.residual.signature(standing.model, best) in self.visited:
+                trials[place] = self.residual.fallen(
+                    best, "with it the model would be one that was left for a better one"
+                )
                 continue
             alike = f" and {len(best.members) - 1} alike" if best.members else ""
             self.tell(f"adding {best.label}{alike}", _done(standing))
-            model, trials[trials.index(best)] = self.residual.refit(standing.model, best)
+            model, trials[place] = self.residual.refit(standing.model, best)
             if model is None:
                 continue
             rivals = _others(trials, best)
@@ -228,6 +236,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             more = self._added(standing, model, steps, len(steps))
             if more is not None:
                 return more
+            trials[place] = self.residual.fallen(best, "without what it makes needless the model is no better")
         return None
 
     def _two_together(

@@ -171,15 +171,22 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def refit(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel | None, TorqueTrial]:
         new = self.joined(model, trial)
         helps = new.identified.relative_error < model.identified.relative_error or _weighted_better(new, model)
-        if not helps or not all(_physical(find(new, e)) for e in trial.effects):
-            return None, trial  # fitted with all the rest, it has values that it cannot have
+        if not helps:
+            return None, self.fallen(trial, "with everything fitted again it does not help")
+        if not all(_physical(find(new, e)) for e in trial.effects):
+            return None, self.fallen(trial, "with everything fitted again it has a value that it cannot have")
         new = self.settled(new)
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
         if ends:
             return None, dataclasses.replace(trial, lawful=False, objection=ends[0])
         if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
-            return None, trial  # it helps where rows count, and spoils more where they do not
+            return None, self.fallen(
+                trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
+            )
         return new, trial
+
+    def fallen(self, trial: TorqueTrial, why: str) -> TorqueTrial:
+        return dataclasses.replace(trial, objection=why)
 
     def errors_of(self, model: TorqueModel) -> RoleErrors:
         return model.errors

@@ -69,7 +69,7 @@ class TorqueTrial(Trial):
     colour : float
         Variance of its torque's product with the residual, over what white noise would give.
     objection : str
-        Why its values are not lawful; empty where they are.
+        Why its values are not lawful, or why it fell once everything was fitted with it; empty where neither is so.
     small : str
         Why it is not worth a name by its own rule (`Effect.too_small`); empty where it is.
     lost, by_chance : array, shape (recordings,)
@@ -165,7 +165,7 @@ class TorqueTrial(Trial):
             return "it raises the error of a recording that was left out"
         if self.carried < (PHASE_CARRIED if self.effect.by_clock else CARRIED):
             return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
-        return ""
+        return self.objection
 
     def belongs(self, tests: int) -> bool:
         """Whether it may be one of a family: by itself as likely as a hypothesis that nobody had to search for."""
