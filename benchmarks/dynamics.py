@@ -43,7 +43,7 @@ def main() -> None:
     ]  # fmt: skip
     own, plain = (statistics.median(x) for x in zip(*pairs, strict=True))
     ratio = statistics.median(a / b for a, b in pairs)
-    print(f"forward_dynamics {own:.1f} us, pin.aba {plain:.1f} us, ratio {ratio:.2f} (asked: 3)")
+    print(f"forward_dynamics {own:.1f} us, pin.aba {plain:.1f} us, ratio {ratio:.2f} (asked: 1.3)")
     samples = rng.normal(size=(3, 10_000, 16))
     stacked = each_us(lambda: robot.regressor(*samples), times=1, repeats=5)
     print(f"10,000 regressors of {len(robot.parameters)} columns: {1e-6 * statistics.median(stacked):.2f} s (asked: 1)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -391,11 +392,11 @@ class Robot:
 
     def _compiled_forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
         q, v = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(v, dtype=float)
-        n = (self.model.nv,)
+        n = self.plant.tree.parent.shape  # asking the model would take longer
         if q.shape != n or v.shape != n:
             raise ValueError(f"q and v have shapes {q.shape} and {v.shape}; expected {n} for {self.name}")
         a = self.plant.accelerations(q, v, np.ascontiguousarray(torque))
-        if not np.isfinite(a[0]):  # the substitution ends there and carries along what is not finite
+        if not math.isfinite(a[0]):  # the substitution ends there and carries along what is not finite
             raise ValueError(f"{self.name}: no accelerations: singular mass matrix, or q, v or drive_torque not finite")
         return a
 
