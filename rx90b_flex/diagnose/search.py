@@ -44,6 +44,7 @@ DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the
 MANY = 4  # shapes of a candidate, from which on a glimpse of the log says first whether all of it is worth a look
 BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
+WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 BATCH_BYTES = 64e6
 
@@ -248,10 +249,9 @@ class Search:
 
     def _tried(self, item: _Rough, present: Base) -> TorqueTrial:
         """The trial of what was looked at, by more than a glimpse."""
-        if item.effect.multiplies:
-            return self._fitted(item.effect)
         closer = self._looked(item, False) if item.glimpsed else item
-        return self.trial(closer.effect, closer.base, present, self.tests)
+        found = self.trial(closer.effect, closer.base, present, self.tests)
+        return self._fitted(item.effect) if item.effect.multiplies and found.p_value < WORTH_A_FIT else found
 
     def _fitted(self, effect: Effect) -> TorqueTrial:
         """The trial of an effect that scales the model's torque, which a fit without it has bent: about the fit with it."""
