@@ -18,7 +18,6 @@ from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.repeated import repeated
-from rx90b_flex.diagnose.faults.rigid_fit import seen_error
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
@@ -189,7 +188,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += [_fault(f) for f in found]
         faults += impossible_sizes(look, faults)
         faults += stuck(mended, np.sqrt(fit.error))
-        lost = unrelated(campaign.joints, *_errors_at_least(look), moving, constant)
+        lost = unrelated(campaign.joints, *look.errors_at_least(), moving, constant)
         faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
@@ -234,12 +233,6 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
         limits,
         tuple(name.startswith("P") for name in names),
     )
-
-
-def _errors_at_least(look: Look) -> tuple[Array, Array]:
-    """Of each joint, held out and on the rows of the fit: what a spring or coupling would explain is related to the motion."""
-    held_out = np.minimum(look.fit().error, look.beside(with_effects=True).fit().error)
-    return held_out, seen_error(look.products(look.reading), look.reading)
 
 
 def _fault(found: Found) -> DataFault:

@@ -32,7 +32,7 @@ from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.least_squares import Estimate, Identification
+from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 RIGID_BAND = 1 / 3  # of the first frequency with drives held, up to which a rigid model with more inertia does as well
 FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain between them says nothing
+LINKS_OFF = 0.8  # of the error held out that is left where links are fitted: what they take is no effect's
 RIVALS = 5  # refused trials of a round that a result keeps
 
 
@@ -394,6 +395,7 @@ class _Ended:
         left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
         where = dependences(left, seed)
         cautions = _cautions(self.source, campaign)
+        links_off, in_doubt = self._if_links_are_off(after.validation.relative_error)
         shown = with_possible_values(declared)
         predictions = self._predictions(shown, with_possible_values(model))
         tell("asking how much can be explained at all", 0.97)
@@ -402,7 +404,15 @@ class _Ended:
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         remains = Remains(
-            campaign.joints, bool(standing.steps), before, after, floor, known, where, bool(cautions), spread
+            campaign.joints,
+            bool(standing.steps),
+            before,
+            after,
+            floor,
+            known,
+            where,
+            bool(cautions) or in_doubt,
+            spread,
         )
         search = residual.search(standing.model)
         tell("done", 1.0)
@@ -426,11 +436,36 @@ class _Ended:
             known,
             "" if known else str(explainable),
             self._if_not_possible(),
-            (*cautions, *constants, *_sensor_words(declared, model)),
+            (*cautions, *links_off, *constants, *_sensor_words(declared, model)),
             data_faults=checked.data_faults,
             undeclared_basics=checked.undeclared_basics,
             checked=checked,
         )
+
+    def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
+        """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.
+
+        One effect that stands for all that is wrong with the links is a name that explains as much with less; several are not.
+        """
+        data, model = self.residual.data, self.standing.model.identified
+        if model.links_fitted:
+            return (), False
+        free = identify(model.regression, model.effects, fit_links=True, start=model, with_covariance=False)
+        less = data.errors(data.validation, free).relative_error
+        search, words = Search(free, self.residual.sites), []
+        if less < LINKS_OFF * left:
+            words.append(f"they would leave {less:.2%} of the torque held out instead of {left:.2%}")
+        added = [find(TorqueModel(free, data), step.trial.effect) for step in self.standing.steps]
+        spare = [e.label for e in added if not search.without(e).accepted]
+        if spare:
+            words.append(f"{', '.join(spare)} would not be needed")
+        if not words:
+            return (), False
+        text = (
+            f"The links are declared as known. If they were fitted, {' and '.join(words)}: masses or inertias of the URDF may be "
+            'off, and what was added stand for that. inertial_parameters = "fitted" in the robot file asks so.'
+        )
+        return (text,), less < LINKS_OFF * left or len(spare) > 1
 
     def _last_round(self, search: Search) -> LastRound:
         refused = sorted((t for t in self.standing.refused if not t.members), key=lambda t: -t.gain)

@@ -113,6 +113,12 @@ class _Bases:
             _students_t(folds),
         )
 
+    def links_instead(self, hypothesis: Hypothesis) -> bool:
+        """Whether links that the robot file calls known would explain without the fault what it explains, if they were free."""
+        if self.look.reading.robot.inertial_parameters != "known":
+            return False
+        return self.look.fit_of_free_links().score - self.look.fit_of_free_links(hypothesis.reading).score < MODEST
+
 
 def _best(look: Look) -> Found | None:
     bases = _Bases.of(look)
@@ -167,6 +173,8 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
     on_pose = KINDS[rank] in ON_POSES
     before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
     gaining = after[after < GAINING * before]
+    if (gaining > SMALL).any() and bases.links_instead(hypothesis):
+        return False
     if gain.fitted >= MODEST and not (gaining > SMALL).any():
         return True
     # another tree may explain a little more of torques that neither explains

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import optimize
 
-from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, Products, RigidFit, columns_of, effects_of
+from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, RIDGE, Products, RigidFit, columns_of, effects_of, seen_error
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array
 
@@ -109,11 +109,29 @@ class Look:
 
     def fit_of_known_links(self, reading: Reading | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
-        reading = reading or self.reading
+        return self._with_links(reading or self.reading, KNOWN)
+
+    def fit_of_free_links(self, reading: Reading | None = None) -> RigidFit:
+        """The same with the links fitted, also where the robot file calls them known."""
+        return self._with_links(reading or self.reading, RIDGE)
+
+    def _with_links(self, reading: Reading, held: float) -> RigidFit:
+        return RigidFit.of(self._products_with_links(reading, held), reading)
+
+    def _products_with_links(self, reading: Reading, held: float) -> Products:
         products = self.products(reading)
         ridge = products.ridge.copy()
-        ridge[: len(reading.robot.link_parameters)] = KNOWN
-        return RigidFit.of(dataclasses.replace(products, ridge=ridge), reading)
+        ridge[: len(reading.robot.link_parameters)] = held
+        return dataclasses.replace(products, ridge=ridge)
+
+    def errors_at_least(self) -> tuple[Array, Array]:
+        """Squared errors of each joint over its torque's variance, held out and on the rows of the fit, each (joints,).
+
+        With links that are free and what a spring or a coupling would explain: that much has to do with the motion.
+        """
+        free = self._products_with_links(self.reading, RIDGE)
+        fits = (self.fit(), RigidFit.of(free, self.reading), self.beside(with_effects=True).fit_of_free_links())
+        return np.min([f.error for f in fits], axis=0), seen_error(free, self.reading)
 
     def refined(self, hypothesis: Hypothesis, of_known: float = 0.0) -> tuple[Hypothesis, float | None]:
         """The factor at which a hypothesis does best, and its standard deviation from the score's curvature.

@@ -1,0 +1,86 @@
+"""Links that a robot file calls known while they are not: no fault of the data, and no name for it without a word."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import independent as ind
+import numpy as np
+import pytest
+
+import rx90b_flex as rf
+
+FRICTION = ((1.0, 0.6), (1.5, 0.8))  # N m dry, N m s/rad viscous
+LOWER = (
+    '<origin xyz="0.17 -0.02 0.02"/><mass value="2"/>\n'
+    '    <inertia ixx="0.01" iyy="0.03" izz="0.035" ixy="-0.001" ixz="0.001" iyz="0.002"/>'
+)
+
+
+def _about(mass: float, centre: np.ndarray) -> np.ndarray:
+    """Inertia of a point mass about the origin, (3, 3), kg m^2."""
+    return mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+
+
+def _unloaded(mass: float, centre: tuple[float, float, float]) -> str:
+    """The lower link without a point mass that it carries."""
+    at, own, load = 2.0, np.array([0.17, -0.02, 0.02]), np.array(centre)
+    inertia = np.array([[0.01, -0.001, 0.001], [-0.001, 0.03, 0.002], [0.001, 0.002, 0.035]])
+    less = at - mass
+    place = (at * own - mass * load) / less
+    j = inertia + _about(at, own) - _about(mass, load) - _about(less, place)
+    names = (
+        f'{n}="{j[r, c]:.12g}"'
+        for n, r, c in (("ixx", 0, 0), ("iyy", 1, 1), ("izz", 2, 2), ("ixy", 0, 1), ("ixz", 0, 2), ("iyz", 1, 2))
+    )
+    return f'<origin xyz="{place[0]:.12g} {place[1]:.12g} {place[2]:.12g}"/><mass value="{less}"/><inertia {" ".join(names)}/>'
+
+
+WRONG = {
+    "too light": ('<mass value="4"/>', '<mass value="2.2"/>'),
+    "turned about": ('xyz="0.17 -0.02 0.02"', 'xyz="-0.09 0.12 0.02"'),
+    "loaded": (LOWER, _unloaded(0.3, (0.25, 0.02, 0.0))),
+    "right": ('<mass value="4"/>', '<mass value="4"/>'),
+}
+
+
+def campaign(folder: Path, wrong: str, seed: int) -> Path:
+    """Two joints with friction; the URDF beside the logs has another link than the one that moved."""
+    arm, rng = ind.two_joints(folder), np.random.default_rng(seed)
+    tables = [{"type": k, "joint": j} for j in arm.joints for k in ("coulomb_friction", "viscous_friction")]
+    runs = []
+    for role in ("identification", "identification", "validation"):
+        m = ind.harmonics(rng, 2, period_s=10.0, rate_hz=100.0, lines=8)
+        noise = ind.white(rng, len(m.time), (0.05, 0.03))
+        runs.append(ind.run(arm, role, m, [ind.friction(*FRICTION)], noise))
+    path = ind.write_files(folder, arm, tables, runs, cutoff_hz=15.0, known=True)
+    urdf = folder / arm.urdf
+    assert WRONG[wrong][0] in urdf.read_text()
+    urdf.write_text(urdf.read_text().replace(*WRONG[wrong]))
+    return path
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("wrong", ["too light", "turned about"])
+def test_wrong_links_are_no_fault_of_the_data_and_said_to_be_behind_what_was_named(
+    tmp_path: Path, wrong: str, seed: int
+) -> None:
+    path = campaign(tmp_path, wrong, seed)
+    assert rf.check(path).data_faults == ()
+    result = rf.close_loop(path)
+    (told,) = (c for c in result.cautions if "declared as known" in c)
+    assert 'inertial_parameters = "fitted"' in told
+    assert all(e.effect.label in told for e in result.effects)
+    assert result.verdict == "partly_explained"
+
+
+def test_a_payload_on_right_links_keeps_its_name_beside_the_other_explanation(tmp_path: Path) -> None:
+    result = rf.close_loop(campaign(tmp_path, "loaded", 1))
+    assert [e.effect.type_name() for e in result.effects] == ["payload"] and result.verdict == "explained"
+    (told,) = (c for c in result.cautions if "declared as known" in c)
+    assert "payload" in told
+
+
+def test_right_links_are_not_doubted(tmp_path: Path) -> None:
+    result = rf.close_loop(campaign(tmp_path, "right", 1))
+    assert list(result.effects) == [] and not any("declared as known" in c for c in result.cautions)
