@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, entry
-
-TOGETHER = 8  # columns: as many as lie together in the processor's cache
+from rx90b_flex.compiled.compile import Array, entry, inlined
+from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors
 
 
 @entry
@@ -17,43 +16,39 @@ def forward_and_backward(x: Array, sections: Array, steady: Array, pad: int) -> 
     """
     samples, columns = x.shape
     out = np.empty((samples, columns))
-    work = np.empty((TOGETHER, samples + 2 * pad))
-    for begin in range(0, columns, TOGETHER):
-        here = min(TOGETHER, columns - begin)
+    numbers = aligned(samples + 2 * pad)
+    work = as_vectors(numbers)  # a column a lane
+    for begin in range(0, columns, WIDTH):
+        here = min(WIDTH, columns - begin)
         for i in range(samples):
             for c in range(here):
-                work[c, pad + i] = x[i, begin + c]
-        for c in range(here):
-            row = work[c]
-            first, last = row[pad], row[pad + samples - 1]
-            for i in range(pad):
-                row[i] = 2.0 * first - row[2 * pad - i]
-                row[pad + samples + i] = 2.0 * last - row[pad + samples - 2 - i]
-            for _ in range(2):
-                _run(row, sections, steady)
-                # the second time backward; in its place, for a view is another type to compile
-                for i in range(len(row) // 2):
-                    row[i], row[len(row) - 1 - i] = row[len(row) - 1 - i], row[i]
+                numbers[WIDTH * (pad + i) + c] = x[i, begin + c]
+        first, last = work[pad], work[pad + samples - 1]
+        for i in range(pad):
+            work[i] = 2.0 * first - work[2 * pad - i]
+            work[pad + samples + i] = 2.0 * last - work[pad + samples - 2 - i]
+        _run(work, sections, steady, 0, 1)
+        _run(work, sections, steady, len(work) - 1, -1)
         for i in range(samples):
             for c in range(here):
-                out[i, begin + c] = work[c, pad + i]
+                out[i, begin + c] = numbers[WIDTH * (pad + i) + c]
     return out
 
 
-@entry
-def _run(work: Array, sections: Array, steady: Array) -> None:
-    """Sections along a signal, in its place: two in one pass, for each waits for its own last result."""
-    start = work[0]
+@inlined
+def _run(work: Array, sections: Array, steady: Array, begin: int, step: int) -> None:
+    """Sections along signals, in their place, from `begin` on: two in one pass, for each waits for its own last result."""
+    start = work[begin]
     for s in range(0, len(sections), 2):
         b0, b1, b2, a1, a2 = sections[s, 0], sections[s, 1], sections[s, 2], sections[s, 4], sections[s, 5]
         z1, z2 = steady[s, 0] * start, steady[s, 1] * start
         if s + 1 == len(sections):
-            for i in range(len(work)):
-                u = work[i]
+            for k in range(len(work)):
+                u = work[begin + step * k]
                 y = b0 * u + z1
                 z1 = (b1 * u + z2) - a1 * y
                 z2 = b2 * u - a2 * y
-                work[i] = y
+                work[begin + step * k] = y
             return
         c0, c1, c2, d1, d2 = (
             sections[s + 1, 0],
@@ -63,15 +58,15 @@ def _run(work: Array, sections: Array, steady: Array) -> None:
             sections[s + 1, 5],
         )
         w1, w2 = steady[s + 1, 0] * start, steady[s + 1, 1] * start
-        for i in range(len(work)):
-            u = work[i]
+        for k in range(len(work)):
+            u = work[begin + step * k]
             y = b0 * u + z1
             z1 = (b1 * u + z2) - a1 * y
             z2 = b2 * u - a2 * y
             v = c0 * y + w1
             w1 = (c1 * y + w2) - d1 * v
             w2 = c2 * y - d2 * v
-            work[i] = v
+            work[begin + step * k] = v
 
 
 @entry
