@@ -34,23 +34,35 @@ print(doubled(1.0), sum(doubled.stats.cache_hits.values()))
 def doubled(folder: Path) -> tuple[float, int]:
     """What a new process says, and how many functions it took from the disk."""
     command = [sys.executable, "-c", RUN.format(name=folder.name)]
-    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(folder.parent)}
+    caches = str(folder.parents[1] / "caches")
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(folder.parent), "NUMBA_CACHE_DIR": caches}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     value, hits = done.stdout.split()
     return float(value), int(hits)
 
 
-def test_a_caller_is_compiled_again_when_the_file_of_what_it_calls_changes(tmp_path: Path) -> None:
-    folder = tmp_path / "copied"
-    folder.mkdir()
+def package(parent: Path) -> Path:
+    """A folder of compiled functions, one of which calls another."""
+    folder = parent / "copied"
+    folder.mkdir(parents=True)
     shutil.copy(FOLDER / "compile.py", folder)
     (folder / "caller.py").write_text(CALLER.format(name="copied"))
     (folder / "callee.py").write_text(CALLEE.format(name="copied", number=1.0))
+    return folder
+
+
+def test_a_caller_is_compiled_again_when_the_file_of_what_it_calls_changes(tmp_path: Path) -> None:
+    folder = package(tmp_path / "here")
     assert doubled(folder) == (4.0, 0)
     assert doubled(folder) == (4.0, 1)
     (folder / "callee.py").write_text(CALLEE.format(name="copied", number=3.0))
     assert doubled(folder) == (8.0, 0)
     assert doubled(folder) == (8.0, 1)
+
+
+def test_another_environment_with_the_same_files_compiles_nothing(tmp_path: Path) -> None:
+    assert doubled(package(tmp_path / "here")) == (4.0, 0)
+    assert doubled(package(tmp_path / "there")) == (4.0, 1)
 
 
 def test_every_compiled_function_is_kept_that_way() -> None:

@@ -1,7 +1,8 @@
 """How functions of this folder are compiled and kept on disk.
 
-numba keeps a function's machine code as long as the function's own file stays as it is, also where that code holds
-functions of other files. Here it is kept as long as all files of this folder stay as they are.
+numba keeps a function's machine code beside the function's own file and as long as that file stays as it is, also where
+that code holds functions of other files. Here it is kept among the user's caches, one folder for what all files of this
+folder hold: it is good as long as they stay as they are, and in every environment that has the same.
 
 No reordering of sums: runs repeat to the bit.
 """
@@ -9,6 +10,8 @@ No reordering of sums: runs repeat to the bit.
 from __future__ import annotations
 
 import hashlib
+import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -17,8 +20,9 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from numba.core import event
+from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -35,6 +39,19 @@ def sources_stamp() -> str:
     return known.hexdigest()
 
 
+@cache
+def kept_in() -> str | None:
+    """Folder of the machine code of these sources; None where it cannot be written, and numba finds a place of its own."""
+    caches: str = config.CACHE_DIR or AppDirs("rx90b_flex", False).user_cache_dir  # type: ignore[attr-defined, no-untyped-call]
+    folder = os.path.join(caches, f"compiled_{sources_stamp()[:16]}")
+    try:
+        os.makedirs(folder, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return None
+    return folder
+
+
 class _Located:
     """Where numba keeps a function, and what tells it that the sources are still those that were compiled."""
 
@@ -44,8 +61,11 @@ class _Located:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.locator, name)
 
+    def get_cache_path(self) -> Any:
+        return kept_in() or self.locator.get_cache_path()
+
     def get_source_stamp(self) -> Any:
-        return self.locator.get_source_stamp(), sources_stamp()
+        return sources_stamp()
 
 
 class _Kept(CompileResultCacheImpl):
