@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -114,14 +115,13 @@ class Comparison:
         return self.rival.accepted and self.behind < -APART and not trifle
 
 
-def compare(search: Search, named: Effect, rival: Effect) -> Comparison:
+def compare(beside: _Beside, rival: Effect) -> Comparison:
     """Put a rival in the place of a named effect and compare the errors on held-out blocks."""
-    beside = _Beside(search, named)
-    first, second = (search.trial(e, beside.base(e), beside.base(None), 1) for e in (named, rival))
+    first, second = beside.trial_of_named, beside.trial(rival)
     difference = first.block_gains - second.block_gains
     blocks = float(difference.std(ddof=1) * np.sqrt(len(difference)))
     apart = (beside.left(second.effect) - beside.left(first.effect)).T[:, :, None]
-    model = search.model
+    model = beside.search.model
     weight = model.solution.sigma**-2.0
     coloured = float(scatter(apart, weight, model.spectra, model.regression.spans)[0, 0])
     white = float((weight[:, None] * apart[:, :, 0].T ** 2).sum())
@@ -131,7 +131,8 @@ def compare(search: Search, named: Effect, rival: Effect) -> Comparison:
 
 def compared(search: Search, named: Effect, winner: TorqueTrial, rivals: Sequence[TorqueTrial]) -> list[Comparison]:
     """The named effect of the final model against each rival of its round that is worth it."""
-    return [compare(search, named, r) for r in worth_comparing(search, named, winner, rivals)]
+    beside = _Beside(search, named)
+    return [compare(beside, r) for r in worth_comparing(search, named, winner, rivals)]
 
 
 def alternatives(search: Search, named: Effect, comparisons: Sequence[Comparison]) -> tuple[Alternative, ...]:
@@ -163,8 +164,23 @@ class _Beside:
 
     def base(self, candidate: Effect | None) -> Base:
         """What the candidate comes to: all of this, less what it replaces itself."""
-        out = [e for e in self.restored if candidate is None or e.type_name() not in candidate.stands_for()]
-        return self.search.base(self.named, out)
+        out = tuple(e for e in self.restored if candidate is None or e.type_name() not in candidate.stands_for())
+        if out not in self._bases:
+            self._bases[out] = self.search.base(self.named, out)
+        return self._bases[out]
+
+    @cached_property
+    def _bases(self) -> dict[tuple[Effect, ...], Base]:
+        return {}
+
+    def trial(self, effect: Effect) -> TorqueTrial:
+        """Of an effect in the named one's place."""
+        return self.search.trial(effect, self.base(effect), self.base(None), 1)
+
+    @cached_property
+    def trial_of_named(self) -> TorqueTrial:
+        """The named effect's own, which all rivals are compared with."""
+        return self.trial(self.named)
 
     def left(self, effect: Effect) -> Array:
         """Residual with an effect in the named one's place, shape (joints, N)."""

@@ -35,11 +35,14 @@ class Candidates:
         Whether two of which none is sure alone are tried together.
     told : bool
         Whether what it refused is kept.
+    alone : bool
+        Whether single candidates are enough, without families of them.
     """
 
     kinds: Callable[[type[Effect]], bool] = lambda kind: True
     in_pairs: bool = True
     told: bool = True
+    alone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +250,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         for first in residual.hopeful(trials):
             self.tell(f"trying what goes with {first.label}", _done(standing))
             half = residual.joined(standing.model, first)
-            beside = residual.trials(half, some, lambda part: None)
+            beside = residual.trials(half, dataclasses.replace(some, alone=True), lambda part: None)
             second = residual.companion(half, first, beside)
             if second is None:
                 continue

@@ -188,8 +188,8 @@ class Search:
         shape[self.free(effect) if free is None else free] = values
         return effect.with_shape(shape)
 
-    def run(self, progress: Callable[[float], None] | None = None) -> list[TorqueTrial]:
-        """Try all candidates.
+    def run(self, progress: Callable[[float], None] | None = None, families: bool = True) -> list[TorqueTrial]:
+        """Try all candidates, and, unless told otherwise, families of them.
 
         Returns
         -------
@@ -216,7 +216,7 @@ class Search:
             if len(trials) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(trials):
                 break  # neither this one nor those behind it can win
             trials.append(self._tried(item, bases[None]))
-        trials += self._families(rough, trials, bases[None])
+        trials += self._families(rough, trials, bases[None]) if families else []
         for stretch in self.regression.stretches:
             stretch.motion.forget()
         return sorted(trials, key=lambda t: -t.gain)

@@ -147,7 +147,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return Candidates(laws), Candidates(last_resorts, in_pairs=False)
 
     def trials(self, model: TorqueModel, some: Candidates, told: Callable[[float], None]) -> list[TorqueTrial]:
-        return self.search(model, some.kinds).run(told)
+        return self.search(model, some.kinds).run(told, families=not some.alone)
 
     def search(self, model: TorqueModel, kinds: Callable[[type[Effect]], bool] = laws) -> Search:
         """Everything that could be missing from a model."""

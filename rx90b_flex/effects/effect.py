@@ -173,6 +173,7 @@ class Effect(ABC):
     # ---- description ------------------------------------------------------------------------------------
 
     @classmethod
+    @cache
     def type_name(cls) -> str:
         """Name in robot files and reports: the class name in snake case."""
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
