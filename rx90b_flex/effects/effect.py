@@ -21,6 +21,7 @@ from rx90b_flex.files.keys import check_keys, close_match
 # Rank of a parameter in a robot's parameter vector: the order of table D.1.
 INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
 
+_in_snake_case = cache(lambda name: re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower())
 SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
 
 
@@ -173,10 +174,9 @@ class Effect(ABC):
     # ---- description ------------------------------------------------------------------------------------
 
     @classmethod
-    @cache
     def type_name(cls) -> str:
         """Name in robot files and reports: the class name in snake case."""
-        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        return _in_snake_case(cls.__name__)
 
     @classmethod
     @cache
