@@ -47,6 +47,7 @@ def test_a_hose_that_was_taken_off_before_the_held_out_recording_is_no_finding_a
     assert result.verdict != "explained"  # the fitted recordings hold what the result does not
 
 
+@pytest.mark.slow
 def test_a_hose_that_stays_is_found(tmp_path):
     result = rf.close_loop(campaign(tmp_path, spring_held_out=True))
     assert {e.effect.type_name() for e in result.effects} == {"gear_ripple", "joint_spring"}

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import independent as ind
 import numpy as np
@@ -84,7 +85,21 @@ EFFECTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+ALIKE = (
+    "spring",
+    "tilted base",
+    "positions exchanged",
+    "a torque in N mm",
+    "a torque thirty times too large",
+    "an encoder that slips",
+)  # what others of their table are much like: looked at with the slow tests
+
+
+def some_slow(names: Iterable[str]) -> list[Any]:
+    return [pytest.param(n, marks=[pytest.mark.slow] * (n in ALIKE)) for n in names]
+
+
+@pytest.mark.parametrize("name", some_slow(EFFECTS))
 def test_a_physical_effect_is_not_called_a_fault_of_the_data(tmp_path: Path, name: str) -> None:
     assert checked(tmp_path, sound(EFFECTS[name])).data_faults == ()
 
@@ -112,7 +127,14 @@ def _piece(recording: Recording, rows: slice, every: int) -> Recording:
 
 @pytest.mark.parametrize(
     ("some", "part", "every"),
-    [((0,), 1.0, 1), ((1,), 1.0, 1), ((2,), 1.0, 1), ((0, 1, 2), 0.5, 1), ((0, 1, 2), 0.35, 1), ((0, 1, 2), 1.0, 5)],
+    [
+        ((0,), 1.0, 1),
+        ((0, 1, 2), 0.35, 1),
+        *(
+            pytest.param(*x, marks=pytest.mark.slow)
+            for x in (((1,), 1.0, 1), ((2,), 1.0, 1), ((0, 1, 2), 0.5, 1), ((0, 1, 2), 1.0, 5))
+        ),
+    ],
 )
 def test_too_little_of_a_sound_recording_is_not_a_fault(some: tuple[int, ...], part: float, every: int) -> None:
     # in so short a motion some wrong reading of the columns does better than the right one, but not all the time
@@ -177,7 +199,7 @@ FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | No
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", some_slow(FAULTS))
 def test_a_fault_is_named_on_its_joints(tmp_path: Path, name: str) -> None:
     change, kind, joints, factor = FAULTS[name]
     result = checked(tmp_path, change(sound()))
@@ -208,7 +230,7 @@ def test_angles_in_degrees_are_named_though_they_could_be_radians(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    "kept", [0.5, 1.0]
+    "kept", [pytest.param(0.5, marks=pytest.mark.slow), 1.0]
 )  # of the motion: with all of it the low-pass comes near half the stated rate
 def test_a_stated_rate_of_half_the_true_one_is_named_without_a_time_column(tmp_path: Path, kept: float) -> None:
     rng = np.random.default_rng(1)

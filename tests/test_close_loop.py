@@ -82,6 +82,7 @@ TWO_JOINTS = Bench(
 )
 # hidden together in a UR10 that is part of every run
 TOGETHER = ("joint_coupling", "gear_ripple")
+ALIKE = ("coulomb_friction", "viscous_power_friction")  # friction over velocity, which the slow tests hide as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +138,11 @@ def passed(cutoff_hz: float = CUTOFF_HZ) -> float:
 
 
 HIDINGS = [
-    *(pytest.param((TWO_JOINTS, kind), id=f"two joints, {kind}") for kind in TWO_JOINTS.hidden),
     *(
-        pytest.param((UR10, kind), id=kind, marks=[pytest.mark.slow] * (kind in (*TWO_JOINTS.hidden, *TOGETHER)))
-        for kind in HIDDEN
+        pytest.param((TWO_JOINTS, kind), id=f"two joints, {kind}", marks=[pytest.mark.slow] * (kind in ALIKE))
+        for kind in TWO_JOINTS.hidden
     ),
+    *(pytest.param((UR10, kind), id=kind, marks=[pytest.mark.slow] * (kind != "stribeck_friction")) for kind in HIDDEN),
 ]
 
 

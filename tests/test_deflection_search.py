@@ -74,7 +74,8 @@ def test_a_flexible_drive_is_named_on_its_joint_and_nothing_else_is(tmp_path, st
     assert result.after.validation.relative_error < result.before.validation.relative_error
 
 
-@pytest.mark.parametrize("stiffness", [pytest.param(240.0, marks=pytest.mark.slow), 1500.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [240.0, 1500.0])
 def test_without_dry_friction_the_stiffness_is_found_within_its_interval(tmp_path, stiffness):
     result = closed(tmp_path, {SHOULDER: stiffness}, 1, coulomb=0.0)
     assert named(result) == [("drive_flexibility", ("shoulder",))]

@@ -56,6 +56,7 @@ def test_with_nothing_hidden_the_declared_robot_is_the_true_one():
     assert d.hidden is None and d.declared.effects == d.true.effects
 
 
+@pytest.mark.slow
 def test_seeds_draw_every_effect_type_sooner_or_later():
     drawn = {hidden_in(make_demonstration(seed))[0] for seed in range(40)}
     # eleven types, 40 draws: any is missed with probability 11 * (10/11)^40 = a quarter; the seeds are fixed
@@ -105,6 +106,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return out, printed.getvalue()
 
 
+@pytest.mark.slow
 def test_the_demo_writes_its_recordings_and_all_results(run):
     out, _ = run
     recordings = [f"run_{i}.csv.gz" for i in (1, 2, 3)]
@@ -114,6 +116,7 @@ def test_the_demo_writes_its_recordings_and_all_results(run):
     assert [p.name for p in out.parent.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_the_demo_finds_what_it_hid_and_only_then_tells(run):
     out, printed = run
     (effect,) = json.loads((out / "closed_loop.json").read_text())["effects"]
@@ -124,6 +127,7 @@ def test_the_demo_finds_what_it_hid_and_only_then_tells(run):
     assert "held out" in table
 
 
+@pytest.mark.slow
 def test_what_the_demo_wrote_does_not_say_what_is_hidden(run):
     out, _ = run
     declared = tomllib.loads((out / "declared.toml").read_text())

@@ -36,6 +36,7 @@ from designed_motion.search import (
 )
 
 PERIOD = 4.096
+pytestmark = pytest.mark.slow  # what they test is a benchmark's
 
 
 @cache
@@ -378,7 +379,6 @@ def test_figures_have_axes_with_units() -> None:
         assert figure.axes[-1].get_xlabel()
 
 
-@pytest.mark.slow
 def test_a_designed_excitation_is_conditioned_five_times_better_than_that_of_section_422() -> None:
     """At equal duration, within limits that the other does not keep; by simulated motion of both."""
     design = design_excitation(robot(), seed=0, controller=controller())

@@ -256,6 +256,7 @@ def test_table_json_and_page_of_a_fleet_say_the_same(done: tuple[rf.Fleet, Path]
     assert "r2" in fleet._repr_html_() and len(fleet.to_pandas()) == len(table)
 
 
+@pytest.mark.slow
 def test_what_is_there_is_kept_and_the_rest_is_done(
     campaigns: list[Path], done: tuple[rf.Fleet, Path], tmp_path: Path
 ) -> None:
@@ -327,6 +328,7 @@ def test_wrong_words_and_campaigns_none_of_which_can_be_used_are_one_line(
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_robots_that_were_done_and_says_so(campaigns: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     with subprocess.Popen(

@@ -78,6 +78,7 @@ def test_recordings_are_grouped_by_mean_angle_in_any_order() -> None:
         assert len({r.name.replace("near_", "")[:2] for r in group}) == 1
 
 
+@pytest.mark.slow
 def test_two_poses_tell_what_a_stretched_arm_alone_cannot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stretched, joints 2 and 3 bend about the same axis; one more pose parts them, and links and hinges are those of both."""
     rng = np.random.default_rng(1)

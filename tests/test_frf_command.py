@@ -229,6 +229,7 @@ def test_under_a_controller_that_nobody_knows_logged_torques_are_replayed(with_d
     assert abs(found["replay"]["torque_delay"]["value"]) < 4.0 * found["replay"]["torque_delay"]["std"]
 
 
+@pytest.mark.slow
 def test_what_keeps_a_replay_away_is_said_and_the_rest_goes_on(with_dry_friction, tmp_path):
     options = FrfOptions((8.0, 30.0), starts=0, modes=(3,))
     lone = shutil.copytree(with_dry_friction.parent, tmp_path / "lone")

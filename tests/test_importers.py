@@ -531,6 +531,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_the_loop_closes_on_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs with columns angle_0, moment_0, ...: nothing is said but the robot."""
     arm, rng = ind.two_joints(tmp_path), np.random.default_rng(1)

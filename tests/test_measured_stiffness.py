@@ -91,6 +91,7 @@ def test_the_lever_is_that_of_the_pose(tmp_path: Path, command: Command, robot: 
     assert entry["value"] == pytest.approx(2.5e5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_is_that_of_repeated_tests(tmp_path: Path, command: Command) -> None:
     """Forty tests of one hinge: their scatter, and their weighted mean's, are as stated."""
     rng = np.random.default_rng(3)

@@ -41,6 +41,7 @@ def assert_found(arm: Arm, found: dict[str, Any]) -> None:
     assert (less[diagonal] < 0.2 * as_measured[diagonal]).all()
 
 
+@pytest.mark.slow
 def test_by_motion_alone_the_drives_of_an_unknown_arm_are_found(tmp_path: Path) -> None:
     """Neither a torque input nor the controller is known, and only angles and torques of the motors are logged."""
     arm = Arm.drawn(SEED)

@@ -76,6 +76,7 @@ def run(words: list[str], folder: Path, command: Command) -> None:
     assert out.is_file() or any(out.iterdir()), words
 
 
+@pytest.mark.slow
 def test_the_rows_run_as_printed(folder: Path, command: Command) -> None:
     quick = [words for words in rows() if not is_slow(words)]
     assert len(quick) >= 10

@@ -214,6 +214,7 @@ def test_rows_of_other_bytes_and_too_few_cells_are_one_line(campaign: Path, comm
     assert "log_1.csv" in refused(command, tmp_path, "identify", campaign, "--out", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_joint_that_never_moves_is_no_reason_to_fail(campaign: Path, command: Command, tmp_path: Path) -> None:
     """The shoulder stands on its brake: its log has the torque that holds it, and no friction."""
     hold_the_shoulder(campaign.parent)

@@ -289,6 +289,7 @@ def test_a_delay_put_into_the_logged_torques_comes_back(recordings: tuple[Record
     assert (zeros.real < 0).all()  # a drive point has none in the right half plane, and the delay has not become one
 
 
+@pytest.mark.slow
 def test_a_fixed_frequency_in_the_torque_signal_costs_its_line_and_no_more(recordings: tuple[Recording, ...]) -> None:
     rng = np.random.default_rng(9)
     line_hz = 205 / 4.096  # one of the multisine's; what is no whole number of cycles leaks into its neighbours

@@ -114,6 +114,7 @@ def test_bendings_that_are_unlike_take_a_stiffness_each_and_nothing_else(missing
     assert loop.verdict == "explained"
 
 
+@pytest.mark.slow
 def test_bendings_that_are_alike_take_one_stiffness():
     for cause, names in (("joint that bends", ("stiffness",)), ("softer joint", ("joint_stiffness",))):
         (found,) = closed(cause, 2, held_out=3 if cause == "softer joint" else None).found

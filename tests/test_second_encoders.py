@@ -106,6 +106,7 @@ def test_a_flexibility_that_is_declared_is_measured_but_not_added(soft: Path, tm
     assert gear.effect is None and gear.parameters and "declares this flexibility" in gear.message
 
 
+@pytest.mark.slow
 def test_the_loop_names_the_gear_and_writes_it_into_the_robot(soft: Path, tmp_path: Path) -> None:
     result = rf.close_loop(soft)
     assert "drive_flexibility" in [e.effect.type_name() for e in result.effects]
