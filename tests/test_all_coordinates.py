@@ -110,6 +110,7 @@ def tip_difference_mm(robot: Robot, other: Robot) -> float:
     return float(1e3 * np.linalg.norm(true.tip[:, :3, 3] - found.tip[:, :3, 3], axis=1).max())
 
 
+@pytest.mark.slow
 def test_repeating_the_experiment_on_the_identified_robot_removes_the_bias_of_friction(
     robot: Robot, log: FullLog, fit: CoordinatesFit
 ) -> None:

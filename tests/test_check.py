@@ -301,7 +301,7 @@ def run_command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return int(ended.value.code or 0)
 
 
-@pytest.mark.parametrize("name", [None, "positions exchanged"])
+@pytest.mark.parametrize("name", [pytest.param(None, marks=pytest.mark.slow), "positions exchanged"])
 def test_the_command_writes_what_it_says_and_ends_with_its_status(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
 ) -> None:

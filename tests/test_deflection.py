@@ -58,7 +58,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(arm, load_robot(folder / "two_joints.urdf"), time, motors, ind.Motion(time, q, v, a))
 
 
-@pytest.mark.parametrize("stiffness", [STIFF, SOFT, {SHOULDER: 400.0}, {ELBOW: 80.0}], ids=str)
+@pytest.mark.parametrize(
+    "stiffness", [pytest.param(STIFF, marks=pytest.mark.slow), SOFT, {SHOULDER: 400.0}, {ELBOW: 80.0}], ids=str
+)
 def test_the_torque_of_twisting_drives_is_that_of_two_inertias_with_a_spring_between(bench, stiffness):
     kept = slice(ENDS, -ENDS)
     true, ours = bench.measured(stiffness)[kept], bench.said(stiffness)[kept]

@@ -273,6 +273,7 @@ def test_what_is_there_is_kept_and_the_rest_is_done(
     assert (out / "r0" / "closed_loop.json").stat().st_mtime_ns == kept
 
 
+@pytest.mark.slow
 def test_a_campaign_that_has_changed_is_done_again_if_that_is_allowed_and_the_others_are_kept(
     campaigns: list[Path], done: tuple[rf.Fleet, Path], tmp_path: Path
 ) -> None:

@@ -138,7 +138,9 @@ def test_a_softer_drive_whose_damping_stays_is_found_as_that_and_nothing_else():
     assert drive.damping == pytest.approx(declared.damping, rel=0.2)
 
 
-@pytest.mark.parametrize(("cause", "delay"), [("nothing", 1.25e-4), ("softer drive", -1.25e-4)])
+@pytest.mark.parametrize(
+    ("cause", "delay"), [("nothing", 1.25e-4), pytest.param("softer drive", -1.25e-4, marks=pytest.mark.slow)]
+)
 def test_torques_logged_late_are_no_finding(cause, delay):
     data = made(cause, 22)
     late = dataclasses.replace(data, value=data.value * np.exp(2j * np.pi * data.hz * delay)[:, None, None])

@@ -200,7 +200,13 @@ def jsonl(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("other", [False, True], ids=["one file of the folder", "another package"])
+PLACES = [
+    pytest.param(False, id="one file of the folder"),
+    pytest.param(True, id="another package", marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("other", PLACES)
 def test_a_log_format_is_imported(other, tmp_path):
     jsonl(tmp_path / "run.jsonl")
     source, folder = printed("new_log_format", "python"), tmp_path / "theirs"
@@ -244,7 +250,7 @@ def test_a_broken_package_of_readers_is_named_and_left_out(tmp_path):
 # ---- estimators -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("other", [False, True], ids=["one file of the folder", "another package"])
+@pytest.mark.parametrize("other", PLACES)
 def test_an_estimator_identifies(other, tmp_path):
     """Tukey's biweight, of which the guide has the influence function, is the fixed point of its own weights."""
     arm, rng = ind.two_joints(tmp_path), np.random.default_rng(2)

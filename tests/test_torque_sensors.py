@@ -59,7 +59,7 @@ def estimates(result: rf.ClosedLoop, label: str) -> dict[str, tuple[float | None
     return {e.name: (e.value, e.std) for e in result.model.estimates(place)}
 
 
-@pytest.mark.parametrize("sensors", ["both", "first joint"])
+@pytest.mark.parametrize("sensors", [pytest.param("both", marks=pytest.mark.slow), "first joint"])
 def test_with_a_sensor_the_rotor_is_told_from_the_first_link_and_without_it_is_not(
     tmp_path: Path, sensors: str
 ) -> None:
