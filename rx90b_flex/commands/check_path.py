@@ -13,11 +13,6 @@ if TYPE_CHECKING:
     from rx90b_flex.path.check import PathCheck
 
 
-def add(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command("check-path")(check_path_command)
-
-
 def check_path_command(
     path: Annotated[
         str,
