@@ -6,11 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-
-import rx90b_flex as rf
-from rx90b_flex.bodies import inconsistencies
-from rx90b_flex.export import save_robot, with_parameters
-from rx90b_flex.identify.all_coordinates import (
+from all_coordinates import (
     CoordinatesFit,
     Equations,
     FullLog,
@@ -21,6 +17,10 @@ from rx90b_flex.identify.all_coordinates import (
     other_periods,
     reweighted,
 )
+
+import rx90b_flex as rf
+from rx90b_flex.bodies import inconsistencies
+from rx90b_flex.export import save_robot, with_parameters
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import load_cs8, simulate, sine_excitation, straight_line
 
