@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rx90b_flex.commands.shared import Out, Overwrite, numbers, progress, say, show_table
+
+if TYPE_CHECKING:
+    from rx90b_flex.identify.frf_command import MotorIdentification
 
 MOST_MODES = 30  # of transfer functions: more are no modes of a robot in any band
 
@@ -69,36 +72,53 @@ def frf_command(
             f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
         )
     check_jobs(jobs)
-    ends = numbers("modes", modes)
-    if len(ends) > 2 or any(x != round(x) or not 1 <= x <= MOST_MODES for x in ends) or ends[0] > ends[-1]:
-        raise ValueError(f"--modes is {modes!r}; expected one or two ascending whole numbers from 1 to {MOST_MODES}")
-    starts = tuple(numbers("start-hz", start_hz)) if start_hz else ()
-    if starts and (not ends[0] <= len(starts) <= ends[-1] or not all(low_hz <= f <= 2 * high_hz for f in starts)):
-        raise ValueError(
-            f"--start-hz is {start_hz!r}; expected {modes.replace(',', ' to ')} resonances (--modes) "
-            f"between {low_hz:g} and {2 * high_hz:g} Hz"
-        )
+    tried, starts = _modes(modes, start_hz, (low_hz, 2 * high_hz))
     if delays not in ("none", "common", "each"):
         raise ValueError(f"--delays is {delays!r}; expected none, common or each")
     if mains_hz is not None and not mains_hz > 0.0:
         raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
     read = read_campaign(campaign)
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
-    from rx90b_flex.view.frf_report import bias_words, delay_words, write_frf_report
+    from rx90b_flex.view.frf_report import write_frf_report
 
     options = FrfOptions(
         (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
-        modes=tuple(range(int(ends[0]), int(ends[-1]) + 1)), start_hz=starts, delays=delays,
+        modes=tried, start_hz=starts, delays=delays,
         mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with progress() as tell:
         result = identify_from_motors(read, options, tell)
         tell("writing the report", 0.97)
         write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")], overwrite)
-    if result.grey is not None:
+    _say(result)
+    say(f"Report: {out / 'report.html'}")
+
+
+def _modes(
+    modes: str, start_hz: str | None, between_hz: tuple[float, float]
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Numbers of modes to try, and resonances to start from."""
+    ends = numbers("modes", modes)
+    if len(ends) > 2 or any(x != round(x) or not 1 <= x <= MOST_MODES for x in ends) or ends[0] > ends[-1]:
+        raise ValueError(f"--modes is {modes!r}; expected one or two ascending whole numbers from 1 to {MOST_MODES}")
+    starts = numbers("start-hz", start_hz) if start_hz else ()
+    low, high = between_hz
+    if starts and (not ends[0] <= len(starts) <= ends[-1] or not all(low <= f <= high for f in starts)):
+        raise ValueError(
+            f"--start-hz is {start_hz!r}; expected {modes.replace(',', ' to ')} resonances (--modes) "
+            f"between {low:g} and {high:g} Hz"
+        )
+    return tuple(range(int(ends[0]), int(ends[-1]) + 1)), starts
+
+
+def _say(result: MotorIdentification) -> None:
+    """Values with their intervals, by replay where that was done, and what qualifies them."""
+    from rx90b_flex.view.frf_report import bias_words, delay_words
+
+    best = result.grey if result.replayed is None else result.replayed.grey
+    if best is not None:
         how = "as measured" if result.replayed is None else "less the distortion that a replay explains"
         rows = []
-        best = result.grey if result.replayed is None else result.replayed.grey
         for e in best.estimates:
             said = f"{e.value:.4g}" if e.determined else "not determined"
             rows.append((e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit))
@@ -112,4 +132,3 @@ def frf_command(
         say(f"Note: {remark}")
     for left in result.left_out:
         say(f"Left out: {left.stage}: {left.why}")
-    say(f"Report: {out / 'report.html'}")
