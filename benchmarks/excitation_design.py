@@ -17,11 +17,7 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from designed_motion.limits import Limits
-from designed_motion.search import Design, design_excitation, periodic_derivative, simulated_margins
-
-import rx90b_flex as rf
-from rx90b_flex.identify.all_coordinates import (
+from all_coordinates import (
     CoordinatesFit,
     Equations,
     FullLog,
@@ -29,6 +25,10 @@ from rx90b_flex.identify.all_coordinates import (
     logs_everything,
     reweighted,
 )
+from designed_motion.limits import Limits
+from designed_motion.search import Design, design_excitation, periodic_derivative, simulated_margins
+
+import rx90b_flex as rf
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Simulation, Trajectory, load_cs8, simulate, sine_excitation
 

@@ -15,13 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
-import rx90b_flex as rf
-from rx90b_flex.effects.motion import Array
-from rx90b_flex.export import with_parameters
-from rx90b_flex.identify.all_coordinates import (
+from all_coordinates import (
     CoordinatesFit,
     Equations,
     FullLog,
@@ -32,6 +26,12 @@ from rx90b_flex.identify.all_coordinates import (
     other_periods,
     reweighted,
 )
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import rx90b_flex as rf
+from rx90b_flex.effects.motion import Array
+from rx90b_flex.export import with_parameters
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, sine_excitation, straight_line
 from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,12 @@ import pytest
 import rx90b_flex as rf
 from rx90b_flex.bodies import inconsistencies
 from rx90b_flex.export import save_robot, with_parameters
-from rx90b_flex.identify.all_coordinates import (
+from rx90b_flex.robot import Robot
+from rx90b_flex.simulate import load_cs8, simulate, sine_excitation, straight_line
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from all_coordinates import (
     CoordinatesFit,
     Equations,
     FullLog,
@@ -21,8 +28,6 @@ from rx90b_flex.identify.all_coordinates import (
     other_periods,
     reweighted,
 )
-from rx90b_flex.robot import Robot
-from rx90b_flex.simulate import load_cs8, simulate, sine_excitation, straight_line
 
 Array = np.ndarray
 GUESS = 0.2  # largest relative error of the first guess

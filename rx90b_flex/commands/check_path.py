@@ -13,11 +13,6 @@ if TYPE_CHECKING:
     from rx90b_flex.path.check import PathCheck
 
 
-def add(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command("check-path")(check_path_command)
-
-
 def check_path_command(
     path: Annotated[
         str,
@@ -58,19 +53,11 @@ def check_path_command(
 
     if save_example is None:
         check_folder(out, PATH_CHECK, overwrite, [str(x) for x in (path, robot, controller, measured) if x])
-    from rx90b_flex.early import check_jobs, check_robot
-    from rx90b_flex.files.toml import named_in
+    from rx90b_flex.early import check_jobs
 
     check_jobs(jobs)
     if save_example is None:
-        from rx90b_flex.path.seam import load_seam
-
-        named = load_seam(path, speed_mm_s).robot
-        if robot:
-            check_robot(robot)
-        elif named:
-            with named_in(Path(path), "robot"):
-                check_robot(named)
+        _check_robot(path, speed_mm_s, robot)
     from rx90b_flex.path.check import PathOptions
     from rx90b_flex.path.output import PathRequest, run_request, write_check, write_example
 
@@ -92,6 +79,26 @@ def check_path_command(
         from rx90b_flex.view.path_report import write_path_report
 
         write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),), overwrite)
+    _say(result, out)
+    if result.verdict == "outside_tolerance":
+        raise typer.Exit(1)
+
+
+def _check_robot(path: str, speed_mm_s: float | None, robot: str | None) -> None:
+    """Whether the robot is there that is asked for, or else that which the path file names."""
+    from rx90b_flex.early import check_robot
+    from rx90b_flex.files.toml import named_in
+    from rx90b_flex.path.seam import load_seam
+
+    named = load_seam(path, speed_mm_s).robot
+    if robot:
+        check_robot(robot)
+    elif named:
+        with named_in(Path(path), "robot"):
+            check_robot(named)
+
+
+def _say(result: PathCheck, out: Path) -> None:
     say(result.sentence)
     causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
     if causes:
@@ -100,8 +107,6 @@ def check_path_command(
     say(f"Report: {out / 'report.html'}")
     beside = f" --beside {out / 'corrected'}" if (out / "corrected").is_dir() else ""
     say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
-    if result.verdict == "outside_tolerance":
-        raise typer.Exit(1)
 
 
 def _end_measured(result: PathCheck, measured: Path, out: Path, overwrite: bool) -> NoReturn:

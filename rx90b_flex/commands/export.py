@@ -10,11 +10,6 @@ import typer
 from rx90b_flex.commands.shared import say
 
 
-def add(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command("export")(export_command)
-
-
 def export_command(
     robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
     file_format: Annotated[str, typer.Option("--format", help="urdf, mjcf (MuJoCo) or sdf (Gazebo).")],

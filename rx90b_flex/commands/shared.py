@@ -99,3 +99,16 @@ def without_types_of_flags(options: list[Any]) -> list[Any]:
         if getattr(option, "is_flag", False):
             option.metavar = ""
     return options
+
+
+def numbers(name: str, text: str) -> tuple[float, ...]:
+    """Of an option that takes several."""
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} is {text!r}; expected numbers with commas between them") from None
+
+
+def value_words(name: str, value: float, std: float | None, unit: str) -> str:
+    """A parameter with its standard deviation."""
+    return f"{name} {value:.4g} ± {std:.2g} {unit}" if unit != "-" else f"{name} {value:.4g} ± {std:.2g}"

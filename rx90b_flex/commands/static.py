@@ -10,11 +10,6 @@ import typer
 from rx90b_flex.commands.shared import Out, Overwrite, fitted_into
 
 
-def add(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command("static")(static_command)
-
-
 def static_command(
     tests: Annotated[Path, typer.Argument(help="File of dead-weight tests (TOML).")],
     out: Out,

@@ -10,11 +10,6 @@ import typer
 from rx90b_flex.commands.shared import progress, say
 
 
-def add(app: typer.Typer) -> None:
-    """Add the command to the command line."""
-    app.command("view")(view_command)
-
-
 def view_command(
     source: Annotated[
         str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or robot (its mode shapes).")

@@ -8,11 +8,12 @@ parameter; one each competes by the same number, at odds of 1 to 20, before anyt
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from scipy.special import gammaln
 from rx90b_flex.diagnose.loop import Addition, Candidates, ClosingLoop, Progress, Residual, Standing, verdict
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, Trial
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.levenberg import Damping, Iterate, lowest
 
 PAIRS = 2  # changes that are tried with company where none is sure alone
 MISFIT = 1.0e-3  # probability below which scatter beyond the stated errors is not called chance
@@ -29,7 +31,8 @@ RIVAL = 2.0 * np.log(20.0)  # criterion: a change whose odds against the best ar
 MOST_CHANGES = 6  # more than this describe the data rather than explain them
 FIRST_ERROR = 0.25  # model error that a fit begins with: wide valleys
 SCOUTED = 8  # steps from each start, at the least, before the best are followed
-STEPS = 60  # at the most
+STEPS = 60  # before a fit ends, at the most
+DAMPING = Damping(1e-2, rise=8.0, fall=5.0)
 UNLIKE = np.array([[0.5, -0.5], [-0.5, 0.5]])  # logarithms by which unlike hinges begin off alike ones
 CLOSE = 20.0  # deviance: scouted starts and changes this near the best are followed to their end
 
@@ -243,6 +246,47 @@ class FoundChange:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class _Descending(Iterate):
+    """Values x on their way to the lowest deviance, the model error on its way to its most likely size."""
+
+    evaluate: Callable[[Array, float], State]
+    weight: Array  # of the prior
+    centre: Array
+    x: Array
+    error: float
+    least: int  # steps, before one that gains less than `CLOSE` is the last
+    steps: int = 0
+
+    @cached_property
+    def state(self) -> State:
+        return self.evaluate(self.x, self.error)
+
+    @property
+    def goal(self) -> float:
+        return self.state.deviance + float(self.weight @ (self.x - self.centre) ** 2)
+
+    @property
+    def enough(self) -> float:
+        if self.renewed() is not self:
+            return -1.0
+        return 1e-4 if self.steps < self.least else CLOSE
+
+    def equations(self) -> tuple[Array, Array]:
+        return self.state.information + np.diag(self.weight), -self.state.gradient - self.weight * (
+            self.x - self.centre
+        )
+
+    def moved(self, step: Array) -> _Descending:
+        step = step * min(1.0, 1.0 / max(float(np.abs(step).max(initial=0.0)), 1e-12))
+        return dataclasses.replace(self, x=self.x + step, steps=self.steps + 1)
+
+    def renewed(self) -> _Descending:
+        # no faster than by halves: a small error too early fixes a wrong pairing of modes
+        error = max(self.state.model_error, 0.5 * self.error)
+        return self if abs(error - self.error) <= 1e-3 * self.error else dataclasses.replace(self, error=error)
+
+
 class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
     """Data whose errors are normal, beside those of a model that is never quite right.
 
@@ -300,39 +344,11 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
         everything = (*self.nuisance, *changes)
         weight = np.concatenate([*(np.full(c.size, c.std**-2.0) for c in everything), np.zeros(0)])
         centre = np.concatenate([*(c.usual for c in everything), np.zeros(0)])
-
-        def at(x: Array, error: float) -> tuple[State, float]:
-            state = self.evaluate(everything, x, error)
-            return state, state.deviance + float(weight @ (x - centre) ** 2)
-
-        state, value = at(x, error)
-        damping, gain = 1e-2, 0.0
-        for count in range(1, STEPS + 1):
-            # no faster than by halves: a small error too early fixes a wrong pairing of modes
-            next_error = max(state.model_error, 0.5 * error)
-            if abs(next_error - error) > 1e-3 * error:
-                error = next_error
-                state, value = at(x, error)
-            gradient = state.gradient + weight * (x - centre)
-            curvature = state.information + np.diag(weight)
-            moved = False
-            for _ in range(6):
-                step = -np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), gradient)
-                step *= min(1.0, 1.0 / max(float(np.abs(step).max(initial=0.0)), 1e-12))
-                other, other_value = at(x + step, error)
-                if other_value < value:
-                    gain = value - other_value
-                    x, state, value, damping, moved = x + step, other, other_value, max(0.2 * damping, 1e-9), True
-                    break
-                damping *= 8.0
-            else:
-                damping = 1e-2
-            settled = abs(max(state.model_error, 0.5 * error) - error) <= 1e-3 * error
-            if settled and (not moved or gain < (1e-4 if count < least else CLOSE)):
-                break
-        curvature = state.information + np.diag(weight)
+        begin = _Descending(partial(self.evaluate, everything), weight, centre, x, error, least)
+        end = lowest(begin, 2 * STEPS, DAMPING)
+        curvature = end.equations()[0]
         covariance: Array = np.asarray(np.linalg.inv(curvature)) if len(x) else np.zeros((0, 0))
-        return LikelihoodFit(changes, x, covariance, value, error)
+        return LikelihoodFit(changes, end.x, covariance, end.goal, end.error)
 
     def begin(self, fit: LikelihoodFit) -> dict[Change, Array]:
         """A fit's values by change, to begin another from."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,11 +21,11 @@ from rx90b_flex.identify.least_squares import (
     BEYOND,
     CORRELATION_S,
     Identification,
-    damped_step,
     identify,
     shared_values,
 )
 from rx90b_flex.identify.regression import Regression, of_motion_alone
+from rx90b_flex.levenberg import Damping, Iterate, lowest
 
 FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
@@ -38,7 +38,8 @@ REFINED = 16  # trials whose shape parameters are refined at the most
 FEWEST_REFINED = 6  # and at the least
 UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the least
 BEGINNINGS = 3  # of a refinement of several shapes
-REFINEMENTS = 15  # steps of a refinement
+REFINEMENTS = 15  # looks of a refinement
+REFINING = Damping(rise=16.0, fall=4.0)
 SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
 MANY = 4  # shapes of a candidate, from which on a glimpse of the log says first whether all of it is worth a look
@@ -442,19 +443,11 @@ class Search:
             rows, columns = self.regression.compact([self._shaped(effect, s, free) for s in shapes])
             return _Look.at(base, rows, columns, len(effect.coefficients), DIFFERENCE * farthest)
 
-        x = to(start)
-        best, damping = looked_at(x), 1e-3
-        for _ in range(REFINEMENTS):
-            moved = to(np.clip(back(x + np.clip(best.step(damping), -farthest, farthest)), low, high))
-            found = looked_at(moved)
-            won = found.gain - best.gain
-            if won > 0:
-                x, best, damping = moved, found, damping / 4
-            else:
-                damping *= 16
-            if abs(won) < SETTLED * max(best.gain, 1.0):
-                break
-        return best.gain, self._shaped(effect, np.clip(back(x), low, high), free)
+        def moved(x: Array, step: Array) -> Array:
+            return np.asarray(to(np.clip(back(x + np.clip(step, -farthest, farthest)), low, high)))
+
+        end = lowest(_Refinement(to(start), looked_at, moved), REFINEMENTS, REFINING)
+        return end.look.gain, self._shaped(effect, np.clip(back(end.x), low, high), free)
 
     def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> TorqueTrial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
@@ -711,9 +704,32 @@ class _Look:
             further.T @ score - taken.T @ score[:k],
         )
 
-    def step(self, damping: float) -> Array:
-        """Levenberg's step of the shape parameters."""
-        return damped_step(self.gram, self.score, damping)
+
+@dataclass(frozen=True, eq=False)
+class _Refinement(Iterate):
+    """Shapes x of a candidate on their way to its largest gain."""
+
+    x: Array
+    looked_at: Callable[[Array], _Look]
+    after: Callable[[Array, Array], Array]  # a step within the range
+
+    @cached_property
+    def look(self) -> _Look:
+        return self.looked_at(self.x)
+
+    @property
+    def goal(self) -> float:
+        return -self.look.gain
+
+    @property
+    def enough(self) -> float:
+        return SETTLED * max(self.look.gain, 1.0)
+
+    def equations(self) -> tuple[Array, Array]:
+        return self.look.gram, self.look.score
+
+    def moved(self, step: Array) -> _Refinement:
+        return replace(self, x=self.after(self.x, step))
 
 
 def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:

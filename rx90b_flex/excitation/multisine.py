@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from rx90b_flex.levenberg import Damping, Iterate, descent
 
 Array = NDArray[np.float64]
 Crest = Literal["random", "clipping", "lp"]
@@ -14,7 +18,8 @@ Crest = Literal["random", "clipping", "lp"]
 CLIPPING_LEVELS = (0.75, 0.95)  # of the peak: first and last level at which the clipping algorithm cuts
 CLIPPING_STEPS = 300
 POWERS = (4, 8, 16, 32, 64, 128, 256)  # even: of the norms that near the largest value, one after the other
-STEPS = 25  # of Levenberg and Marquardt for each power
+EVALUATIONS = 25  # of the norm, for each power
+DAMPING = Damping(rise=4.0, fall=1.0 / 0.3)
 SETTLED = 1e-4  # relative change of the norm below which the next power is taken
 
 
@@ -161,40 +166,47 @@ def _clip(lines: Array, size: Array, phase: Array, samples: int) -> Array:
     return np.asarray(best)
 
 
+@dataclass(frozen=True, eq=False)
+class _Norm(Iterate):
+    """Phases on their way to the smallest norm ``|f|_p``; residuals are over the largest value, so that powers do not overflow."""
+
+    cosine: Array  # (N, F) of lines without phases, times their amplitudes
+    sine: Array
+    power: int
+    phase: Array
+    peak: float = 1.0
+
+    @cached_property
+    def wave(self) -> Array:
+        return np.asarray(self.cosine @ np.cos(self.phase) - self.sine @ np.sin(self.phase))
+
+    @cached_property
+    def goal(self) -> float:
+        with np.errstate(over="ignore"):
+            return float(np.sum((self.wave / self.peak) ** self.power))
+
+    @property
+    def enough(self) -> float:
+        return self.goal * (1.0 - (1.0 - SETTLED) ** self.power)
+
+    def equations(self) -> tuple[Array, Array]:
+        value, half = self.wave / self.peak, self.power // 2
+        slope = -(self.cosine * np.sin(self.phase) + self.sine * np.cos(self.phase))
+        jacobian = (half / self.peak * value ** (half - 1))[:, None] * slope
+        return jacobian.T @ jacobian, -jacobian.T @ value**half
+
+    def moved(self, step: Array) -> _Norm:
+        return replace(self, phase=self.phase + step)
+
+    def renewed(self) -> _Norm:
+        return replace(self, peak=float(np.abs(self.wave).max()))
+
+
 def _minimise_norms(lines: Array, size: Array, phase: Array, samples: int) -> Array:
     half = bool(np.all(lines % 2 == 1)) and samples % 2 == 0  # odd lines alone: the second half is minus the first
     angle = 2.0 * np.pi / samples * np.outer(np.arange(samples // 2 if half else samples), lines)
-    cosine, sine = size * np.cos(angle), size * np.sin(angle)
-
-    def wave_and_slope(phase: Array) -> tuple[Array, Array]:
-        c, s = np.cos(phase), np.sin(phase)
-        return cosine @ c - sine @ s, -(cosine * s + sine * c)
-
-    best, lowest = phase, np.inf
+    best = at = _Norm(size * np.cos(angle), size * np.sin(angle), POWERS[0], phase).renewed()
     for power in POWERS:
-        wave, slope = wave_and_slope(phase)
-        damping = 1e-3
-        for _ in range(STEPS):
-            peak = np.abs(wave).max()
-            if peak < lowest:
-                best, lowest = phase, peak
-            # residuals scaled by the peak so that their powers do not overflow
-            residual = (wave / peak) ** (power // 2)
-            weight = 0.5 * power / peak * (wave / peak) ** (power // 2 - 1)
-            jacobian = weight[:, None] * slope
-            gradient, curvature = jacobian.T @ residual, jacobian.T @ jacobian
-            norm = np.sum((wave / peak) ** power)
-            for _ in range(8):
-                step = np.linalg.solve(curvature + damping * np.diag(curvature.diagonal() + 1e-12), -gradient)
-                trial, trial_slope = wave_and_slope(phase + step)
-                with np.errstate(over="ignore"):
-                    reached = np.sum((trial / peak) ** power)
-                if reached < norm:
-                    break
-                damping *= 4.0
-            else:
-                break
-            phase, wave, slope, damping = phase + step, trial, trial_slope, 0.3 * damping
-            if (reached / norm) ** (1.0 / power) > 1.0 - SETTLED:
-                break
-    return np.asarray(best if lowest < np.abs(wave).max() else phase)
+        way = list(descent(replace(at, power=power), EVALUATIONS, DAMPING))
+        best, at = min(best, *way, key=lambda one: one.peak), way[-1]
+    return best.phase

@@ -134,10 +134,6 @@ class MeasuredResponse(FrequencyResponse):
         values, vectors = np.linalg.eigh(self.covariance - self.noise_covariance)
         return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.conj().swapaxes(1, 2))
 
-    def snr(self) -> Array:
-        """Magnitude of each entry over its standard deviation, noise and distortion together, shape (F, n, n)."""
-        return np.asarray(np.abs(self.value) / self.std())
-
 
 def confidence_radius(response: FrequencyResponse, level: float = 0.95) -> Array:
     """Radius of the circle in the complex plane that holds each entry with the given probability, shape (F, n, n).

@@ -25,6 +25,7 @@ from rx90b_flex.identify.normal_equations import (
 )
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
+from rx90b_flex.levenberg import Iterate, lowest
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
 MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
@@ -35,7 +36,6 @@ CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that th
 MULTIPLIED_ROUNDS = 12  # with gains among them, which the links must follow
 SMALLEST_FACTOR = 0.02  # of a torque gain during a fit
 DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part of its value
-LARGEST_DAMPING = 1.0e7
 SETTLED = 1.0e-5  # part of the squares below which another step is not worth while
 BEYOND = 2.0  # standard deviations beyond its bound that put a coefficient where it cannot be
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
@@ -572,29 +572,9 @@ class _Fit:
 
     def _stepped(self, rounds: int, moving: Mask) -> _Fit:
         """Steps in some of the shape parameters (s,)."""
-        fit, damping = self, 1e-3
-        for _ in range(rounds):
-            sigma = fit.solution.sigma
-            before = fit.cost(sigma)
-            gram, score = fit._shape_equations(sigma)
-            gram, score = gram * np.outer(moving, moving), score * moving
-            won = False
-            while damping < LARGEST_DAMPING:
-                moved = fit.shapes.moved(fit.shape, damped_step(gram, score, damping))
-                trial = fit.with_shape(moved)
-                after = trial.cost(sigma)
-                won = after < before
-                if won or np.allclose(moved, fit.shape, rtol=1e-9, atol=0.0):
-                    break
-                damping *= 8
-            if not won:
-                break
-            fit, damping = trial, max(damping / 8, 1e-9)
-            if before - after < SETTLED * before:
-                break
-        return fit
+        return lowest(_Shaped(self, moving, self.solution.sigma), rounds).fit
 
-    def _shape_equations(self, sigma: Array) -> tuple[Array, Array]:
+    def shape_equations(self, sigma: Array) -> tuple[Array, Array]:
         """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
         shapes, size = len(self.shapes), len(self.prior)
         own, score, with_columns = np.zeros((shapes, shapes)), np.zeros(shapes), np.zeros((shapes, size))
@@ -648,11 +628,32 @@ class _Fit:
         return found
 
 
-def damped_step(gram: Array, score: Array, damping: float) -> Array:
-    """Levenberg's step, shape (s,), of normal equations (s, s) and (s,); a parameter that the data does not tell stays."""
-    size = np.diag(gram)
-    damped = gram + damping * np.diag(np.where(size > 0, size, 1.0))
-    return np.asarray(np.linalg.lstsq(damped, score, rcond=None)[0], dtype=float)
+@dataclass(frozen=True, eq=False)
+class _Shaped(Iterate):
+    """A fit on its way in some of its shapes; squares count over the variances that the step began with."""
+
+    fit: _Fit
+    moving: Mask
+    sigma: Array
+
+    @cached_property
+    def goal(self) -> float:
+        return self.fit.cost(self.sigma)
+
+    @property
+    def enough(self) -> float:
+        return SETTLED * self.goal
+
+    def equations(self) -> tuple[Array, Array]:
+        gram, score = self.fit.shape_equations(self.sigma)
+        return gram * np.outer(self.moving, self.moving), score * self.moving
+
+    def moved(self, step: Array) -> _Shaped:
+        shape = self.fit.shapes.moved(self.fit.shape, step)
+        return dataclasses.replace(self, fit=self.fit.with_shape(shape))
+
+    def renewed(self) -> _Shaped:
+        return dataclasses.replace(self, sigma=self.fit.solution.sigma)
 
 
 def absorbed_each(

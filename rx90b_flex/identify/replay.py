@@ -51,6 +51,7 @@ SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parame
 HELD_HZ = (
     5.0  # bandwidth of what leads a robot that logged torques drive: below the first lines, and settled within a period
 )
+EVERY = slice(None)  # realisation
 FINER = 4  # points of such a torque a sample of the log: straight lines between samples would lose a third at the upper lines
 AMPLE = 10.0  # torque limit over the largest torque in such a replay
 LARGEST = 0.5  # relative change of a friction coefficient in one round
@@ -583,36 +584,21 @@ class Less:
 
     @property
     def doubted(self) -> FrequencyResponse:
-        """The same, its covariance with what of the distortion's mean the replay is not trusted with, line by line.
+        """The same, its covariance with what the replay is not trusted with of each joint's distortion."""
+        covariance = self.response.covariance.copy()
+        for joint in range(len(self.left)):
+            distortion = self.distortion_of(joint).reshape(len(covariance), -1)
+            covariance += distortion[:, :, None] * distortion.conj()[:, None, :]
+        return dataclasses.replace(self.response, covariance=covariance)
 
-        What the replay leaves of the differences between realisations beyond noise, it leaves of the mean, too, times `FORM_ERROR`,
-        and `REPLAY_ERROR` of it besides.
-        """
-        covariance, freedom = _over_realisations(self.rest, _neighbours(self.measured))
-        noise = _noise(self.measured)
-        apart, before = (
-            np.maximum(np.median(x.var(axis=0, ddof=1), axis=0) - noise, 0.0)
-            for x in (self.rest, self.measured.realisations)
-        )
-        # where noise hides the distortion, all of it is doubted
-        share = np.divide(apart, before, out=np.ones_like(apart), where=before > apart)
-        doubt = np.abs(self.simulated.mean(axis=0) - self.line) ** 2 * (FORM_ERROR**2 * share + REPLAY_ERROR**2)
-        covariance = covariance + doubt.reshape(len(doubt), -1)[:, :, None] * np.eye(doubt[0].size)
-        return dataclasses.replace(self.response, covariance=covariance, degrees_of_freedom=freedom)
+    def distortion_of(self, joint: int, which: slice = EVERY) -> ComplexArray:
+        """What the replay is not trusted with of one joint's distortion, as mean of some realisations, (F, n, n)."""
+        torque = np.linalg.solve(self.line, self.simulated[which].mean(axis=0) - self.line)
+        return np.asarray(self.left[joint] * self.line[:, :, [joint]] * torque[:, [joint], :])
 
     def with_distortion_of(self, joint: int, which: slice) -> FrequencyResponse:
-        """The response with what the replay is not trusted with of one joint's distortion in some realisations, as their mean."""
-        torque = np.linalg.solve(self.line, self.simulated[which].mean(axis=0) - self.line)
-        back = self.left[joint] * self.line[:, :, [joint]] * torque[:, [joint], :]
-        return dataclasses.replace(self.response, value=self.response.value + back)
-
-
-def _noise(measured: MeasuredResponse) -> Array | float:
-    """Variance of a realisation's entries by noise, median over the lines, (n, n); none where it is not known."""
-    if measured.noise_covariance is None:
-        return 0.0
-    variance = np.einsum("faa->fa", measured.noise_covariance).real.reshape(measured.value.shape)
-    return np.asarray(np.median(variance, axis=0) * len(measured.realisations))
+        """The response with that in it."""
+        return dataclasses.replace(self.response, value=self.response.value + self.distortion_of(joint, which))
 
 
 def _neighbours(measured: MeasuredResponse) -> int:

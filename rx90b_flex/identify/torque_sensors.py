@@ -20,7 +20,9 @@ EXCHANGED = 0.5  # of what is left with the joint's own motor: what another's mo
 COPY = 1e-6  # of the sensor: so little is left of two columns of one signal alone
 ENOUGH = 20_000  # samples of one that tell whose a sensor is
 FEWEST = 64  # samples of a recording that are looked at
-UNIT = 18.0  # a gain beyond it, or below its inverse, is no motor constant that is a little off
+# of a torque over another of the same joint, below and above which it is no motor constant: amperes or the motor's side of a gear,
+# which are less, or N cm and N mm, which are 100 and 1000 times as much. In between the factor can be identified
+MOTOR_GAIN = (1 / 18, 72.0)
 CALIBRATION = 0.05  # relative error of a sensor's gain that is an ordinary one; more is worth a name of its own
 DETERMINED = 3.0  # standard deviations by which a gain has to be off to be corrected
 CORRELATION_S = 1.0  # longest correlation of the residual that the standard deviation allows for
@@ -144,7 +146,7 @@ def _wrong(fit: SensorFit, *, unit_known: bool) -> WrongSensor | None:
     if fit.gain < 0.0:
         text = f"{name} has the sign of its motor's torque reversed: give its column as -column. It is not used."
         return WrongSensor("reversed_sign", (fit.joint,), -1.0, text)
-    if unit_known and not 1.0 / UNIT < fit.gain < UNIT:
+    if unit_known and not MOTOR_GAIN[0] < fit.gain < MOTOR_GAIN[1]:
         text = f"{name} is {fit.gain:.3g} times its motor's torque: another unit. Bring it to N m. It is not used."
         return WrongSensor("unit", (fit.joint,), fit.gain, text)
     return None

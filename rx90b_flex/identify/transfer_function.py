@@ -47,7 +47,10 @@ from rx90b_flex.identify.transfer_model import (
     delayed_jacobian,
     zero_derivatives,
 )
+from rx90b_flex.levenberg import Damping, Iterate, lowest
 
+WORTH_A_STEP = 1e-2  # of the cost, in units of the noise: what a tenth of a parameter's standard deviation is worth
+CLIMB = Damping(1e-2, rise=4.0, fall=9.0)
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
 BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: what lies beside the band may need one
 FEWER = ((-2, 0, 2), (-2, 0), (0, 1, 2), (0, 2), (0,))  # powers of s that may do instead of all
@@ -511,38 +514,39 @@ def _on_bound(layout: TermLayout, x: Array, bounds: Bounds) -> bool:
     return bool(np.any(at & (x[: layout.modes * width : width] <= layout.high_hz)))
 
 
-def _climb(
-    problem: _TransferFunctionProblem, layout: TermLayout, x: Array, bounds: Bounds, iterations: int = 150
-) -> tuple[Array, float]:
-    """Levenberg-Marquardt within bounds, until a step would lower the cost by less than a hundredth.
+@dataclass(frozen=True, eq=False)
+class _Climb(Iterate):
+    """Parameters x on their way within bounds (low, high)."""
 
-    The cost is in units of the noise: a tenth of a parameter's standard deviation is worth a hundredth of it.
-    """
-    low, high = _limits(layout, bounds)
-    x = np.clip(x, low, high)
-    cost, ease = problem.cost(layout, x), 1e-2
-    quiet = 0
-    for _ in range(iterations):
-        hessian, gradient = problem.normal_equations(layout, x)
-        free = ~(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
-        inner, slope = hessian[np.ix_(free, free)], gradient[free]
-        scale = np.sqrt(np.diag(inner)) + 1e-300
-        normal = inner / np.outer(scale, scale)
-        while ease < 1e8:
-            step = np.zeros_like(x)
-            step[free] = -np.linalg.solve(normal + ease * np.eye(len(slope)), slope / scale) / scale
-            new = np.clip(x + step, low, high)
-            lower = problem.cost(layout, new)
-            if lower < cost:
-                break
-            ease *= 4.0
-        else:
-            break
-        gained, x, cost, ease = cost - lower, new, lower, max(ease / 9.0, 1e-10)
-        quiet = quiet + 1 if gained < 1e-2 else 0
-        if quiet == 2:
-            break
-    return x, cost
+    problem: _TransferFunctionProblem
+    layout: TermLayout
+    limits: tuple[Array, Array]
+    x: Array
+
+    enough = WORTH_A_STEP
+
+    @cached_property
+    def goal(self) -> float:
+        return self.problem.cost(self.layout, self.x)
+
+    def equations(self) -> tuple[Array, Array]:
+        """Of what is free: a parameter that falls beyond its bound stays."""
+        hessian, gradient = self.problem.normal_equations(self.layout, self.x)
+        low, high = self.limits
+        free = ~(((self.x <= low) & (gradient > 0)) | ((self.x >= high) & (gradient < 0)))
+        return hessian * np.outer(free, free), -gradient * free
+
+    def moved(self, step: Array) -> _Climb:
+        return replace(self, x=np.clip(self.x + step, *self.limits))
+
+
+def _climb(
+    problem: _TransferFunctionProblem, layout: TermLayout, x: Array, bounds: Bounds, evaluations: int = 500
+) -> tuple[Array, float]:
+    """Parameters of the lowest cost near x, and that cost."""
+    limits = _limits(layout, bounds)
+    end = lowest(_Climb(problem, layout, limits, np.clip(x, *limits)), evaluations, CLIMB, patience=2)
+    return end.x, end.goal
 
 
 def _starts(

@@ -31,7 +31,6 @@ from rx90b_flex.simulate.trajectories import (
 )
 
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
-BUILT_IN = ("line", "excitation", "square-wave", "harmonics")
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class RunRequest:
     robot : str
         As `load_robot` takes it.
     motion : str
-        One of `BUILT_IN`, or the path of a trajectory file.
+        ``line``, ``excitation``, ``square-wave``, ``harmonics``, or the path of a trajectory file.
     controller : Path or None
         Controller file; else the one that the robot's file states, else gains designed for the robot.
     periods : int

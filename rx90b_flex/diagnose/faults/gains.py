@@ -8,11 +8,9 @@ import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.sample import Reading
+from rx90b_flex.identify.torque_sensors import MOTOR_GAIN
 
 GRID = tuple(np.geomspace(1 / 40, 40, 15))
-# factors below and above which it is no motor constant: amperes or the motor's side of a gear, which are less, or N cm and
-# N mm, which are 100 and 1000 times as much. In between the factor can be identified, and need not be what a rigid fit makes it
-SMALLEST_GAIN, LARGEST_GAIN = 1 / 18, 72.0
 FEWEST_SHARED = 2  # joints: one alone has nothing that fixes its scale
 
 
@@ -34,7 +32,7 @@ def _of(look: Look, k: int, gain: float) -> Hypothesis:
     def reading(factor: float) -> Reading:
         return look.reading.changed("torque_scale", k, now / factor)
 
-    unit = not SMALLEST_GAIN < gain < LARGEST_GAIN
+    unit = not MOTOR_GAIN[0] < gain < MOTOR_GAIN[1]
     if unit:
         cure = "another unit, amperes, or the motor's side of the gear. Bring it to N m on the joint side."
     else:

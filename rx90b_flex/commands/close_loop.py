@@ -1,0 +1,136 @@
+"""``rx90b-flex close-loop``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from rx90b_flex.commands import fleet
+from rx90b_flex.commands.check import end_refused
+from rx90b_flex.commands.shared import Basics, Despite, Out, Overwrite, progress, say, show_table, value_words
+
+
+def close_loop_command(
+    campaigns: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`; several campaigns are a fleet, one a robot.",
+            metavar="CAMPAIGN...",
+        ),
+    ],
+    out: Out,
+    seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
+    robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
+    model_error: Annotated[
+        float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes for a fleet; 1 where not given.")] = None,
+    dask: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler for a fleet, such as tcp://host:8786.")
+    ] = None,
+    basics: Basics = False,
+    despite_faults: Despite = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find what the data hold and the model lacks; add it.
+
+    Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
+    With several campaigns, one a robot of one make: a folder a robot; fleet.html, fleet.csv, fleet.json say what they have in common
+    and which robot stands out. The same command again goes on where it was stopped.
+    """
+    if model_error is not None and not model_error > 0.0:
+        raise ValueError(f"model_error is {model_error:g}; expected more than 0")
+    if len(campaigns) > 1:
+        for name, value in (("--robot", robot), ("--model-error", model_error)):
+            if value is not None:
+                raise ValueError(
+                    f"{name} goes with a modal table or a folder of `rx90b-flex frf`, not with several campaigns"
+                )
+        options = {"seed": seed, "basics": basics, "despite_faults": despite_faults, "overwrite": overwrite}
+        fleet.close_fleet(campaigns, out, jobs, dask, options)
+        return
+    for name, given in (("--jobs", jobs), ("--dask", dask)):
+        if given is not None:
+            raise ValueError(f"{name} goes with several campaigns, one a robot; only {campaigns[0]} is given")
+    campaign = campaigns[0]
+    from rx90b_flex.diagnose.modal_files import speaks_of_frequency
+
+    if speaks_of_frequency(campaign):
+        _close_over_frequency(campaign, out, robot, model_error, overwrite)
+        return
+    for name, value in (("--robot", robot), ("--model-error", model_error)):
+        if value is not None and campaign.exists():  # what is not there is said to be missing, further on
+            raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
+    from rx90b_flex.closing import LoopOptions, close_campaign
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
+
+    check_folder(out, CLOSED_LOOP, overwrite, [campaign])
+    with progress() as tell:
+        tell("reading", 0.0)
+        closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults), tell)
+        closed.write(out, overwrite)
+    if closed.motion is None:
+        end_refused(closed.result.checked, out)
+    print_result(closed.result)
+    say(f"Report: {out / 'report.html'}")
+
+
+def _close_over_frequency(
+    source: Path, out: Path, robot: str | None, model_error: float | None, overwrite: bool
+) -> None:
+    from rx90b_flex.diagnose.close_flexible import close_over_frequency, write_loop
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
+    from rx90b_flex.view.flexible_report import headline, write_flexible_report
+
+    check_folder(out, CLOSED_LOOP, overwrite, [source])
+    with progress() as tell:
+        loop = close_over_frequency(source, robot, model_error, tell)
+        tell("writing the report", 0.98)
+        write_loop(loop, out, [lambda r, at: write_flexible_report(r, at / "report.html")], overwrite)
+    say(f"{loop.source.name}: {loop.verdict.replace('_', ' ')}")
+    for text in (*(f.words for f in loop.found), headline(loop), *loop.doubts()):
+        say(text)
+    say(f"Report: {out / 'report.html'}")
+
+
+def print_result(result: Any) -> None:
+    from rx90b_flex.view.check_report import basics_offer
+
+    rows = []
+    for e in result.effects:
+        values = ", ".join(_values(e.parameters))
+        where = " + ".join(e.effect.joints) or "robot"
+        before, after = (f"{x.relative_error:.4f}" for x in (e.before, e.after))
+        rows.append((e.effect.type_name(), where, values, before, after))
+    head = ("found", "where", "values", "error before", "after")
+    show_table(
+        f"{result.robot}: {result.verdict.replace('_', ' ')}", rows or [("nothing", "", "", "", "")], head, head[3:]
+    )
+    for role in ("validation", "identification"):
+        first, last = getattr(result.before, role), getattr(result.after, role)
+        held = " (held out)" if role == "validation" else ""
+        say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}")
+    if result.noise_floor is not None:
+        rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
+        say(f"Noise floor: {rms} N m a joint")
+    for gone in result.last_round.taken_out:
+        say(f"Taken out again: {gone.label}, for {gone.refusal}")
+    for d in result.unexplained.where[:3]:
+        say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+    for caution in result.cautions:
+        say(f"Beware: {caution}")
+    for text in (*(f.message for f in result.data_faults), *basics_offer(result.undeclared_basics)):
+        say(text)
+
+
+def _values(parameters: Sequence[Any]) -> Iterator[str]:
+    """Of an effect; what of it is not determined is said once."""
+    yield from (value_words(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None)
+    missing = [p.name for p in parameters if p.value is None]
+    if missing:
+        from rx90b_flex.view.report import untold_names
+
+        yield f"{untold_names(missing)} not determined"

@@ -1,0 +1,80 @@
+"""``rx90b-flex excite``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import Out, Overwrite, numbers, progress, say
+
+
+def excite_command(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    pose: Annotated[list[str] | None, typer.Option(help="Degrees, one a joint: 0,90,0; repeat for more poses.")] = None,
+    joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
+    matrix: Annotated[
+        str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")
+    ] = "ones",
+    peak: Annotated[
+        str | None, typer.Option(help="Largest torque, N m: one, or one a joint; 10 % of the limits otherwise.")
+    ] = None,
+    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 2.5,
+    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
+    period_s: Annotated[float, typer.Option(help="Period; a longer one has finer lines.")] = 4.096,
+    speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s.")] = 0.11,
+    swings: Annotated[int, typer.Option(help="Times to and fro in a period; odd.")] = 1,
+    realisations: Annotated[int, typer.Option(help="Multisines with other phases.")] = 16,
+    periods: Annotated[int, typer.Option(help="Periods of a run; the first is for the transient.")] = 9,
+    one_sign: Annotated[bool, typer.Option("--one-sign", help="Without the runs of opposite sign.")] = False,
+    white: Annotated[
+        bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")
+    ] = False,
+    controller: Annotated[
+        Path | None,
+        typer.Option(
+            help="Controller file (TOML): for --white, --simulate, references that order torques, and frf's replay."
+        ),
+    ] = None,
+    by: Annotated[
+        str, typer.Option(help="What carries the excitation: torque (fed forward), reference (motion alone) or both.")
+    ] = "torque",
+    speed_peak: Annotated[
+        str | None,
+        typer.Option(
+            help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."
+        ),
+    ] = None,
+    rate_hz: Annotated[
+        float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")
+    ] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the motions that frf needs, and the campaign file.
+
+    With --simulate, the logs as well, of the robot as its file declares it.
+    """
+    import math
+
+    from rx90b_flex.early import check_robot
+    from rx90b_flex.signals.folders import CAMPAIGN, check_folder
+
+    check_folder(out, CAMPAIGN, overwrite)
+    check_robot(robot)
+    from rx90b_flex.simulate.excite import ExciteRequest, excite_into
+
+    poses = tuple(tuple(math.radians(x) for x in numbers("pose", text)) for text in pose or [])
+    request = ExciteRequest(
+        robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
+        numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
+        not one_sign, white, controller, seed, by, numbers("speed-peak", speed_peak) if speed_peak else (), rate_hz,  # type: ignore[arg-type]
+    )  # fmt: skip
+    with progress() as tell:
+        said = excite_into(request, out, simulate, tell, overwrite)
+    for text in said:
+        say(text)
+    say(f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}")

@@ -1,0 +1,39 @@
+"""``rx90b-flex flexify``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import say
+
+
+def flexify_command(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Annotated[Path, typer.Option("--out", help="URDF to write.")],
+    torsion: Annotated[list[str] | None, typer.Option(help="Joint whose drive twists; repeat for more.")] = None,
+    bending: Annotated[list[str] | None, typer.Option(help="Joint that bends; repeat for more.")] = None,
+    base: Annotated[bool, typer.Option("--base", help="A base that tilts about two axes.")] = False,
+) -> None:
+    """Write a URDF with virtual joints that twist and bend.
+
+    Without --torsion, --bending and --base: those that its robot file declares; for a plain URDF, every joint
+    twists and bends.
+    """
+    from rx90b_flex import flexify as virtual
+    from rx90b_flex.robot import load_robot
+    from rx90b_flex.signals.single import check_file
+
+    check_file(out, robot)
+    loaded = load_robot(robot)
+    places = loaded.flexible_places()
+    if torsion or bending or base:
+        places = (torsion or [], bending or [], base)
+    elif not any(places):
+        places = (list(loaded.joints), list(loaded.joints), False)
+    flexible = virtual.flexify(virtual.read_xml(loaded.urdf), *places)
+    virtual.write_urdf(flexible, out)
+    added = 2 * places[2] + len(places[0]) + 2 * len(places[1])
+    say(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones")

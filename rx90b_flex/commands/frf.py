@@ -1,0 +1,134 @@
+"""``rx90b-flex frf``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import Out, Overwrite, numbers, progress, say, show_table
+
+if TYPE_CHECKING:
+    from rx90b_flex.identify.frf_command import MotorIdentification
+
+MOST_MODES = 30  # of transfer functions: more are no modes of a robot in any band
+
+
+def frf_command(
+    campaign: Annotated[
+        Path, typer.Argument(help="Campaign file (TOML): periodic excitation with feed-forward torque.")
+    ],
+    out: Out,
+    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 8.0,
+    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
+    controller: Annotated[
+        Path | None, typer.Option(help="Controller file; controller.toml beside CAMPAIGN otherwise.")
+    ] = None,
+    link_mass_std: Annotated[float, typer.Option(help="Relative uncertainty of the links' masses; 0: known.")] = 0.0,
+    bending_alike_std: Annotated[
+        float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
+    ] = 0.1,
+    references: Annotated[
+        Path | None,
+        typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
+    ] = None,
+    modes: Annotated[
+        str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")
+    ] = "2,8",
+    start_hz: Annotated[
+        str | None,
+        typer.Option(
+            help="Resonances that transfer functions of as many modes start from as well: F1,F2,...", show_default=False
+        ),
+    ] = None,
+    delays: Annotated[
+        str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")
+    ] = "none",
+    seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
+    mains_hz: Annotated[
+        float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")
+    ] = None,
+    no_replay: Annotated[
+        bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
+    ] = False,
+    jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
+    overwrite: Overwrite = False,
+) -> None:
+    """Identify stiffness, damping and inertia from motor signals.
+
+    CAMPAIGN is what `rx90b-flex excite` writes, with the logs of its motions.
+    """
+    from rx90b_flex.early import check_jobs, read_campaign
+    from rx90b_flex.signals.folders import MOTOR_SIGNALS, check_folder
+
+    check_folder(out, MOTOR_SIGNALS, overwrite, [campaign])
+    if not 0.0 < low_hz < high_hz:
+        raise ValueError(
+            f"--low-hz and --high-hz are {low_hz:g} and {high_hz:g}; expected a low and a higher frequency above 0"
+        )
+    if link_mass_std < 0.0 or bending_alike_std < 0.0:
+        raise ValueError(
+            f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
+        )
+    check_jobs(jobs)
+    tried, starts = _modes(modes, start_hz, (low_hz, 2 * high_hz))
+    if delays not in ("none", "common", "each"):
+        raise ValueError(f"--delays is {delays!r}; expected none, common or each")
+    if mains_hz is not None and not mains_hz > 0.0:
+        raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
+    read = read_campaign(campaign)
+    from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
+    from rx90b_flex.view.frf_report import write_frf_report
+
+    options = FrfOptions(
+        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
+        modes=tried, start_hz=starts, delays=delays,
+        mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
+    )  # fmt: skip
+    with progress() as tell:
+        result = identify_from_motors(read, options, tell)
+        tell("writing the report", 0.97)
+        write_motor_identification(result, out, [lambda r, at: write_frf_report(r, at / "report.html")], overwrite)
+    _say(result)
+    say(f"Report: {out / 'report.html'}")
+
+
+def _modes(
+    modes: str, start_hz: str | None, between_hz: tuple[float, float]
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Numbers of modes to try, and resonances to start from."""
+    ends = numbers("modes", modes)
+    if len(ends) > 2 or any(x != round(x) or not 1 <= x <= MOST_MODES for x in ends) or ends[0] > ends[-1]:
+        raise ValueError(f"--modes is {modes!r}; expected one or two ascending whole numbers from 1 to {MOST_MODES}")
+    starts = numbers("start-hz", start_hz) if start_hz else ()
+    low, high = between_hz
+    if starts and (not ends[0] <= len(starts) <= ends[-1] or not all(low <= f <= high for f in starts)):
+        raise ValueError(
+            f"--start-hz is {start_hz!r}; expected {modes.replace(',', ' to ')} resonances (--modes) "
+            f"between {low:g} and {high:g} Hz"
+        )
+    return tuple(range(int(ends[0]), int(ends[-1]) + 1)), starts
+
+
+def _say(result: MotorIdentification) -> None:
+    """Values with their intervals, by replay where that was done, and what qualifies them."""
+    from rx90b_flex.view.frf_report import bias_words, delay_words
+
+    best = result.grey if result.replayed is None else result.replayed.grey
+    if best is not None:
+        how = "as measured" if result.replayed is None else "less the distortion that a replay explains"
+        rows = []
+        for e in best.estimates:
+            said = f"{e.value:.4g}" if e.determined else "not determined"
+            rows.append((e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit))
+        head = ("parameter", "value", "95 % interval", "unit")
+        show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
+        if best.bias_detected:
+            say(f"Note: {bias_words(best)}")
+        for text in delay_words(best.torque_delay):
+            say(text)
+    for remark in result.remarks:
+        say(f"Note: {remark}")
+    for left in result.left_out:
+        say(f"Left out: {left.stage}: {left.why}")

@@ -1,0 +1,65 @@
+"""``rx90b-flex simulate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+
+
+def simulate_command(
+    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    out: Out,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(help="Trajectory (CSV): time, one column a joint (rad), ff_<joint> (N m) if fed forward."),
+    ] = None,
+    line: Annotated[bool, typer.Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
+    excitation: Annotated[bool, typer.Option("--excitation", help="The excitation of section 4.2.2.")] = False,
+    square_wave: Annotated[bool, typer.Option("--square-wave", help="The square wave of section 6.6.2.")] = False,
+    harmonics: Annotated[
+        bool, typer.Option("--harmonics", help="Random harmonics of every joint, within any robot's limits.")
+    ] = False,
+    controller: Annotated[
+        Path | None, typer.Option(help="Controller file (TOML); else the one that the robot's file states.")
+    ] = None,
+    periods: Annotated[int, typer.Option(help="Periods of an excitation that repeats.")] = 1,
+    perturbation: Annotated[bool, typer.Option("--perturbation", help="Use the perturbation method.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of excitation and noise.")] = 0,
+    torque_noise: Annotated[float, typer.Option(help="Standard deviation at the controller's rate, N m.")] = 0.0,
+    position_noise: Annotated[float, typer.Option(help="The same of position, rad.")] = 0.0,
+    velocity_noise: Annotated[float, typer.Option(help="The same of velocity, rad/s.")] = 0.0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Simulate a flexible robot under its controller.
+
+    Along a trajectory: recording, every coordinate, tip deviation, figure.
+
+    The first simulation of a user compiles for about half a minute; later ones do not.
+    """
+    from rx90b_flex.early import check_robot
+    from rx90b_flex.signals.folders import RUN, check_folder
+
+    chosen = [*([str(trajectory)] if trajectory else []), *["line"] * line, *["excitation"] * excitation]
+    chosen += [*["square-wave"] * square_wave, *["harmonics"] * harmonics]
+    if len(chosen) > 1:
+        raise ValueError(
+            f"{' and '.join(chosen)}: choose one of --trajectory, --line, --excitation, --square-wave, --harmonics"
+        )
+    check_folder(out, RUN, overwrite)
+    check_robot(robot)
+    if trajectory is not None and not trajectory.is_file():
+        raise ValueError(f"{trajectory}: no such trajectory file")
+    from rx90b_flex.simulate.closed_loop import Noise
+    from rx90b_flex.simulate.command import RunRequest, simulate_into, summary
+
+    noise = Noise(torque_noise, position_noise, velocity_noise)
+    request = RunRequest(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
+    with progress() as tell:
+        result = simulate_into(request, out, tell, overwrite)
+    for text in summary(result):
+        say(text)
+    say(f"Recording, tip.csv and figure: {out}")

@@ -1,0 +1,96 @@
+"""Levenberg and Marquardt's descent, of all fits that SciPy's does not serve.
+
+SciPy's takes residuals and Jacobian. These fits have normal equations instead (of logs of any length, or with coefficients projected
+out), weights that follow from where they stand, or steps that end at a bound.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LEAST, MOST = 1e-10, 1e7  # damping
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Of the first step, over each parameter's own curvature, and its factors after a step that does not help and one that does."""
+
+    begin: float = 1e-3
+    rise: float = 8.0
+    fall: float = 8.0
+
+
+class Iterate(ABC):
+    """Where a descent stands."""
+
+    @property
+    @abstractmethod
+    def goal(self) -> float:
+        """What is to become smaller: a sum of squares, or nearly one."""
+
+    @property
+    @abstractmethod
+    def enough(self) -> float:
+        """A gain that is worth no further step; below zero where weights are on their way: then none is the last."""
+
+    @abstractmethod
+    def equations(self) -> tuple[Array, Array]:
+        """``J^T J``, (s, s), and ``-J^T r``, (s,): half of how the goal bends, and of how it falls."""
+
+    @abstractmethod
+    def moved(self, step: Array) -> Self:
+        """After a step (s,), or what there is room for of it."""
+
+    def renewed(self) -> Self:
+        """The same place with weights that follow from it."""
+        return self
+
+
+USUAL = Damping()
+Place = TypeVar("Place", bound=Iterate)
+
+
+def descent(at: Place, evaluations: int, damping: Damping = USUAL, patience: int = 1) -> Iterator[Place]:
+    """The places on the way down, from where it begins to where no step helps, or so many in a row were worth too little."""
+    at, now, idle = at.renewed(), damping.begin, 0
+    yield at
+    while evaluations > 0 and idle < patience:
+        curvature, fall = at.equations()
+        better, enough = at, at.enough
+        while evaluations > 0 and now < MOST:
+            step = damped_step(curvature, fall, now)
+            other = at.moved(step)
+            evaluations -= 1
+            if other.goal < at.goal:
+                better = other
+                break
+            if step @ (2.0 * fall - curvature @ step) <= max(enough, 0.0):  # its promise is worth no other try
+                break
+            now *= damping.rise
+        if better is at and enough >= 0.0:
+            break
+        idle = idle + 1 if at.goal - better.goal <= enough else 0
+        now = damping.begin if better is at else max(now / damping.fall, LEAST)
+        at = better.renewed()
+        yield at
+
+
+def damped_step(curvature: Array, fall: Array, damping: float) -> Array:
+    """Marquardt's step, shape (s,), of normal equations (s, s) and (s,); a parameter that the data does not tell stays."""
+    size = np.sqrt(np.maximum(np.diag(curvature), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    normal = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
+    return np.asarray(np.linalg.solve(normal, fall / scale) / scale)
+
+
+def lowest(at: Place, evaluations: int, damping: Damping = USUAL, patience: int = 1) -> Place:
+    """Where a descent ends."""
+    *_, last = descent(at, evaluations, damping, patience)
+    return last
