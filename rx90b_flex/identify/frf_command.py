@@ -423,22 +423,12 @@ def _controller(campaign: Path, file: Path | None) -> CS8 | None:
 
 
 def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
-    """Feedback torque against drive acceleration of independent PID controllers, ``(K_p + K_v s + K_i / s) / s^2``.
-
-    With the current loop's lag and half a period of the zero-order hold.
-    """
-    own = controller.for_joints(joints).joints
-    position, velocity, integral = (
-        np.array([getattr(j, f"{x}_gain") for j in own]) for x in ("position", "velocity", "integral")
-    )
+    """Feedback torque against drive acceleration: the controllers' response to angles over ``s^2``, hold and filters included."""
+    own = controller.for_joints(joints)
 
     def feedback(hz: Array) -> ComplexArray:
         s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
-        lag = np.exp(-0.5 * controller.period * s)
-        if controller.current_bandwidth_hz > 0.0:
-            lag = lag / (1.0 + s / (2.0 * np.pi * controller.current_bandwidth_hz))
-        gain = (position + velocity * s + integral / s) / s**2 * lag
-        return np.asarray(gain[:, :, None] * np.eye(len(joints)))
+        return np.asarray((own.frequency_response(hz) / s**2)[:, :, None] * np.eye(len(joints)))
 
     return feedback
 
