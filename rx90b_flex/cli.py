@@ -273,6 +273,9 @@ def frf(
     bending_alike_std: Annotated[
         float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
     ] = 0.1,
+    hinge_std: Annotated[
+        float, typer.Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")
+    ] = 0.0,
     references: Annotated[
         Path | None,
         typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
@@ -311,10 +314,9 @@ def frf(
         raise ValueError(
             f"--low-hz and --high-hz are {low_hz:g} and {high_hz:g}; expected a low and a higher frequency above 0"
         )
-    if link_mass_std < 0.0 or bending_alike_std < 0.0:
-        raise ValueError(
-            f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
-        )
+    for name, std in (("link-mass", link_mass_std), ("bending-alike", bending_alike_std), ("hinge", hinge_std)):
+        if not 0.0 <= std < float("inf"):
+            raise ValueError(f"--{name}-std is {std:g}; expected 0 or more")
     check_jobs(jobs)
     ends = _numbers("modes", modes)
     if len(ends) > 2 or any(x != round(x) or not 1 <= x <= MOST_MODES for x in ends) or ends[0] > ends[-1]:
@@ -331,10 +333,10 @@ def frf(
         raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
     read = read_campaign(campaign)
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
-    from rx90b_flex.view.frf_report import bias_words, delay_words, write_frf_report
+    from rx90b_flex.view.frf_report import bias_words, delay_words, hinge_words, write_frf_report
 
     options = FrfOptions(
-        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
+        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, hinge_std, seed=seed, references=references,
         modes=tuple(range(int(ends[0]), int(ends[-1]) + 1)), start_hz=starts, delays=delays,
         mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
@@ -353,7 +355,7 @@ def frf(
         show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
         if best.bias_detected:
             say(f"Note: {bias_words(best)}")
-        for text in delay_words(best.torque_delay):
+        for text in [*delay_words(best.torque_delay), *hinge_words(best.hinges)]:
             say(text)
     for remark in result.remarks:
         say(f"Note: {remark}")

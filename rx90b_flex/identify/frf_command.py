@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -63,6 +63,8 @@ class FrfOptions:
         Relative standard deviation of the links' masses; 0: known.
     bending_alike_std : float
         To which a joint is equally stiff about both its bending axes, as in table 4.1; 0: not assumed.
+    hinge_std : float, or mapping of joint to float
+        Standard deviation to which the places of hinges are known, m (`GreyBoxOptions.hinge_std`); 0: known.
     starts, seed : int
         Of the grey box.
     modes : tuple of int
@@ -85,6 +87,7 @@ class FrfOptions:
     controller: Path | None = None
     link_mass_std: float = 0.0
     bending_alike_std: float = 0.1
+    hinge_std: float | Mapping[str, float] = 0.0
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
@@ -460,7 +463,7 @@ def _grey_box(
     ]
     chosen = GreyBoxOptions(
         options.band_hz, options.starts, seed=options.seed,
-        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std,
+        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std, hinge_std=options.hinge_std,
     )  # fmt: skip
     start = _start(robot, [p.drives for p in poses if p.drives is not None])
     return grey_box(robot, measured, chosen, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
@@ -713,6 +716,7 @@ def _grey_json(result: MotorIdentification, grey: GreyBox) -> dict[str, Any]:
         "torque_delay": None
         if grey.torque_delay is None
         else _quantity(grey.torque_delay.value, grey.torque_delay.std, "s"),
+        "hinges": [{**dataclasses.asdict(h), "unit": "m"} for h in grey.hinges],
         "vague_directions": [{"relative_std": d.relative_std, "parts": dict(d.parts)} for d in grey.directions],
         "cost": grey.cost,
         "expected_cost": grey.expected_cost,
