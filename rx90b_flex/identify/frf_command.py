@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+TORQUES_OFF = 0.25  # of the logged torques: replayed ones that are farther from them are of another controller
 CONTROLLER, REFERENCES = "controller.toml", "references"  # beside the campaign file
 OTHER_TORQUES = 0.1  # relative, by which torques or references that were logged are not those of a file
 LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this far from the declared one is no start
@@ -257,6 +258,8 @@ def identify_from_motors(
         replayed = stages.run(
             "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
         )
+    if replayed is not None and controller is not None:
+        remarks += _torques_off(replayed, together)
     if grey is not None and replayed is not None:
         grey = grey.doubted(shifts_between(grey, replayed.grey))  # a bias that is known of and still in it
     return MotorIdentification(
@@ -490,6 +493,19 @@ def _replay(
     )
 
 
+def _torques_off(replayed: ReplayedGreyBox, poses: Sequence[AtPose]) -> list[str]:
+    """What is said of a controller that does not order what was logged."""
+    off = replayed.torques_off.max(axis=0)
+    joints = [j for j, x in zip(poses[0].measured.joints, off.tolist(), strict=True) if x > TORQUES_OFF]
+    if not joints:
+        return []
+    return [
+        f"replay: under the controller file the torques of {', '.join(joints)} are up to {100.0 * off.max():.0f} % off those logged "
+        "(2 to 6 % are usual where all is as declared): its gains, filters or rates, friction or the robot are others; without a "
+        "controller file the logged torques drive the replay"
+    ]
+
+
 def _start(robot: Robot, found: Sequence[DriveIdentification]) -> dict[str, float]:
     """Drive stiffness and inertia from poles and zeros, where they could be right; of several poses the median."""
     declared = {(e.type_name(), e.joints): e.coefficients[0] for e in robot.effects if len(e.coefficients)}
@@ -696,6 +712,7 @@ def _replay_json(result: MotorIdentification, replayed: ReplayedGreyBox) -> dict
         **_grey_json(result, replayed.grey),
         "friction": {f.name: {**_quantity(f.value, f.std, f.unit), "declared": f.declared} for f in replayed.frictions},
         "realisations_deviate": {name: x.tolist() for name, x in deviation.items()},
+        "torques_off": replayed.torques_off.tolist(),
         "rounds": replayed.rounds,
     }
 
