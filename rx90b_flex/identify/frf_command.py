@@ -535,6 +535,8 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
     ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
     was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
     it. ``grey_box`` is fitted to the responses as measured, ``replay`` to them without the distortion that the replay explains.
+    ``hinges`` holds the places of those that were not taken as known, ``torques_off`` how far a replay's torques are from those
+    logged, by pose and joint.
     """
     return {
         "schema": 1,

@@ -167,6 +167,7 @@ class GreyBox(Showing):
             estimates=tuple(estimates),
             covariance=other.covariance,
             directions=other.directions,
+            hinges=tuple(dataclasses.replace(h, std=w.std) for h, w in zip(self.hinges, other.hinges, strict=True)),
             model_error=other.model_error,
             friction_error=other.friction_error,
         )
