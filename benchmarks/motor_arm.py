@@ -3,8 +3,9 @@
     python benchmarks/motor_arm.py --folder /tmp/arm --first 200 --campaigns 20
 
 Each campaign is an arm drawn anew (`tests/mujoco_arm.py`; drives, springs and frictions within a quarter), a robot file that is wrong
-by up to a fifth, and 18 runs of two periods about one pose: in even ones the arm's cascade is described and torques are fed forward,
-in odd ones motion alone excites an arm whose controller is not known. Campaigns and results in the folder are used again; each is
+by up to a fifth, and 18 runs of two periods about each pose (`--pose 0,90,30 --pose 0,50,80`; the first alone by default): in even
+ones the arm's cascade is described and torques are fed forward, in odd ones motion alone excites one whose controller is not known.
+Campaigns and results in the folder are used again; each is
 written as one line to ``intervals.jsonl`` there. Prints, of each inertia and stiffness as measured and by replay, the largest error,
 the median standard deviation, the errors over it and how many 95 % intervals hold.
 """
@@ -22,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from arm_campaigns import errors, recorded
+from arm_campaigns import ONE_POSE, errors, recorded
 from mujoco_arm import Arm
 
 from rx90b_flex.identify.frf_command import FrfOptions, frf_json, identify_from_motors
@@ -30,13 +31,13 @@ from rx90b_flex.identify.frf_command import FrfOptions, frf_json, identify_from_
 FITS = {"as measured": "grey_box", "by replay": "replay"}
 
 
-def campaign(seed: int, folder: Path) -> dict[str, Any]:
+def campaign(seed: int, folder: Path, poses: tuple[str, ...] = ONE_POSE) -> dict[str, Any]:
     """Errors of one campaign and their stated standard deviations, logarithms, by fit and parameter."""
     arm, known, own = Arm.drawn(seed), seed % 2 == 0, folder / str(seed)
     path = own / "runs" / "campaign.toml"
     played = own / "played"
     if not played.exists():
-        recorded(arm, own, by="torque" if known else "reference", known=known)
+        recorded(arm, own, by="torque" if known else "reference", known=known, poses=poses)
         played.touch()
     began = time.process_time()
     found = frf_json(identify_from_motors(path, FrfOptions(modes=(6,), bending_alike_std=0.0)))
@@ -72,6 +73,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True, help="for campaigns and results")
     parser.add_argument("--first", type=int, default=200, help="seed of the first campaign")
     parser.add_argument("--campaigns", type=int, default=20)
+    parser.add_argument("--pose", action="append", help="degrees, one a joint; repeat for more poses")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "intervals.jsonl"
@@ -80,7 +82,7 @@ def main() -> None:
     seeds = range(options.first, options.first + options.campaigns)
     for seed in seeds:
         if seed not in known:
-            known[seed] = campaign(seed, options.folder)
+            known[seed] = campaign(seed, options.folder, tuple(options.pose or ONE_POSE))
             with file.open("a", encoding="utf-8") as out:
                 out.write(json.dumps(known[seed]) + "\n")
     show([known[seed] for seed in seeds])

@@ -7,7 +7,7 @@ numbers, uncertainty and a way to show themselves. What a function needs is load
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -147,6 +147,7 @@ def frf(
     controller: str | os.PathLike[str] | None = None,
     link_mass_std: float = 0.0,
     bending_alike_std: float = 0.1,
+    hinge_std: float | Mapping[str, float] = 0.0,
     references: str | os.PathLike[str] | None = None,
     mains_hz: float | None = None,
     replay: bool = True,
@@ -168,6 +169,9 @@ def frf(
         Relative standard deviation of the links' masses; 0: known.
     bending_alike_std : float
         To which a joint is equally stiff about both its bending axes; 0: not assumed.
+    hinge_std : float, or mapping of joint to float
+        Standard deviation, m, along each axis, to which it is known where hinges that bend lie on their links; 0: known. The places
+        are estimated, and what is not known of them is part of all intervals.
     references : path, optional
         Folder ``references`` of `rx90b_flex.excite`, where the logs lack the feed-forward torque.
     mains_hz : float, optional
@@ -196,7 +200,7 @@ def frf(
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors
 
     options = FrfOptions(
-        band_hz, None if controller is None else Path(controller), link_mass_std, bending_alike_std, seed=seed,
+        band_hz, None if controller is None else Path(controller), link_mass_std, bending_alike_std, hinge_std, seed=seed,
         references=None if references is None else Path(references), mains_hz=mains_hz, replay=replay, jobs=jobs,
     )  # fmt: skip
     return identify_from_motors(campaign, options, progress)

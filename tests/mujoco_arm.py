@@ -38,6 +38,7 @@ CONTROL_HZ, LOG_HZ = 2000.0, 500.0
 CUTOFF_HZ = 180.0
 COUNTS = 2**17  # of the motor's encoder, a turn
 FLOOR_LAG_S = 3e-4  # damping over stiffness
+NOTCH = 0.5, 0.2  # damping, and what is left at its frequency
 TORQUE_NOISE = 0.001  # of the limit, at the controller's rate
 
 
@@ -73,6 +74,8 @@ class Arm:
     friction : ``motor`` or ``joint``
     floor : (about x, about y) or None
         Stiffnesses of what the arm stands on, N m/rad.
+    speed_hz, notch_hz : float
+        Of a low-pass of the measured speeds, and of a notch (`NOTCH`) of the torques that are asked for; 0: none.
     """
 
     drives: tuple[Drive, ...] = TYPICAL
@@ -80,6 +83,8 @@ class Arm:
     tool_kg: float = 0.0
     torque_late_s: float = 0.0
     floor: tuple[float, float] | None = None
+    speed_hz: float = 0.0
+    notch_hz: float = 0.0
     seed: int = 0
 
     @classmethod
@@ -208,6 +213,11 @@ def write_controller(arm: Arm, path: Path) -> Path:
             "velocity_feedforward = 1.0",
         ]
         lines += [f"position_step = {2.0 * np.pi / COUNTS / gear}", f"torque_limit = {limit}"]
+        if arm.speed_hz:
+            lines.append(f'velocity_filters = [{{ type = "low_pass", frequency_hz = {arm.speed_hz} }}]')
+        if arm.notch_hz:
+            form = f"frequency_hz = {arm.notch_hz}, damping = {NOTCH[0]}, depth = {NOTCH[1]}"
+            lines.append(f'torque_filters = [{{ type = "notch", {form} }}]')
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -253,6 +263,16 @@ def _filtered(x: Array) -> Array:
     return np.asarray(signal.oaconvolve(padded, taps[:, None], mode="valid", axes=0))
 
 
+def _notch(hz: float) -> tuple[Array, Array]:
+    """Numerator and denominator at the controller's rate; those of a filter that does nothing for 0 Hz."""
+    (damping, depth), k = NOTCH, np.tan(np.pi * hz / CONTROL_HZ)
+    b, a = (
+        np.array([1.0 + c + k * k, 2.0 * (k * k - 1.0), 1.0 - c + k * k])
+        for c in 2.0 * damping * k * np.array([depth, 1.0])
+    )
+    return b / a[0], a / a[0]
+
+
 def _simulate(arm: Arm, position: Array, speed: Array, fed: Array, periods: int) -> tuple[Array, Array]:
     """Motor angles as counted and torques as commanded, at the controller's instants, joint side."""
     model = mujoco.MjModel.from_xml_string(arm.mjcf())
@@ -269,12 +289,21 @@ def _simulate(arm: Arm, position: Array, speed: Array, fed: Array, periods: int)
     count = len(position) * periods
     angle, torque = np.empty((count, 3)), np.empty((count, 3))
     last = np.round(data.qpos[places] / step) * step - speed[0] / CONTROL_HZ
+    part = 1.0 - np.exp(-2.0 * np.pi * arm.speed_hz / CONTROL_HZ) if arm.speed_hz else 1.0
+    slow, (b, a) = speed[0].copy(), _notch(arm.notch_hz)
+    notch = (
+        signal.lfilter_zi(b, a)[:, None] * (data.qfrc_inverse[places] + fed[0]) if arm.notch_hz else np.zeros((2, 3))
+    )
     for k in range(count):
         i = k % len(position)
         seen = np.round(data.qpos[places] / step) * step
-        asked = loop * (position[i] - seen) + speed[i] - (seen - last) * CONTROL_HZ
+        slow = slow + part * ((seen - last) * CONTROL_HZ - slow)
+        asked = loop * (position[i] - seen) + speed[i] - slow
         held = held + asked / CONTROL_HZ
-        command = np.clip(damping * (asked + held / time) + fed[i], -limits, limits)
+        wanted = damping * (asked + held / time) + fed[i]
+        passed = b[0] * wanted + notch[0]
+        notch = np.stack([b[1] * wanted - a[1] * passed + notch[1], b[2] * wanted - a[2] * passed])
+        command = np.clip(passed, -limits, limits)
         angle[k], torque[k], last = seen, command, seen
         data.qfrc_applied[places] = command
         mujoco.mj_step(model, data)

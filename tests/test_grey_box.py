@@ -89,7 +89,7 @@ def test_the_jacobian_is_the_derivative(motion):
             return (7e4 + 1.5e3 * s) / s**2 * np.eye(3)
 
     given = PoseResponse(response(true, STRETCHED, 0.03), along, torques, feedback)
-    problem = grey_problem(true, [given], GreyBoxOptions(link_mass_std=0.02, bending_alike_std=0.1))
+    problem = grey_problem(true, [given], GreyBoxOptions(link_mass_std=0.02, bending_alike_std=0.1, hinge_std=0.02))
     problem = problem.with_bias(problem.declared, (0.01, 0.5))
     x = problem.declared + 0.1 * rng.standard_normal(len(problem.declared))
     jacobian = problem.jacobian(x[problem.free])

@@ -75,6 +75,22 @@ def test_two_poses_tell_a_known_loop_s_arm_and_that_nothing_is_missing(tmp_path:
 
 
 @pytest.mark.slow
+def test_under_a_filtered_loop_the_arm_is_found_and_filters_that_nobody_stated_are_told(tmp_path: Path) -> None:
+    """The arm's own loop filters its speeds at 100 Hz and its torques about 25 Hz; its references alone excite it."""
+    arm = Arm.drawn(6, speed_hz=100.0, notch_hz=25.0)
+    campaign = recorded(arm, tmp_path, by="reference", known=True)
+    found = identified(campaign, "--modes", 6)
+    assert_found(arm, found)
+    assert np.max(found["replay"]["torques_off"]) < 0.1
+    assert not any("off those logged" in remark for remark in found["remarks"])
+    text = (campaign.parent / "controller.toml").read_text().splitlines()
+    bare = tmp_path / "bare.toml"
+    bare.write_text("\n".join(line for line in text if "_filters" not in line))
+    found = analysed(campaign, "--modes", 6, "--controller", bare, "--overwrite")
+    assert found["replay"] is None or any("off those logged" in remark for remark in found["remarks"])
+
+
+@pytest.mark.slow
 def test_a_softer_drive_is_found_and_nothing_else(tmp_path: Path) -> None:
     as_declared = Arm.drawn(3)
     drives = list(as_declared.drives)

@@ -30,6 +30,7 @@ from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+from rx90b_flex.simulate.filters import Filter
 
 BAND_HZ = (8.0, 80.0)
 SLOPES = {"joint_1": 60.0, "joint_2": 40.0, "joint_3": 16.0}
@@ -134,6 +135,24 @@ def test_steps_of_a_slow_controller_are_known_and_no_distortion(replay: Replay) 
     assert plain.max() > 0.02
     # the transient of the first period has died to 1e-4 in the second
     assert known.max() < 1e-3 * plain.max()
+
+
+def test_torques_tell_a_controller_that_is_not_the_one(replay: Replay) -> None:
+    """By its gains, or by a filter that its file leaves out."""
+    robot = load_robot("rx90b_3dof")
+    right = replay.torques_off(robot, 0.0)
+    slow = [dataclasses.replace(j, velocity_filters=(Filter("low_pass", 20.0),)) for j in replay.controller.joints]
+    soft = [dataclasses.replace(j, position_gain=0.5 * j.position_gain) for j in replay.controller.joints]
+    filtered, weaker = (
+        dataclasses.replace(replay, controller=dataclasses.replace(replay.controller, joints=tuple(x)))
+        for x in (slow, soft)
+    )
+    assert (right < 0.05).all()
+    assert (filtered.torques_off(robot, 0.0) > 5.0 * right).all()
+    assert weaker.torques_off(robot, 0.0).max() > 3.0 * right.max()
+    # torques that were logged a quarter of a millisecond late are brought back first
+    late = replay.torques_off(robot, 2.5e-4)
+    assert (late > right).all()
 
 
 @pytest.mark.slow

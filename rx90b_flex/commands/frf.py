@@ -29,6 +29,9 @@ def frf_command(
     bending_alike_std: Annotated[
         float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
     ] = 0.1,
+    hinge_std: Annotated[
+        float, typer.Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")
+    ] = 0.0,
     references: Annotated[
         Path | None,
         typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
@@ -67,10 +70,9 @@ def frf_command(
         raise ValueError(
             f"--low-hz and --high-hz are {low_hz:g} and {high_hz:g}; expected a low and a higher frequency above 0"
         )
-    if link_mass_std < 0.0 or bending_alike_std < 0.0:
-        raise ValueError(
-            f"link_mass_std {link_mass_std:g} and bending_alike_std {bending_alike_std:g}; expected 0 or more"
-        )
+    for name, std in (("link-mass", link_mass_std), ("bending-alike", bending_alike_std), ("hinge", hinge_std)):
+        if not 0.0 <= std < float("inf"):
+            raise ValueError(f"--{name}-std is {std:g}; expected 0 or more")
     check_jobs(jobs)
     tried, starts = _modes(modes, start_hz, (low_hz, 2 * high_hz))
     if delays not in ("none", "common", "each"):
@@ -82,9 +84,8 @@ def frf_command(
     from rx90b_flex.view.frf_report import write_frf_report
 
     options = FrfOptions(
-        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, seed=seed, references=references,
-        modes=tried, start_hz=starts, delays=delays,
-        mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
+        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, hinge_std, seed=seed, references=references,
+        modes=tried, start_hz=starts, delays=delays, mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with progress() as tell:
         result = identify_from_motors(read, options, tell)
@@ -113,7 +114,7 @@ def _modes(
 
 def _say(result: MotorIdentification) -> None:
     """Values with their intervals, by replay where that was done, and what qualifies them."""
-    from rx90b_flex.view.frf_report import bias_words, delay_words
+    from rx90b_flex.view.frf_report import bias_words, delay_words, hinge_words
 
     best = result.grey if result.replayed is None else result.replayed.grey
     if best is not None:
@@ -126,7 +127,7 @@ def _say(result: MotorIdentification) -> None:
         show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
         if best.bias_detected:
             say(f"Note: {bias_words(best)}")
-        for text in delay_words(best.torque_delay):
+        for text in [*delay_words(best.torque_delay), *hinge_words(best.hinges)]:
             say(text)
     for remark in result.remarks:
         say(f"Note: {remark}")

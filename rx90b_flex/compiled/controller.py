@@ -14,6 +14,14 @@ Three = tuple[float, float, float]
 JointInLoop = tuple[Three, Three, float, float, float]
 
 
+class Filters(NamedTuple):
+    """Chains of second-order sections ``b0, b1, b2, a1, a2``, shape (joints, sections, 5)."""
+
+    speed: Array  # of the measured speed
+    torque: Array  # of the torque that is asked for
+    by_speed: Array  # (joints,) N m/rad * s, of the integrator a sample, over what the filter adds to the speed
+
+
 class Loop(NamedTuple):
     """The controller in numbers, one a joint unless said otherwise."""
 
@@ -30,6 +38,7 @@ class Loop(NamedTuple):
     torque_limit: Array  # N m
     current_mean: float  # share of the old current in the mean of a sample; 0 for an ideal current loop
     current_left: float  # what is left of the old current at the sample's end
+    filters: Filters | None  # None: without any, for which nothing is compiled
     overload_samples: int
     lower: Array  # rad
     upper: Array  # rad
@@ -43,6 +52,7 @@ class Lanes(NamedTuple):
     v: Array  # (lanes, n)
     a: Array  # (lanes, n) of the last stage, where effects ask for it
     integral: Array  # (joints, lanes) N m
+    filtered: Array  # (joints, sections of speed and torque, 2, lanes) what the filters remember
     current: Array  # (joints, lanes) N m, behind the current loop, now
     held: Array  # (joints, lanes) N m, mean over the sample
     overloaded: Integers  # (joints, lanes) samples at the limit without a break
@@ -94,8 +104,25 @@ def joint_in_loop(loop: Loop, j: int) -> JointInLoop:
 
 
 @inlined
+def _through(sections: Array, memory: Array, first: int, lane: int, x: float) -> float:
+    """A sample's way through sections (n, 5), whose memory begins at `first` of (all the joint's sections, 2, lanes)."""
+    for s in range(len(sections)):
+        b0, b1, b2, a1, a2 = sections[s, 0], sections[s, 1], sections[s, 2], sections[s, 3], sections[s, 4]
+        own = memory[first + s]
+        y = b0 * x + own[0, lane]
+        own[0, lane] = b1 * x - a1 * y + own[1, lane]
+        own[1, lane] = b2 * x - a2 * y
+        x = y
+    return x
+
+
+@inlined
 def command(
     joint: JointInLoop,
+    filters: Filters | None,
+    filtered: Array,
+    j: int,
+    lane: int,
     angle: float,
     speed: float,
     reference: float,
@@ -104,7 +131,7 @@ def command(
     integral: float,
     current: float,
 ) -> tuple[float, float, float, float, float, bool]:
-    """One sample of one joint's controller and current loop.
+    """One sample of joint j's controller and current loop; `filtered` (joints, sections, 2, lanes) is what its filters remember.
 
     Returns angle and speed as the resolver shows them, the new integral and current, the torque that acts until the next
     sample (its mean), and whether the command was at its limit.
@@ -115,7 +142,13 @@ def command(
     angle, speed = _rounded(angle, position_step), _rounded(speed, velocity_step)
     error = reference - angle
     more = integral_gain * error
-    command = position_gain * error + velocity_gain * (rate - speed) + (integral + more + feedforward)
+    slow = speed
+    if filters is not None:
+        slow = _through(filters.speed[j], filtered[j], 0, lane, speed)
+        more -= filters.by_speed[j] * (slow - speed)
+    command = position_gain * error + velocity_gain * (rate - slow) + (integral + more + feedforward)
+    if filters is not None:
+        command = _through(filters.torque[j], filtered[j], filters.speed.shape[1], lane, command)
     limited = abs(command) > limit
     # at the limit the integrator waits, unless it would help out of it
     integral += 0.0 if limited & (command * more >= 0.0) else more
@@ -167,6 +200,10 @@ def control(loop: Loop, lanes: Lanes, inputs: Inputs, logs: Logs, lane: int, k: 
         start, end = inputs.feedforward[row, j, lane], inputs.feedforward[row + 1, j, lane]
         angle, speed, integral, current, held, limited = command(
             joint_in_loop(loop, j),
+            loop.filters,
+            lanes.filtered,
+            j,
+            lane,
             angle,
             speed,
             inputs.position[k, j, own],

@@ -184,7 +184,9 @@ def _control_lanes(
         a, v = angle[c] + noise[0, j, c], speed[c] + noise[1, j, c]
         forward = start[c] + part * (end[c] - start[c])
         reference, rate = references[apart * c], rates[apart * c]
-        a, v, whole, now, mean, limited = command(joint, a, v, reference, rate, forward, integral[c], current[c])
+        a, v, whole, now, mean, limited = command(
+            joint, loop.filters, lanes.filtered, j, c, a, v, reference, rate, forward, integral[c], current[c]
+        )
         seen_angle[c], seen_speed[c], seen_torque[c] = a, v, 0.5 * (held[c] + mean)
         integral[c], current[c], held[c], torque[c] = whole, now, mean, mean
         counts[c] = counts[c] + 1 if limited else 0

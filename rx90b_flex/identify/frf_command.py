@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+TORQUES_OFF = 0.25  # of the logged torques: replayed ones that are farther from them are of another controller
 CONTROLLER, REFERENCES = "controller.toml", "references"  # beside the campaign file
 OTHER_TORQUES = 0.1  # relative, by which torques or references that were logged are not those of a file
 LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this far from the declared one is no start
@@ -63,6 +64,8 @@ class FrfOptions:
         Relative standard deviation of the links' masses; 0: known.
     bending_alike_std : float
         To which a joint is equally stiff about both its bending axes, as in table 4.1; 0: not assumed.
+    hinge_std : float, or mapping of joint to float
+        Standard deviation to which the places of hinges are known, m (`GreyBoxOptions.hinge_std`); 0: known.
     starts, seed : int
         Of the grey box.
     modes : tuple of int
@@ -85,6 +88,7 @@ class FrfOptions:
     controller: Path | None = None
     link_mass_std: float = 0.0
     bending_alike_std: float = 0.1
+    hinge_std: float | Mapping[str, float] = 0.0
     starts: int = 8
     seed: int = 0
     modes: tuple[int, ...] = tuple(range(2, 9))
@@ -254,6 +258,8 @@ def identify_from_motors(
         replayed = stages.run(
             "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
         )
+    if replayed is not None and controller is not None:
+        remarks += _torques_off(replayed, together)
     if grey is not None and replayed is not None:
         grey = grey.doubted(shifts_between(grey, replayed.grey))  # a bias that is known of and still in it
     return MotorIdentification(
@@ -423,22 +429,12 @@ def _controller(campaign: Path, file: Path | None) -> CS8 | None:
 
 
 def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
-    """Feedback torque against drive acceleration of independent PID controllers, ``(K_p + K_v s + K_i / s) / s^2``.
-
-    With the current loop's lag and half a period of the zero-order hold.
-    """
-    own = controller.for_joints(joints).joints
-    position, velocity, integral = (
-        np.array([getattr(j, f"{x}_gain") for j in own]) for x in ("position", "velocity", "integral")
-    )
+    """Feedback torque against drive acceleration: the controllers' response to angles over ``s^2``, hold and filters included."""
+    own = controller.for_joints(joints)
 
     def feedback(hz: Array) -> ComplexArray:
         s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
-        lag = np.exp(-0.5 * controller.period * s)
-        if controller.current_bandwidth_hz > 0.0:
-            lag = lag / (1.0 + s / (2.0 * np.pi * controller.current_bandwidth_hz))
-        gain = (position + velocity * s + integral / s) / s**2 * lag
-        return np.asarray(gain[:, :, None] * np.eye(len(joints)))
+        return np.asarray((own.frequency_response(hz) / s**2)[:, :, None] * np.eye(len(joints)))
 
     return feedback
 
@@ -470,7 +466,7 @@ def _grey_box(
     ]
     chosen = GreyBoxOptions(
         options.band_hz, options.starts, seed=options.seed,
-        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std,
+        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std, hinge_std=options.hinge_std,
     )  # fmt: skip
     start = _start(robot, [p.drives for p in poses if p.drives is not None])
     return grey_box(robot, measured, chosen, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
@@ -495,6 +491,19 @@ def _replay(
         jobs=options.jobs,
         progress=lambda text, part: tell(text, 0.75 + 0.2 * part),
     )
+
+
+def _torques_off(replayed: ReplayedGreyBox, poses: Sequence[AtPose]) -> list[str]:
+    """What is said of a controller that does not order what was logged."""
+    off = replayed.torques_off.max(axis=0)
+    joints = [j for j, x in zip(poses[0].measured.joints, off.tolist(), strict=True) if x > TORQUES_OFF]
+    if not joints:
+        return []
+    return [
+        f"replay: under the controller file the torques of {', '.join(joints)} are up to {100.0 * off.max():.0f} % off those logged "
+        "(2 to 6 % are usual where all is as declared): its gains, filters or rates, friction or the robot are others; without a "
+        "controller file the logged torques drive the replay"
+    ]
 
 
 def _start(robot: Robot, found: Sequence[DriveIdentification]) -> dict[str, float]:
@@ -526,6 +535,8 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
     ``transfer_functions``, ``drives``, ``grey_box`` and ``replay`` are null where ``left_out`` says why (``replay`` also where it
     was not wanted). Each parameter has value, std and unit; of the grey box also its 95 % interval and whether the data determine
     it. ``grey_box`` is fitted to the responses as measured, ``replay`` to them without the distortion that the replay explains.
+    ``hinges`` holds the places of those that were not taken as known, ``torques_off`` how far a replay's torques are from those
+    logged, by pose and joint.
     """
     return {
         "schema": 1,
@@ -703,6 +714,7 @@ def _replay_json(result: MotorIdentification, replayed: ReplayedGreyBox) -> dict
         **_grey_json(result, replayed.grey),
         "friction": {f.name: {**_quantity(f.value, f.std, f.unit), "declared": f.declared} for f in replayed.frictions},
         "realisations_deviate": {name: x.tolist() for name, x in deviation.items()},
+        "torques_off": replayed.torques_off.tolist(),
         "rounds": replayed.rounds,
     }
 
@@ -723,6 +735,7 @@ def _grey_json(result: MotorIdentification, grey: GreyBox) -> dict[str, Any]:
         "torque_delay": None
         if grey.torque_delay is None
         else _quantity(grey.torque_delay.value, grey.torque_delay.std, "s"),
+        "hinges": [{**dataclasses.asdict(h), "unit": "m"} for h in grey.hinges],
         "vague_directions": [{"relative_std": d.relative_std, "parts": dict(d.parts)} for d in grey.directions],
         "cost": grey.cost,
         "expected_cost": grey.expected_cost,

@@ -18,9 +18,10 @@ from scipy import stats
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import with_link_parameters
+from rx90b_flex.hinge_places import with_hinges_moved
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_data import GreyBoxOptions, PoseResponse, smoothed_covariance
-from rx90b_flex.identify.grey_model import DELAY, DELAY_UNIT, MASS, Delay, GreyParameter, parameter_names
+from rx90b_flex.identify.grey_model import AXES, DELAY, HINGE, MASS, Delay, GreyParameter, HingePlace, parameter_names
 from rx90b_flex.identify.grey_problem import COARSE, GreyProblem, grey_problem
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
@@ -123,8 +124,9 @@ class GreyBox(Showing):
     model_error, friction_error : float
         Given or estimated: what bias the intervals allow for, of |P| and of the friction slopes.
     torque_delay : Delay or None
-    torque_delay : Delay or None
         By which the torques were logged late against the angles; None where it was taken as none.
+    hinges : tuple of HingePlace
+        Of those whose place was not taken as known.
     options : GreyBoxOptions
     """
 
@@ -143,6 +145,7 @@ class GreyBox(Showing):
     model_error: float
     friction_error: float
     torque_delay: Delay | None
+    hinges: tuple[HingePlace, ...]
     options: GreyBoxOptions
 
     def __getitem__(self, name: str) -> GreyEstimate:
@@ -164,6 +167,7 @@ class GreyBox(Showing):
             estimates=tuple(estimates),
             covariance=other.covariance,
             directions=other.directions,
+            hinges=tuple(dataclasses.replace(h, std=w.std) for h, w in zip(self.hinges, other.hinges, strict=True)),
             model_error=other.model_error,
             friction_error=other.friction_error,
         )
@@ -224,15 +228,29 @@ def grey_box(
     """
     options, tell = options or GreyBoxOptions(), progress or (lambda text, part: None)
     given = (measured,) if isinstance(measured, FrequencyResponse) else measured
-    problem = grey_problem(robot, [m if isinstance(m, PoseResponse) else PoseResponse(m) for m in given], options)
+    poses = [m if isinstance(m, PoseResponse) else PoseResponse(m) for m in given]
+    problem = grey_problem(robot, poses, options)
     problem, best, ends = _search(problem, _starts(problem, options, start or {}), options, tell)
+    if any(HINGE in p.name for p in problem.parameters):
+        problem, best = _about_hinges_found(robot, poses, options, problem, best)
     tell("information", 0.95)
     return _result(robot, problem, best, ends, options)
 
 
+def _about_hinges_found(
+    robot: Robot, poses: Sequence[PoseResponse], options: GreyBoxOptions, problem: GreyProblem, x: Array
+) -> tuple[GreyProblem, Array]:
+    """The problem and its minimum once more, linear in the hinges' places about those that were found."""
+    found = {h.joint: np.array(h.offset) for h in _places(problem, x, np.eye(len(x)))[1]}
+    again = grey_problem(with_hinges_moved(robot, found), poses, options, found)
+    start = np.where([HINGE in p.name for p in problem.parameters], 0.0, x)
+    again = again.with_bias(start, problem.bias_sizes)
+    return again, again.minimum(start, 60)
+
+
 def _starts(problem: GreyProblem, options: GreyBoxOptions, start: Mapping[str, float]) -> list[tuple[str, Array]]:
     """Where fits begin, by name: a start that is given, the declared values, and drawn ones about the first of these."""
-    names = [p.name for p in problem.parameters if p.name != DELAY]
+    names = [p.name for p in problem.parameters if not p.scale]
     begin = [("declared values", problem.declared)]
     if start:
         other = problem.declared.copy()
@@ -300,15 +318,16 @@ def _result(
     information /= max(cost / expected, 1.0)
     covariance: Array = np.asarray(np.linalg.inv(information + problem.prior.T @ problem.prior))
     predicted = tuple(problem.predicted(x))
-    delay, parameters = None, problem.parameters
-    if problem.has_delay:
-        delay = Delay(DELAY_UNIT * float(x[-1]), DELAY_UNIT * math.sqrt(covariance[-1, -1]))
-        # of the others, whatever the delay is
-        across = information[:-1, -1]
-        information = information[:-1, :-1] - np.outer(across, across) / (
-            information[-1, -1] + (problem.prior[:, -1] ** 2).sum()
-        )
-        covariance, x, free, parameters = covariance[:-1, :-1], x[:-1], free[:-1], parameters[:-1]
+    delay, hinges = _places(problem, x, covariance)
+    # of the others, whatever these are
+    plain = np.flatnonzero(problem.scale == 0.0)
+    own, other = (np.flatnonzero(among) for among in (problem.scale[free] == 0.0, problem.scale[free] > 0.0))
+    across, known = information[np.ix_(own, other)], (problem.prior.T @ problem.prior)[np.ix_(other, other)]
+    information = information[np.ix_(own, own)] - across @ np.linalg.solve(
+        information[np.ix_(other, other)] + known, across.T
+    )
+    covariance, x, free = covariance[np.ix_(own, own)], x[plain], free[own]
+    parameters = [problem.parameters[i] for i in plain]
     values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
@@ -327,10 +346,27 @@ def _result(
     )
     names = [parameters[i].name for i in free]
     return GreyBox(
-        estimates, covariance, information, _directions(information, names), _fitted_robot(robot, parameters, values),
+        estimates, covariance, information, _directions(information, names),
+        _fitted_robot(robot, parameters, values, hinges),
         tuple(t.response for t in problem.terms), predicted, tuple(errors), cost, expected, expected + 1.645 * spread, starts,
-        *problem.bias_sizes, delay, options,
+        *problem.bias_sizes, delay, hinges, options,
     )  # fmt: skip
+
+
+def _places(problem: GreyProblem, x: Array, covariance: Array) -> tuple[Delay | None, tuple[HingePlace, ...]]:
+    """What is fitted beside logarithms, all of it free."""
+    fitted = np.flatnonzero(problem.free)
+    found = {
+        p.name: (p.scale * float(x[i]) - p.declared, p.scale * math.sqrt(covariance[k, k]), p.scale * p.prior_std)
+        for k, (i, p) in enumerate((i, problem.parameters[i]) for i in fitted)
+        if p.scale
+    }
+    delay = Delay(*found[DELAY][:2]) if DELAY in found else None
+    hinges = []
+    for joint in dict.fromkeys(name.split(f".{HINGE}_")[0] for name in found if name != DELAY):
+        value, std, declared = zip(*(found[f"{joint}.{HINGE}_{axis}"] for axis in AXES), strict=True)
+        hinges.append(HingePlace(joint, value, std, declared[0]))
+    return delay, tuple(hinges)
 
 
 def _std_without_prior(information: Array) -> Array:
@@ -370,12 +406,16 @@ def _expected_cost(problem: GreyProblem, fitted: int) -> tuple[float, float]:
     return mean - 0.5 * fitted, math.sqrt(variance)
 
 
-def _fitted_robot(robot: Robot, parameters: Sequence[GreyParameter], values: Array) -> Robot:
+def _fitted_robot(
+    robot: Robot, parameters: Sequence[GreyParameter], values: Array, hinges: Sequence[HingePlace]
+) -> Robot:
     found = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
     effects = [
         e.with_coefficients([found[name] for name in parameter_names(e)]) if e.part in ("drives", "flexibility") else e
         for e in robot.effects
     ]
+    if hinges:
+        robot = with_hinges_moved(robot, {h.joint: np.array(h.offset) for h in hinges})
     factors = np.array([found.get(f"{link}.{MASS}", 1.0) for link, _ in robot.bodies])
     if (factors != 1.0).any():
         robot = with_link_parameters(robot, np.repeat(factors, 10) * robot.link_parameters, allow_inconsistent=True)

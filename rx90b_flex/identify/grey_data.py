@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +44,10 @@ class GreyBoxOptions:
     delay_std : float
         Standard deviation, s, to which torques are known to be logged at the instants of angles: by that much they may be late, or
         early, and how much is estimated (`GreyBox.torque_delay`). 0: logged together.
+    hinge_std : float, or mapping of joint to float
+        Standard deviation, m, to which it is known along each axis where a joint's hinges lie on their links; of all joints that
+        bend, or of those named. The places are estimated (`GreyBox.hinges`); what is not known of them is part of all intervals.
+        0: known.
     fixed : names of parameters that keep their declared values
     model_error, friction_error : float or None
         Bias that is left, as random functions of frequency that stay alike over `REACH_HZ`: of each entry, over its magnitude, and of
@@ -59,6 +63,7 @@ class GreyBoxOptions:
     link_mass_std: float = 0.0
     bending_alike_std: float = 0.0
     delay_std: float = DELAY_STD
+    hinge_std: float | Mapping[str, float] = 0.0
     fixed: tuple[str, ...] = ()
     model_error: float | None = MODEL_ERROR
     friction_error: float | None = FRICTION_ERROR

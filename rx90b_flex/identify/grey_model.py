@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rx90b_flex.effects import Effect
+from rx90b_flex.effects import Effect, close_match
 from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.hinge_places import with_hinges_moved
 from rx90b_flex.identify.accelerometers import sensor_rows
 from rx90b_flex.identify.frequency_response import ComplexArray
 from rx90b_flex.robot import Robot
@@ -31,12 +32,15 @@ KINDS = {
 }
 SLOPE, MASS = "friction_slope", "mass_factor"
 DELAY, DELAY_UNIT = "robot.torque_delay", 1e-3  # fitted in thousandths of a second, beside logarithms
+HINGE, AXES = "hinge", ("x", "y", "z")
+HINGE_UNIT = 1e-2  # m, in which places of hinges are fitted
+HINGE_STEP = 1e-3  # m, to either side, for derivatives; mass matrices are quadratic in it
 DELAY_STD = 2e-3  # s, of the delay before the data: a sample or so of usual logs
 
 
 @dataclass(frozen=True)
 class GreyParameter:
-    """One fitted parameter; positive, and fitted as its logarithm. The one delay may have either sign, and is fitted as it is.
+    """One fitted parameter; positive, and fitted as its logarithm. A delay and places of hinges may have either sign.
 
     Attributes
     ----------
@@ -47,24 +51,37 @@ class GreyParameter:
     declared : float
         Value of the robot; for a friction slope the one that its friction has on average where it moves.
     prior_std : float
-        Of the logarithm, about the declared value.
+        Of the number that is fitted, about the declared value.
+    scale : float
+        Of those with either sign, which are fitted as they are, in this unit; 0: as a logarithm.
     """
 
     name: str
     unit: str
     declared: float
     prior_std: float
+    scale: float = 0.0
 
     @property
     def begin(self) -> float:
         """Where it stands in the vector of fitted numbers as declared."""
-        return self.declared / DELAY_UNIT if self.name == DELAY else math.log(self.declared)
+        return self.declared / self.scale if self.scale else math.log(self.declared)
 
     @property
     def words(self) -> str:
         """The name as it stands in a sentence."""
         place, kind = self.name.rsplit(".", 1)
         return f"{place} {kind.replace('_', ' ')}"
+
+
+@dataclass(frozen=True)
+class HingePlace:
+    """Where a joint's hinges lie, from where they were declared, in the joint's frame at zero angle: m, each (3,)."""
+
+    joint: str
+    offset: tuple[float, ...]
+    std: tuple[float, ...]
+    declared_std: float
 
 
 @dataclass(frozen=True)
@@ -225,6 +242,45 @@ def grey_parameters(robot: Robot, joints: Sequence[str], experiments: int, link_
     return out
 
 
+def hinge_parameters(
+    robot: Robot, hinge_std: float | Mapping[str, float], places: Mapping[str, Array] | None = None
+) -> list[GreyParameter]:
+    """Places of hinges, three a joint, to be fitted where they are not known: of all joints that bend, or of those named.
+
+    `places` by joint, (3,), m, are those at which the robot has them already, of which nothing was known.
+
+    Raises
+    ------
+    ValueError
+        A joint that the robot does not have, a standard deviation below 0.
+    """
+    if not isinstance(hinge_std, Mapping):
+        bending = {j for e in robot.effects if e.type_name() == "joint_flexibility" for j in e.joints}
+        hinge_std = {joint: hinge_std for joint in robot.joints if joint in bending}
+    out = []
+    for joint, std in hinge_std.items():
+        if joint not in robot.joints:
+            raise ValueError(f"hinge_std: {robot.name} has no joint {joint!r}; {close_match(joint, robot.joints)}")
+        if not 0.0 <= std < np.inf:
+            raise ValueError(f"hinge_std: {joint} has {std:g} m; expected 0 or more")
+        if std > 0.0:
+            declared = -np.asarray((places or {}).get(joint, np.zeros(3)))
+            names = [f"{joint}.{HINGE}_{x}" for x in AXES]
+            unit = HINGE_UNIT
+            out += [GreyParameter(n, "m", float(d), std / unit, unit) for n, d in zip(names, declared, strict=True)]
+    return out
+
+
+def moved_hinges(robot: Robot, parameters: Sequence[GreyParameter]) -> dict[str, tuple[Robot, Robot]]:
+    """The robot with each hinge a step to one side and to the other, by the parameter's name."""
+    out = {}
+    for name in (p.name for p in parameters if f".{HINGE}_" in p.name):
+        joint, axis = name.split(f".{HINGE}_")
+        step = HINGE_STEP * np.eye(3)[AXES.index(axis)]
+        out[name] = with_hinges_moved(robot, {joint: step}), with_hinges_moved(robot, {joint: -step})
+    return out
+
+
 def declared_parameters(robot: Robot) -> dict[str, float]:
     """Drive and flexibility parameters of a robot by the grey box's names, as they stand in `start` and `fixed`."""
     parts = [e for e in robot.effects if e.part in ("drives", "flexibility")]
@@ -263,12 +319,14 @@ def matrices_at(
     angles: Array,
     parameters: Sequence[GreyParameter],
     sensors: Sequence[Accelerometer] = (),
+    moved: Mapping[str, tuple[Robot, Robot]] | None = None,
 ) -> GreyPose:
     """Matrices with the drives at some angles; drives without a slope stand still, held by their friction.
 
     Parameters
     ----------
     slopes : name of the friction slope of each joint that moves
+    moved : `moved_hinges` of the parameters
     """
     joints = list(slopes)
     n, rest = robot.model.nv, np.zeros(robot.model.nv)
@@ -282,14 +340,17 @@ def matrices_at(
         D[at] += factor * derivatives[1][0]
         M[at] += factor * derivatives[2][0]
 
-    add(0, motion.on_tree.derivatives())
+    for part in _fixed(robot, motion):
+        add(0, part)
     for effect in robot.effects:
         if effect.part in ("drives", "flexibility"):
             for k, name in enumerate(parameter_names(effect)):
                 unit = np.eye(len(effect.coefficients))[k]
                 add(index[name], effect.with_coefficients(unit).derivatives(motion))
-        elif effect.part != "friction":
-            add(0, effect.derivatives(motion))
+    for name, sides in (moved or {}).items():
+        for other, sign in zip(sides, (1.0, -1.0), strict=True):
+            for part in _fixed(other, other.motion(q, rest, rest)):
+                add(index[name], part, sign / (2.0 * HINGE_STEP))
     for joint in joints:
         port = friction_port(robot.effects, robot.layout, joint)
         D[index[slopes[joint]]] += np.outer(port, port)
@@ -304,6 +365,12 @@ def matrices_at(
     M, D, K = (x[:, free[:, None], free] for x in (M, D, K))
     rows = sensor_rows(robot, q, sensors) if sensors else None
     return GreyPose(M, D, K, drives, None if rows is None else (rows[0][:, free], rows[1][:, free]))
+
+
+def _fixed(robot: Robot, motion: Motion) -> list[tuple[Array, Array, Array]]:
+    """Derivatives of what is not fitted: links and springs."""
+    others = [e for e in robot.effects if e.part not in ("drives", "flexibility", "friction")]
+    return [motion.on_tree.derivatives(), *(e.derivatives(motion) for e in others)]
 
 
 def _of_link(motion: Motion, link: str, parameters: Array) -> tuple[Array, Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,8 +30,10 @@ from rx90b_flex.identify.grey_model import (
     GreyMotion,
     GreyParameter,
     grey_parameters,
+    hinge_parameters,
     late,
     matrices_at,
+    moved_hinges,
     shares_of,
     slope_name,
 )
@@ -100,7 +102,7 @@ def _whitener(covariance: ComplexArray, response: FrequencyResponse) -> ComplexA
 
 @dataclass(frozen=True, eq=False)
 class GreyProblem:
-    """Whitened residuals of all responses and their Jacobian, as functions of the logarithms x of the parameters.
+    """Whitened residuals of all responses and their Jacobian, as functions of x: parameters' logarithms, or themselves over a scale.
 
     A delay, where there is one, stands last and has no part in the matrices.
     """
@@ -128,12 +130,20 @@ class GreyProblem:
                 pairs.append(row)
         return np.vstack([own[self.free], *pairs])[:, self.free]
 
+    @cached_property
+    def scale(self) -> Array:
+        """Of parameters that are fitted as they are; 0 for logarithms."""
+        return np.array([p.scale for p in self.parameters])
+
+    def values(self, x: Array) -> Array:
+        return np.where(self.scale > 0.0, self.scale * x, np.exp(x))
+
     @property
     def has_delay(self) -> bool:
         return self.parameters[-1].name == DELAY
 
     def predicted(self, x: Array) -> list[ComplexArray]:
-        return [t.model.response(t.response.hz, np.exp(x)) * self._late(t.response.hz, x) for t in self.terms]
+        return [t.model.response(t.response.hz, self.values(x)) * self._late(t.response.hz, x) for t in self.terms]
 
     def _late(self, hz: Array, x: Array) -> ComplexArray:
         """What torques that were logged late multiply a response over them by, (F, 1, 1)."""
@@ -149,10 +159,11 @@ class GreyProblem:
 
     def derivatives(self, x: Array) -> list[ComplexArray]:
         """Derivatives of each response by x, (p, F, joints, joints)."""
-        p, out = np.exp(x), []
+        p, out = self.values(x), []
+        unit = np.where(self.scale > 0.0, self.scale, p)[:, None, None, None]
         for t in self.terms:
             hz = t.response.hz
-            by_x = t.model.derivatives(hz, p) * p[:, None, None, None]
+            by_x = t.model.derivatives(hz, p) * unit
             if self.has_delay:
                 by_x[-1] = 2j * np.pi * DELAY_UNIT * hz[:, None, None] * t.model.response(hz, p)
             out.append(by_x * self._late(hz, x))
@@ -259,8 +270,10 @@ def _bias_sizes(
     return sizes(found.x)
 
 
-def grey_problem(robot: Robot, poses: Sequence[PoseResponse], options: GreyBoxOptions) -> GreyProblem:
-    """The problem of a robot and what was measured of it.
+def grey_problem(
+    robot: Robot, poses: Sequence[PoseResponse], options: GreyBoxOptions, places: Mapping[str, Array] | None = None
+) -> GreyProblem:
+    """The problem of a robot and what was measured of it; its hinges were already moved by `places`, m, by joint.
 
     Raises
     ------
@@ -275,11 +288,16 @@ def grey_problem(robot: Robot, poses: Sequence[PoseResponse], options: GreyBoxOp
     for name in options.fixed:
         if name not in names:
             raise ValueError(f"fixed: no parameter {name!r}; {close_match(name, names)}")
+    hinges = tuple(hinge_parameters(robot, options.hinge_std, places))
+    if hinges and any(pose.accelerations is not None for pose in kept):
+        raise ValueError("hinge_std: places of hinges are not fitted with accelerometers")
+    parameters += hinges
     if options.delay_std > 0.0:
-        parameters += (GreyParameter(DELAY, "s", 0.0, options.delay_std / DELAY_UNIT),)
+        parameters += (GreyParameter(DELAY, "s", 0.0, options.delay_std / DELAY_UNIT, DELAY_UNIT),)
+    moved = moved_hinges(robot, hinges)
     drives, sensors = [], []
     for pose in kept:
-        model = _model(robot, pose, parameters, experiments)
+        model = _model(robot, pose, parameters, experiments, moved)
         drives.append(GreyTerm.of(pose.response, model))
         if pose.accelerations is not None:
             sensors.append(GreyTerm.of(pose.accelerations, model.of_sensors()))
@@ -287,7 +305,13 @@ def grey_problem(robot: Robot, poses: Sequence[PoseResponse], options: GreyBoxOp
     return GreyProblem(parameters, (*drives, *sensors), free, options.bending_alike_std)
 
 
-def _model(robot: Robot, pose: PoseResponse, parameters: Sequence[GreyParameter], experiments: int) -> GreyExperiments:
+def _model(
+    robot: Robot,
+    pose: PoseResponse,
+    parameters: Sequence[GreyParameter],
+    experiments: int,
+    moved: Mapping[str, tuple[Robot, Robot]],
+) -> GreyExperiments:
     hz, joints = pose.response.hz, pose.response.joints
     path = np.atleast_2d(pose.response.pose if pose.along is None else pose.along)
     sensors = () if pose.accelerations is None else pose.accelerations.sensors
@@ -295,7 +319,7 @@ def _model(robot: Robot, pose: PoseResponse, parameters: Sequence[GreyParameter]
     each = []
     for number in range(experiments):
         slopes = {joint: slope_name(joint, number, experiments) for joint in joints}
-        poses = tuple(matrices_at(robot, slopes, np.asarray(q, dtype=float), parameters, sensors) for q in path)
+        poses = tuple(matrices_at(robot, slopes, np.asarray(q, dtype=float), parameters, sensors, moved) for q in path)
         each.append(GreyMotion(poses, back))
     return GreyExperiments(tuple(each), shares_of(pose.torques if experiments > 1 else None, len(joints)))
 

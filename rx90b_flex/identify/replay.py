@@ -155,19 +155,35 @@ class Replay:
 
     def responses(self, robot: Robot) -> ComplexArray:
         """Response of each realisation on that robot, shape (R, F, n, n)."""
-        runs = perturb_lanes(robot, self.controller, self.trajectories)
-        for run in runs:
-            if run.ended is not None:
-                raise ValueError(f"replay of {run.trajectory.name!r} on the fitted robot: {run.ended}")
-        simulated = [_period(r, run.recording, 1) for r, run in zip(self.recordings, runs, strict=True)]
         own = estimate_frequency_response(
-            simulated, joints=self.measured.joints, hz=self.measured.hz, places=self.measured.places
+            self._simulated(robot), joints=self.measured.joints, hz=self.measured.hz, places=self.measured.places
         )
         if own.realisations.shape != self.measured.realisations.shape:
             raise ValueError(
                 f"replayed, {own.realisations.shape[:2]} realisations and lines are left of {self.measured.realisations.shape[:2]}"
             )
         return own.realisations
+
+    def _simulated(self, robot: Robot) -> list[Recording]:
+        runs = perturb_lanes(robot, self.controller, self.trajectories)
+        for run in runs:
+            if run.ended is not None:
+                raise ValueError(f"replay of {run.trajectory.name!r} on the fitted robot: {run.ended}")
+        return [_period(r, run.recording, 1) for r, run in zip(self.recordings, runs, strict=True)]
+
+    def torques_off(self, robot: Robot, delay_s: float) -> Array:
+        """How far each joint's torques on that robot are from those logged, at all lines, over these; (joints,).
+
+        Logged torques are `delay_s` late. Apart from what is wrong with the robot it is what is wrong with the controller.
+        """
+        hz = self.measured.hz
+        lines = np.rint(hz * (self.recordings[0].period_s or 0.0)).astype(int)
+        pairs = zip(self._simulated(robot), self.recordings, strict=True)
+        both = [[np.fft.rfft(x.torque, axis=0)[lines] for x in pair] for pair in pairs]
+        ordered, logged = np.moveaxis(np.array(both), 1, 0)
+        logged = logged * late(hz, delay_s)[:, :, 0]
+        apart, size = ((np.abs(x) ** 2).sum(axis=(0, 1)) for x in (ordered - logged, logged))
+        return np.asarray(np.sqrt(apart / size))
 
 
 def _mean_period(signal: Array, samples: int) -> Array:
@@ -278,6 +294,8 @@ class ReplayedGreyBox:
         N m s/rad, of L in the last round.
     before, after : array, shape (poses, n, n)
         Relative standard deviation of one realisation, median over the lines: as measured, and less the replay.
+    torques_off : array, shape (poses, joints)
+        `Replay.torques_off` on `robot`.
     rounds : int
     """
 
@@ -288,6 +306,7 @@ class ReplayedGreyBox:
     slopes: dict[str, float]
     before: Array
     after: Array
+    torques_off: Array
     rounds: int
 
 
@@ -356,14 +375,17 @@ def grey_box_by_replay(
         if _settled(last, grey):
             break
     grey = _with_what_is_left(grey, less, fit)
+    found = _with_friction(grey.robot, joints, friction)
+    delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
     return ReplayedGreyBox(
         grey,
-        _with_friction(grey.robot, joints, friction),
+        found,
         tuple(x.doubted for x in less),
         _friction_estimates(declared, friction, std),
         at.slopes,
         np.array([_spread(x.measured.realisations) for x in less]),
         np.array([_spread(x.rest) for x in less]),
+        np.array([replay.torques_off(found, delay) for replay in replays]),
         number + 1,
     )
 

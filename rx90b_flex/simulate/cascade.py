@@ -9,7 +9,8 @@ is, up to a constant that the integrator holds from the start,
     u = (Kv Kp + Kv/Ti) (r - e) + Kv (r' - e') + Kv Kp/Ti int (r - e) dt
         - (1 - f) Kv r' - (1 - f) Kv/Ti (r - r_0) + J r'' + feed-forward:
 
-a PID, and a torque that the reference alone decides.
+a PID, and a torque that the reference alone decides. Where the speed e' is filtered on its way to the velocity loop, to F e', so is
+what its integral sees: ``-Kv/Ti int (F e' - e') dt`` besides.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class Cascade:
             by_reference=-lacking * self.velocity_loop * rate,
             by_reference_speed=-lacking * self.velocity_loop,
             by_reference_acceleration=self.inertia_feedforward,
+            filtered_speed_gain=self.velocity_loop * rate,
         )
 
 

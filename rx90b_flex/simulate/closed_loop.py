@@ -18,7 +18,18 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import signal
 
-from rx90b_flex.compiled.controller import DIVERGED, JUMP, OVERLOAD, OVERSPEED, RUNNING, Inputs, Lanes, Logs, Loop
+from rx90b_flex.compiled.controller import (
+    DIVERGED,
+    JUMP,
+    OVERLOAD,
+    OVERSPEED,
+    RUNNING,
+    Filters,
+    Inputs,
+    Lanes,
+    Logs,
+    Loop,
+)
 from rx90b_flex.compiled.loop import DIVISION, run
 from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
 from rx90b_flex.compiled.step import Extra
@@ -32,6 +43,7 @@ from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.decimation import Decimator
+from rx90b_flex.simulate.filters import at_rest
 from rx90b_flex.simulate.trajectories import Trajectory
 
 Indices = NDArray[np.int64]
@@ -460,12 +472,15 @@ class _Runner:
         count, joints = len(q), len(torque)
         forward = np.stack([np.zeros(joints) if x is None else x[0] for x in self.forward], axis=1)
         whole = [np.zeros(count, dtype=np.int64) for _ in range(3)]
+        speed = np.ascontiguousarray(v[:, self.loop.drive].T)
+        chains = zip(self.job.controller.sections, (speed, torque), strict=True)
         jumps = [(self.samples, 0) if jump is None else (jump.sample * self.up, jump.joint) for jump in self.jumps]
         return Lanes(
             q=q,
             v=v,
             a=np.zeros_like(q),
             integral=torque - forward,
+            filtered=np.concatenate([at_rest(*each) for each in chains], axis=1),
             current=torque.copy(),
             held=torque.copy(),
             overloaded=np.zeros((joints, count), dtype=np.int64),
@@ -760,7 +775,8 @@ def _dissipated(effect: Effect, force: Array, motion: Motion, still: Motion) -> 
 
 def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:
     """The controller in numbers for the compiled loop."""
-    tree = robot.tree
+    tree, (speed, torque) = robot.tree, controller.sections
+    by_speed = controller.column("filtered_speed_gain") * controller.period
     return Loop(
         drive=drive_places(robot),
         period=controller.period,
@@ -775,6 +791,7 @@ def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:
         torque_limit=controller.column("torque_limit"),
         current_mean=controller.current_loop[0],
         current_left=controller.current_loop[1],
+        filters=Filters(speed, torque, by_speed) if speed.size or torque.size else None,
         overload_samples=max(1, round(controller.overload_time_s * controller.controller_rate_hz)),
         lower=np.array(tree.lowerPositionLimit, dtype=float),
         upper=np.array(tree.upperPositionLimit, dtype=float),

@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_in, read_toml, toml_text
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, robots_folder
+from rx90b_flex.simulate.filters import Filter, read_filters, response_of, sections_of
 
 if TYPE_CHECKING:
     import control
@@ -32,8 +33,9 @@ ComplexArray = NDArray[np.complex128]
 class JointController:
     """One joint's controller, joint side.
 
-    ``torque = position_gain (r - e) + velocity_gain (r' - e') + integral_gain * integral(r - e) + feed-forward``, with
-    e and e' as the resolver shows them.
+    ``torque = G(position_gain (r - e) + velocity_gain (r' - F e') + integral_gain * integral(r - e) + feed-forward
+    - filtered_speed_gain * integral(F e' - e'))``, with e and e' as the resolver shows them, F the filters of the speed and G those
+    of the torque.
 
     Attributes
     ----------
@@ -47,6 +49,10 @@ class JointController:
     by_reference, by_reference_speed, by_reference_acceleration : float
         What the reference alone adds to the torque fed forward, over ``r - r_0``, r' and r'': N m/rad, N m s/rad, kg m^2. A cascade
         has them (`rx90b_flex.simulate.cascade`).
+    filtered_speed_gain : float
+        N m/rad. Of a velocity loop's integral, which sees the filtered speed.
+    velocity_filters, torque_filters : tuple of Filter
+        Of the measured speed, and of the torque that is asked for, feed-forward among it, before its limit.
     """
 
     name: str
@@ -60,8 +66,12 @@ class JointController:
     by_reference: float = 0.0
     by_reference_speed: float = 0.0
     by_reference_acceleration: float = 0.0
+    filtered_speed_gain: float = 0.0
+    velocity_filters: tuple[Filter, ...] = ()
+    torque_filters: tuple[Filter, ...] = ()
 
 
+CHAINS = ("velocity_filters", "torque_filters")
 SIGNED = ("by_reference", "by_reference_speed", "by_reference_acceleration")
 
 
@@ -122,6 +132,12 @@ class CS8:
         """One number of every joint, shape (joints,)."""
         return np.array([getattr(joint, name) for joint in self.joints])
 
+    @property
+    def sections(self) -> tuple[Array, Array]:
+        """Of the filters of speed and of torque, each (joints, longest chain, 5); see `rx90b_flex.simulate.filters.sections_of`."""
+        speed, torque = (sections_of([getattr(joint, x) for joint in self.joints], self.period) for x in CHAINS)
+        return speed, torque
+
     def fed_forward(self, position: Array, velocity: Array, torque: Array | None) -> Array | None:
         """Torque that is fed forward with what the reference adds to it, all (N, joints); None where there is none."""
         own = [self.column(name) for name in SIGNED]
@@ -136,7 +152,8 @@ class CS8:
         s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
         angle = self.column("position_gain") + self.column("integral_gain") / s + self.column("by_reference")
         speed = self.column("velocity_gain") + self.column("by_reference_speed")
-        return np.asarray(angle + speed * s + self.column("by_reference_acceleration") * s**2)
+        asked = angle + speed * s + self.column("by_reference_acceleration") * s**2
+        return np.asarray(asked * response_of(self.sections[1], np.exp(s * self.period)))
 
     def ideal(self) -> CS8:
         """The same controller without quantisation."""
@@ -148,16 +165,17 @@ class CS8:
     # ---- linear model -----------------------------------------------------------------------------------
 
     def frequency_response(self, hz: Array) -> ComplexArray:
-        """Torque over drive angle error, shape (N, joints): the PID with its hold, current loop included; N m/rad."""
+        """Torque over drive angle error, shape (N, joints): the PID with its hold, filters and current loop included; N m/rad."""
         s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None]
         z = np.exp(s * self.period)
-        pid = self.column("position_gain") + self.column("velocity_gain") * s
-        pid = pid + self.column("integral_gain") * self.period * z / (z - 1.0)
-        return pid * self._hold(s, z)
+        slow = response_of(self.sections[0], z)
+        pid = self.column("position_gain") + self.column("velocity_gain") * s * slow
+        summed = self.column("integral_gain") + self.column("filtered_speed_gain") * s * (slow - 1.0)
+        return (pid + summed * self.period * z / (z - 1.0)) * self._acting(s, z)
 
-    def _hold(self, s: ComplexArray, z: ComplexArray) -> ComplexArray:
-        """From the commanded torque to the torque that acts."""
-        hold = (1.0 - 1.0 / z) / (s * self.period)
+    def _acting(self, s: ComplexArray, z: ComplexArray) -> ComplexArray:
+        """From the torque that is asked for to the torque that acts, by filters, hold and current loop."""
+        hold = (1.0 - 1.0 / z) / (s * self.period) * response_of(self.sections[1], z)
         if self.current_bandwidth_hz == 0.0:
             return hold
         mean, decay = self.current_loop
@@ -186,14 +204,14 @@ class CS8:
         own = self.for_joints(linearization.joints)
         loop = own.frequency_response(hz)[:, :, None] * drive_compliance(linearization, hz)
         s = np.asarray(2j * np.pi * hz[:, None])
-        hold = own._hold(s, np.exp(s * self.period))
+        hold = own._acting(s, np.exp(s * self.period))
         # what is fed forward passes the same hold as what is fed back
         return np.asarray(np.linalg.inv(np.eye(len(own.joints)) + loop) * hold[:, None, :])
 
     def closed_loop(self, linearization: Linearization) -> control.StateSpace:
         """The sampled closed loop about a point, from feed-forward torque to drive angle and drive torque.
 
-        States: coordinates, rates, integrators, currents. Its poles tell whether the gains are stable there.
+        States: coordinates, rates, filters, integrators, currents. Its poles tell whether the gains are stable there.
         """
         import control
         from scipy import linalg
@@ -205,23 +223,14 @@ class CS8:
         rates = np.block([[np.zeros((n, n)), np.eye(n), np.zeros((n, m))], [solved], [np.zeros((m, 2 * n + m))]])
         step = linalg.expm(rates * self.period)
         f, g = step[: 2 * n, : 2 * n], step[: 2 * n, 2 * n :]
-        integrate = np.diag(own.column("integral_gain") * self.period)
-        gain = np.hstack([np.diag(own.column("position_gain")) + integrate, np.diag(own.column("velocity_gain"))])
-        pick = linalg.block_diag(b.T, b.T)
-        mean, decay = self.current_loop
-        one, nothing = np.eye(m), np.zeros((m, m))
-        command = np.hstack([-gain @ pick, one, nothing])
-        torque = (1.0 - mean) * command + mean * np.hstack([np.zeros((m, 2 * n + m)), one])
-        a = np.vstack(
-            [
-                np.hstack([f, np.zeros((2 * n, 2 * m))]) + g @ torque,
-                np.hstack([-integrate @ b.T, np.zeros((m, n)), one, nothing]),
-                (1.0 - decay) * command + decay * np.hstack([np.zeros((m, 2 * n + m)), one]),
-            ]
-        )
-        inputs = np.vstack([(1.0 - mean) * g, nothing, (1.0 - decay) * one])
-        outputs = np.vstack([np.hstack([b.T, np.zeros((m, n + 2 * m))]), torque])
-        through = np.vstack([nothing, (1.0 - mean) * one])
+        pick, law = linalg.block_diag(b.T, b.T), own._sampled()
+        angle, nothing = np.hstack([b.T, np.zeros((m, n + len(law.A)))]), np.zeros((m, m))
+        seen, fed = slice(0, 2 * m), slice(2 * m, None)
+        torque = np.hstack([law.D[:, seen] @ pick, law.C])
+        a = np.block([[f, np.zeros((2 * n, len(law.A)))], [law.B[:, seen] @ pick, law.A]])
+        a[: 2 * n] += g @ torque
+        inputs, outputs = np.vstack([g @ law.D[:, fed], law.B[:, fed]]), np.vstack([angle, torque])
+        through = np.vstack([nothing, law.D[:, fed]])
         names = [joint.name for joint in own.joints]
         return control.ss(
             a,
@@ -232,6 +241,37 @@ class CS8:
             inputs=[f"{name}:feedforward" for name in names],
             outputs=[f"{name}:{what}" for what in ("angle", "torque") for name in names],
         )
+
+    def _sampled(self) -> control.StateSpace:
+        """From angles, speeds and torques fed forward, (3 joints,), to the torques that act until the next sample, (joints,)."""
+        import control
+
+        one, t, (mean, decay) = np.eye(len(self.joints)), self.period, self.current_loop
+        speed, torque = (control.append(*(_chain(own, t) for own in each)) for each in self.sections)
+        kp, kv, ki, kf = (
+            np.diag(self.column(f"{x}_gain")) for x in ("position", "velocity", "integral", "filtered_speed")
+        )
+
+        def plain(gain: Array) -> control.StateSpace:
+            return control.ss([], [], [], gain, t)
+
+        # of angle, speed, filtered speed and torque fed forward: what is asked for at once, and what is summed
+        asked = np.block([[-kp, 0.0 * one, -kv, one], [-ki, kf, -kf, 0.0 * one]])
+        copied = np.vstack([np.eye(3 * len(one))[: 2 * len(one)], np.eye(3 * len(one))[len(one) :]])
+        law = plain(asked) * control.append(plain(np.eye(2 * len(one))), speed, plain(one)) * plain(copied)
+        summed = control.append(plain(one), control.ss(one, t * one, one, t * one, t))
+        current = control.ss(decay * one, (1.0 - decay) * one, mean * one, (1.0 - mean) * one, t)
+        return current * torque * plain(np.hstack([one, one])) * summed * law
+
+
+def _chain(sections: Array, period: float) -> control.StateSpace:
+    """Second-order sections (n, 5), one after another."""
+    import control
+
+    out = control.ss([], [], [], [[1.0]], period)
+    for b0, b1, b2, a1, a2 in sections.tolist():
+        out = control.ss([[-a1, 1.0], [-a2, 0.0]], [[b1 - a1 * b0], [b2 - a2 * b0]], [[1.0, 0.0]], [[b0]], period) * out
+    return out
 
 
 def drive_compliance(linearization: Linearization, hz: Array) -> ComplexArray:
@@ -329,17 +369,21 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
     if kind == "cascade" and table.has("joint"):
         raise table.problem("cascade", "stands beside [[joint]]; one kind is expected, for all joints")
     settings = [f.name for f in dataclasses.fields(CS8) if f.name != "joints"]
-    numbers = _numbers(table, settings, [], kind)
-    fields = [f.name for f in dataclasses.fields(JointController) if f.name != "name"]
+    numbers = _numbers(table, settings, [], [kind])
+    fields = [f.name for f in dataclasses.fields(JointController) if f.name not in ("name", *CHAINS)]
+    optional = [f.name for f in dataclasses.fields(JointController) if f.default is not dataclasses.MISSING]
     joints = []
     for entry in table.sections(kind):
         if kind == "cascade":
-            given = _numbers(entry, NUMBERS, NEEDED, "name")
+            given = _numbers(entry, NUMBERS, NEEDED, ["name", *CHAINS])
             with named_in(path, entry.name):
-                joints.append(Cascade(entry.text("name"), **given).as_pid())
+                joint = Cascade(entry.text("name"), **given).as_pid()
         else:
-            given = _numbers(entry, fields, [field for field in fields if field not in SIGNED], "name")
-            joints.append(JointController(entry.text("name"), **given))
+            given = _numbers(entry, fields, [f for f in fields if f not in optional], ["name", *CHAINS])
+            joint = JointController(entry.text("name"), **given)
+        rate = numbers.get("controller_rate_hz", CS8.controller_rate_hz)
+        speed, torque = (read_filters(entry, key, rate) for key in CHAINS)
+        joints.append(dataclasses.replace(joint, velocity_filters=speed, torque_filters=torque))
     try:
         return CS8(tuple(joints), **numbers)
     except ValueError as error:
@@ -369,9 +413,9 @@ def controller_of_joints(controller: CS8, robot: Robot, where: str) -> CS8:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _numbers(table: TomlTable, allowed: Sequence[str], needed: Sequence[str], other: str) -> dict[str, float]:
-    """The numbers of a table that may hold one other key."""
-    table.allow(other, *allowed)
+def _numbers(table: TomlTable, allowed: Sequence[str], needed: Sequence[str], others: Sequence[str]) -> dict[str, Any]:
+    """The numbers of a table that may hold other keys."""
+    table.allow(*others, *allowed)
     asked = [key for key in allowed if table.has(key) or key in needed]
     return {key: table.number(key) if key in SIGNED else table.not_negative(key) for key in asked}
 
@@ -379,5 +423,5 @@ def _numbers(table: TomlTable, allowed: Sequence[str], needed: Sequence[str], ot
 def save_cs8(controller: CS8, path: str | os.PathLike[str]) -> None:
     """Write a controller file that `load_cs8` reads back as the same controller."""
     content = dataclasses.asdict(controller)
-    joints = content.pop("joints")
+    joints = [{key: value for key, value in joint.items() if value != ()} for joint in content.pop("joints")]
     Path(path).write_text(toml_text({**content, "joint": joints}), encoding="utf-8")

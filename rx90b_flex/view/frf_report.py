@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.identify.frf_command import ASSUMED, AtPose, MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
-from rx90b_flex.identify.grey_model import SLOPE, Delay
+from rx90b_flex.identify.grey_model import SLOPE, Delay, HingePlace
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
@@ -128,6 +128,7 @@ def _by_replay(result: MotorIdentification) -> Section | None:
         _share_words(replayed),
         f"The fit's residual is {replayed.grey.cost / replayed.grey.expected_cost:.2f} times what its intervals allow for.",
         *delay_words(replayed.grey.torque_delay),
+        *hinge_words(replayed.grey.hinges),
     )
     figure = image(
         grey_plots.intervals(replayed.grey), "Intervals of all physical parameters", "95 % intervals, by replay"
@@ -143,6 +144,18 @@ def delay_words(delay: Delay | None) -> list[str]:
     return [
         f"Torques are logged {abs(value):.0f} ± {std:.0f} µs {'later' if value >= 0 else 'earlier'} than angles; that is taken out."
     ]
+
+
+def hinge_words(hinges: Sequence[HingePlace]) -> list[str]:
+    """Where hinges lie that were not taken as known, a sentence each."""
+    out = []
+    for h in hinges:
+        each = zip("xyz", h.offset, h.std, strict=True)
+        places = ", ".join(f"{axis} {1e3 * value:+.1f} ± {1e3 * std:.1f}" for axis, value, std in each)
+        out.append(
+            f"The hinges of {h.joint} lie {places} mm from where they are declared (± {1e3 * h.declared_std:g} mm before)."
+        )
+    return out
 
 
 def _words(name: str) -> str:
@@ -198,7 +211,7 @@ def _physical(result: MotorIdentification) -> Section | None:
         "Friction that reverses is not viscous: its slopes are those that serve this motion, and what they leave over is part of the "
         "intervals as a model error."
     )
-    text += delay_words(grey.torque_delay)
+    text += delay_words(grey.torque_delay) + hinge_words(grey.hinges)
     figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
     title = "Physical parameters" + ("" if result.replayed is None else ", as measured")
     return Section(title, tuple(text), tuple(tables), (figure,))

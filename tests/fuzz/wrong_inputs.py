@@ -82,6 +82,8 @@ position_loop = 30.0
 velocity_loop = {velocity}
 integral_time_s = 0.05
 torque_limit = 450.0
+velocity_filters = [{{ type = "low_pass", frequency_hz = 300.0 }}]
+torque_filters = [{{ type = "notch", frequency_hz = 60.0, damping = 0.5, depth = 0.1 }}]
 """
     for number, velocity in ((1, 1500.0), (2, 1500.0), (3, 500.0))
 )
