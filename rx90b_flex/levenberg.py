@@ -71,12 +71,12 @@ def descent(at: Place, evaluations: int, damping: Damping = USUAL, patience: int
             if other.goal < at.goal:
                 better = other
                 break
-            if step @ (2.0 * fall - curvature @ step) <= max(enough, 0.0):  # its promise is worth no other try
+            if enough < 0.0 or step @ (2.0 * fall - curvature @ step) <= enough:  # no other try is worth while
                 break
             now *= damping.rise
         if better is at and enough >= 0.0:
             break
-        idle = idle + 1 if at.goal - better.goal <= enough else 0
+        idle = idle + 1 if at.goal - better.goal <= better.enough else 0
         now = damping.begin if better is at else max(now / damping.fall, LEAST)
         at = better.renewed()
         yield at
