@@ -76,6 +76,7 @@ def stiffness_scores(grey: GreyBox) -> np.ndarray:
     return np.abs(scores(grey, truth(robot())))[stiff]
 
 
+@pytest.mark.slow
 def test_a_hinge_two_centimetres_aside_is_in_the_intervals_where_it_is_allowed_for(
     fits: dict[str, list[GreyBox]],
 ) -> None:
@@ -87,6 +88,7 @@ def test_a_hinge_two_centimetres_aside_is_in_the_intervals_where_it_is_allowed_f
     assert not_known.max() < 4.0
 
 
+@pytest.mark.slow
 def test_the_hinge_is_found(fits: dict[str, list[GreyBox]]) -> None:
     for grey in fits["not known"]:
         places = {h.joint: h for h in grey.hinges}
