@@ -389,8 +389,7 @@ class _Ended:
         before, after = self.declared.errors, standing.model.errors
         floor = residual.data.noise_floor(model, campaign)
         tell("looking at what remains", 0.95)
-        held_out = Regression.of(self.source, campaign.validation, campaign.cutoff_hz)
-        held_out = held_out.trusting(trust(held_out, model))
+        held_out = residual.data.held_out.trusting(trust(residual.data.held_out, model))
         of_motors = model.residual[:, : len(campaign.joints)]
         left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
         where = dependences(left, seed)

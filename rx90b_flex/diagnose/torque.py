@@ -20,10 +20,10 @@ from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Identification, identify
-from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_sensors import sensors_to_use
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals import Campaign, Recording
+from rx90b_flex.signals import Campaign
 
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
@@ -36,22 +36,20 @@ SAME_TRUST = 0.05  # a change of factors below this is not worth a fit
 
 @dataclass(frozen=True, eq=False)
 class TorqueData:
-    """A campaign's recordings in the two forms that the loop needs: to fit, and to replay."""
+    """A campaign's recordings in the two forms that the loop needs, to fit and to replay, each prepared once."""
 
     regression: Regression
     identification: tuple[ReplayedTorques, ...]
     validation: tuple[ReplayedTorques, ...]
+    held_out: Regression  # the validation recordings, as for a fit, without torque sensors
 
     @staticmethod
     def of(robot: Robot, campaign: Campaign) -> TorqueData:
         sensors = sensors_to_use(campaign)
-        regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz, sensors)
-
-        def replays(recordings: Sequence[Recording]) -> tuple[ReplayedTorques, ...]:
-            rigid = regression.robot
-            return tuple(ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings)
-
-        return TorqueData(regression, replays(campaign.identification), replays(campaign.validation))
+        fitted, own = Regression.and_whole(robot, campaign.identification, campaign.cutoff_hz, sensors)
+        held_out, other = Regression.and_whole(robot, campaign.validation, campaign.cutoff_hz)
+        replayed, kept = (tuple(ReplayedTorques(fitted.robot, s) for s in whole) for whole in (own, other))
+        return TorqueData(fitted, replayed, kept, held_out)
 
     def fitted_errors(self, model: Identification) -> RoleErrors:
         """With the values as they are."""

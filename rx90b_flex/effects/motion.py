@@ -180,7 +180,7 @@ class Motion:
 
     def part(self, samples: slice | Indices) -> Motion:
         """Some of the samples."""
-        q, v, a, time = (x[samples] for x in (self.q, self.v, self.a, self.time))
+        q, v, a, time = (np.ascontiguousarray(x[samples]) for x in (self.q, self.v, self.a, self.time))
         return replace(self, q=q, v=v, a=a, time=time)
 
     @cached_property

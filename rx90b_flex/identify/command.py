@@ -23,7 +23,7 @@ from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
-from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.regression import Regression, Stretch, prepare
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated, sensors_to_use, wrong_sensors
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
@@ -223,7 +223,9 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
     tell("differentiating", 0.1)
     campaign, scaled = calibrated(campaign)
     sensors = sensors_to_use(campaign)
-    regression = Regression.of(declared, campaign.identification, campaign.cutoff_hz, sensors)
+    regression, fitted_logs = Regression.and_whole(declared, campaign.identification, campaign.cutoff_hz, sensors)
+    rigid = regression.robot
+    held_out = [prepare(rigid, r, campaign.cutoff_hz, thin=False) for r in campaign.validation]
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
     model = estimator.identify(regression, regression.robot.effects, fit_links=fitted)
@@ -235,8 +237,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
     found = _robot(declared, model, theta)
     base = base_parameters(model)
     tell("predicting", 0.8)
-    fit = _predictions(found, regression.robot, campaign.identification, campaign.cutoff_hz)
-    kept = _predictions(found, regression.robot, campaign.validation, campaign.cutoff_hz)
+    fit, kept = (_predictions(found, rigid, logs) for logs in (fitted_logs, held_out))
     consistency = _consistency(model, theta, held, base)
     tell("done", 1.0)
     return Identified(
@@ -352,15 +353,12 @@ def _units(model: Identification) -> list[str]:
 # ---- errors -----------------------------------------------------------------------------------------------------
 
 
-def _predictions(
-    robot: Robot, rigid: Robot, recordings: Sequence[Recording], cutoff_hz: float | None
-) -> tuple[IdentifiedPrediction, ...]:
+def _predictions(robot: Robot, rigid: Robot, logs: Sequence[Stretch]) -> tuple[IdentifiedPrediction, ...]:
     """What the exported robot says of recordings, at their own rate."""
     own = robot.over_time().restricted(rigid.joints)
-    rows = np.array([own.layout.index(j) for j in recordings[0].joints]) if recordings else np.zeros(0, dtype=int)
     out = []
-    for recording in recordings:
-        stretch = prepare(rigid, recording, cutoff_hz, thin=False)
+    for stretch in logs:
+        rows = np.array([own.layout.index(j) for j in stretch.recording.joints])
         seen = stretch.motion
         motion = dataclasses.replace(own.motion(seen.q, seen.v, seen.a, seen.time), effects=own.forces)
         if stretch.carried is not None:
@@ -368,7 +366,7 @@ def _predictions(
         force = np.array(motion.on_tree.load())
         for effect in own.effects:
             force = force + effect.force(motion)
-        out.append(IdentifiedPrediction(recording, stretch.torque, stretch.brought(force[:, rows])))
+        out.append(IdentifiedPrediction(stretch.recording, stretch.torque, stretch.brought(force[:, rows])))
     return tuple(out)
 
 

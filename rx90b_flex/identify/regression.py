@@ -112,6 +112,29 @@ class Stretch:
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
+    def thinned(self) -> Stretch:
+        """Of one that has all its samples those that a fit needs, away from the ends."""
+        rate, cutoff = self.rate_hz, self.cutoff_hz
+        working, factor, edge = 1, 1, 4
+        if cutoff is not None:
+            working = decimation_factor(cutoff, rate, WORKING_RATE_RATIO / 2)
+            factor = decimation_factor(cutoff, rate / working, 2.0)
+            edge = int(np.ceil(EDGE_PERIODS / cutoff * rate / working / factor))
+        keep_every = working * factor
+        samples = _enough(self.recording, cutoff, len(self.time[::keep_every]), edge)
+        kept = slice(edge, samples - edge)
+        return dataclasses.replace(
+            self,
+            motion=self.motion if working == 1 else self.motion.part(slice(None, None, working)),
+            time=self.time[::keep_every][kept],
+            torque=self.torque[::keep_every][kept],
+            sensed=None if self.sensed is None else self.sensed[::keep_every][kept],
+            rate_hz=rate / keep_every,
+            factor=factor,
+            working_factor=working,
+            kept=kept,
+        )
+
     def loaded(self, link_parameters: Array) -> Array:
         """Inertial parameters of the links with what this recording carries, shape (10 * bodies,)."""
         return link_parameters if self.carried is None else link_parameters + self.carried
@@ -175,7 +198,7 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     cutoff_hz : float or None
         Zero-phase low-pass of every signal; None fits the torque as it was logged.
     thin : bool
-        Keep only the samples that a fit needs; otherwise all of them.
+        Keep only the samples that a fit needs (`Stretch.thinned`); otherwise all of them.
 
     Raises
     ------
@@ -196,42 +219,24 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         moved = _standing(moved, off, rate)
     except ValueError as error:
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
-    if cutoff_hz is None or not thin:
-        working, factor, edge = 1, 1, 4 if thin else 0
-    else:
-        working = decimation_factor(cutoff_hz, rate, WORKING_RATE_RATIO / 2)
-        factor = decimation_factor(cutoff_hz, rate / working, 2.0)
-        edge = int(np.ceil(EDGE_PERIODS / cutoff_hz * rate / working / factor))
     order = [recording.joints.index(j) for j in robot.joints]
-    sampled = [np.ascontiguousarray(x[::working][:, order]) for x in moved]
-    time = recording.time[::working]
-    samples = len(time[::factor])
-    if samples <= 2 * edge + 8:
-        raise ValueError(
-            f"{recording.source or recording.name}: {recording.samples} samples are too few to fit after a "
-            f"low-pass of {cutoff_hz:g} Hz"
-            if cutoff_hz is not None
-            else f"{recording.source or recording.name}: {recording.samples} samples are too few to fit"
-        )
-    kept = slice(edge, samples - edge)
-    keep_every = working * factor
-    motion_of_tree = robot.motion(sampled[0], sampled[1], sampled[2], time - _clock_zero(recording.time))
+    q, v, a = (x[:, order] for x in moved)
+    motion_of_tree = robot.motion(q, v, a, recording.time - _clock_zero(recording.time))
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
         motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=off[order] * np.sqrt(below / (1.0 - below)))
-    return Stretch(
-        recording,
-        motion_of_tree,
-        time[::factor][kept],
-        torque[::keep_every][kept],
-        rate / keep_every,
-        cutoff_hz,
-        factor,
-        working,
-        kept,
-        None if recording.payload is None else carried_parameters(robot, recording.payload),
-        None if sensed is None else sensed[::keep_every][kept],
-    )
+    carried = None if recording.payload is None else carried_parameters(robot, recording.payload)
+    samples = slice(0, _enough(recording, cutoff_hz, len(torque), 0))
+    whole = Stretch(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
+    return whole.thinned() if thin else whole
+
+
+def _enough(recording: Recording, cutoff_hz: float | None, samples: int, edge: int) -> int:
+    """So many samples, if they are enough for a fit that leaves out an edge on either side."""
+    if samples > 2 * edge + 8:
+        return samples
+    behind = "" if cutoff_hz is None else f" after a low-pass of {cutoff_hz:g} Hz"
+    raise ValueError(f"{recording.source or recording.name}: {recording.samples} samples are too few to fit{behind}")
 
 
 def _noise(off: Array) -> Array:
@@ -301,8 +306,16 @@ class Regression:
         """Prepare recordings of one robot for a fit, of motors (and torque sensors of some joints) on a rigid tree."""
         joints = recordings[0].joints
         rigid = robot.over_time().restricted(joints)
-        stretches = tuple(prepare(rigid, r, cutoff_hz) for r in recordings)
-        return Regression(rigid, joints, stretches, None, tuple(sensors))
+        return Regression(rigid, joints, tuple(prepare(rigid, r, cutoff_hz) for r in recordings), None, tuple(sensors))
+
+    @staticmethod
+    def and_whole(
+        robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None, sensors: Sequence[str] = ()
+    ) -> tuple[Regression, tuple[Stretch, ...]]:
+        """As `of`, and the recordings with all their samples, to be predicted: each prepared once."""
+        rigid = robot.over_time().restricted(recordings[0].joints)
+        whole = tuple(prepare(rigid, r, cutoff_hz, thin=False) for r in recordings)
+        return Regression(rigid, recordings[0].joints, tuple(s.thinned() for s in whole), None, tuple(sensors)), whole
 
     @property
     def motors(self) -> Regression:
