@@ -163,14 +163,14 @@ def move(tree: Tree, s: Scratch, v: Array, a: Array) -> None:
 
 @inlined
 def _weigh(tree: Tree, s: Scratch) -> None:
-    """Mass, first moment and inertia (upper triangle) of each body about its joint's origin, world axes."""
+    """Mass, first moment and inertia of each body about its joint's origin, world axes."""
     rotation, local = s.rotation, tree.inertia
     for i in range(len(tree.parent)):
         s.mass[i] = tree.mass[i]
         if not tree.heavy[i]:
             for r in range(3):
                 s.moment[i, r] = 0.0
-                for c in range(r, 3):
+                for c in range(3):
                     s.inertia[i, r, c] = 0.0
             continue
         for r in range(3):
@@ -179,7 +179,7 @@ def _weigh(tree: Tree, s: Scratch) -> None:
             x = f * local[i, 0, 0] + g * local[i, 1, 0] + h * local[i, 2, 0]
             y = f * local[i, 0, 1] + g * local[i, 1, 1] + h * local[i, 2, 1]
             z = f * local[i, 0, 2] + g * local[i, 1, 2] + h * local[i, 2, 2]
-            for c in range(r, 3):
+            for c in range(3):
                 s.inertia[i, r, c] = x * rotation[i, c, 0] + y * rotation[i, c, 1] + z * rotation[i, c, 2]
 
 
@@ -193,14 +193,14 @@ def _body_wrench(s: Scratch, i: int) -> None:
     lx, ly, lz = s.lift[i, 0], s.lift[i, 1], s.lift[i, 2]
     ux, uy, uz = wy * cz - wz * cy, wz * cx - wx * cz, wx * cy - wy * cx
     hx = j[i, 0, 0] * wx + j[i, 0, 1] * wy + j[i, 0, 2] * wz
-    hy = j[i, 0, 1] * wx + j[i, 1, 1] * wy + j[i, 1, 2] * wz
-    hz = j[i, 0, 2] * wx + j[i, 1, 2] * wy + j[i, 2, 2] * wz
+    hy = j[i, 1, 0] * wx + j[i, 1, 1] * wy + j[i, 1, 2] * wz
+    hz = j[i, 2, 0] * wx + j[i, 2, 1] * wy + j[i, 2, 2] * wz
     s.force[i, 0] = m * lx + ty * cz - tz * cy + wy * uz - wz * uy
     s.force[i, 1] = m * ly + tz * cx - tx * cz + wz * ux - wx * uz
     s.force[i, 2] = m * lz + tx * cy - ty * cx + wx * uy - wy * ux
     s.torque[i, 0] = cy * lz - cz * ly + j[i, 0, 0] * tx + j[i, 0, 1] * ty + j[i, 0, 2] * tz + wy * hz - wz * hy
-    s.torque[i, 1] = cz * lx - cx * lz + j[i, 0, 1] * tx + j[i, 1, 1] * ty + j[i, 1, 2] * tz + wz * hx - wx * hz
-    s.torque[i, 2] = cx * ly - cy * lx + j[i, 0, 2] * tx + j[i, 1, 2] * ty + j[i, 2, 2] * tz + wx * hy - wy * hx
+    s.torque[i, 1] = cz * lx - cx * lz + j[i, 1, 0] * tx + j[i, 1, 1] * ty + j[i, 1, 2] * tz + wz * hx - wx * hz
+    s.torque[i, 2] = cx * ly - cy * lx + j[i, 2, 0] * tx + j[i, 2, 1] * ty + j[i, 2, 2] * tz + wx * hy - wy * hx
 
 
 @inlined
@@ -301,7 +301,7 @@ def _hang(s: Scratch, i: int, parent: int, shifted: int) -> None:
             square += d[i, r] * (m * d[i, r] + 2.0 * c[i, r])
         for r in range(3):
             s.inertia[parent, r, r] += square
-            for k in range(r, 3):
+            for k in range(3):
                 crossed = m * d[i, r] * d[i, k] + d[i, r] * c[i, k] + c[i, r] * d[i, k]
                 s.inertia[parent, r, k] += s.inertia[i, r, k] - crossed
         for r in range(3):
@@ -309,7 +309,7 @@ def _hang(s: Scratch, i: int, parent: int, shifted: int) -> None:
     else:
         for r in range(3):
             s.moment[parent, r] += s.moment[i, r]
-            for k in range(r, 3):
+            for k in range(3):
                 s.inertia[parent, r, k] += s.inertia[i, r, k]
     s.mass[parent] += m
 
@@ -333,8 +333,8 @@ def mass_matrix(tree: Tree, s: Scratch, out: Array) -> None:
         else:
             fx, fy, fz = wy * cz - wz * cy, wz * cx - wx * cz, wx * cy - wy * cx
             nx = j[i, 0, 0] * wx + j[i, 0, 1] * wy + j[i, 0, 2] * wz
-            ny = j[i, 0, 1] * wx + j[i, 1, 1] * wy + j[i, 1, 2] * wz
-            nz = j[i, 0, 2] * wx + j[i, 1, 2] * wy + j[i, 2, 2] * wz
+            ny = j[i, 1, 0] * wx + j[i, 1, 1] * wy + j[i, 1, 2] * wz
+            nz = j[i, 2, 0] * wx + j[i, 2, 1] * wy + j[i, 2, 2] * wz
         k = i
         while k >= 0:
             if tree.prismatic[k]:
