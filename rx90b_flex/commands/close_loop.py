@@ -97,6 +97,7 @@ def _close_over_frequency(
 
 
 def print_result(result: Any) -> None:
+    """What was found, the errors before and after, what is left, and what to beware of."""
     from rx90b_flex.view.check_report import basics_offer
 
     rows = []

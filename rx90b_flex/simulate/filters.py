@@ -13,7 +13,8 @@ from scipy import signal
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.table import TomlTable
 
-LOW_PASS, NOTCH = KINDS = ("low_pass", "notch")
+NOTCH = "notch"
+KINDS = ("low_pass", NOTCH)
 NOTHING = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 
