@@ -539,7 +539,7 @@ class _RobotTreeMotion:
             if self.link_parameters is not None:  # a base that tilts is a body more
                 names = [name for name, _ in robot.bodies]
                 links[[names.index(name) for name, _ in self.robot.bodies]] = self.link_parameters.reshape(-1, 10)
-            moved = dataclasses.replace(robot.motion(q, v, a, motion.time), effects=motion.effects)
+            moved = dataclasses.replace(robot.motion(q, v, a, motion.time), effects=motion.effects, stuck=motion.stuck)
             self.hinged[hinges] = dataclasses.replace(moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel()))
         return self.hinged[hinges]
 

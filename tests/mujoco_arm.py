@@ -308,3 +308,36 @@ def _simulate(arm: Arm, position: Array, speed: Array, fed: Array, periods: int)
         data.qfrc_applied[places] = command
         mujoco.mj_step(model, data)
     return angle, torque
+
+
+# ---- slow motion, logged over time --------------------------------------------------------------------------------
+
+
+def write_slow_reference(path: Path, seed: int, period_s: float, speed: float = 0.8) -> None:
+    """Eight harmonics of a period that are drawn for each joint, its largest speed as stated, rad/s."""
+    rng = np.random.default_rng([seed, 7])
+    time = np.arange(round(period_s * LOG_HZ)) / LOG_HZ
+    pace = 2.0 * np.pi / period_s * np.arange(1, 9)[:, None]
+    size, phase = rng.uniform(0.5, 1.0, (8, 3)) / np.sqrt(pace), rng.uniform(0.0, 2.0 * np.pi, (8, 3))
+    angle = pace[:, None] * time[:, None] + phase[:, None]
+    velocity, position = (size[:, None] * np.cos(angle)).sum(axis=0), (size / pace)[:, None] * np.sin(angle)
+    fits = speed / np.abs(velocity).max(axis=0)
+    columns = [time, position.sum(axis=0) * fits + [0.0, 0.9, 0.6], velocity * fits]
+    names = ["time", *JOINTS, *(f"v_{j}" for j in JOINTS)]
+    np.savetxt(path, np.column_stack(columns), delimiter=",", comments="", header=",".join(names))
+
+
+def write_slow_campaign(arm: Arm, declared: Arm, folder: Path, cutoff_hz: float, period_s: float = 16.0) -> Path:
+    """Two recordings to identify the arm and one held out, and the file of what its owner declares."""
+    write_robot(declared, folder, guess=0.0)
+    lines = ['robot = "arm.toml"', f"sample_rate_hz = {LOG_HZ}", f"joints = {list(JOINTS)}", "[signals]"]
+    lines += [f"motor_position = {[f'angle_{j}' for j in JOINTS]}", f"torque = {[f'torque_{j}' for j in JOINTS]}"]
+    lines += ["[motor]", f"gear_matrix = {np.diag(GEARS).tolist()}", "offset = [0.0, 0.0, 0.0]"]
+    lines += ["[preprocessing]", f"cutoff_hz = {cutoff_hz}"]
+    for i, role in enumerate(("identification", "identification", "validation")):
+        write_slow_reference(folder / f"reference_{i}.csv", arm.seed * 10 + i, period_s)
+        play(arm, folder / f"reference_{i}.csv", folder / f"log_{i}.csv", 2, i)
+        lines += ["[[recording]]", f'file = "log_{i}.csv"', f'role = "{role}"', f"start_s = {period_s / 2}"]
+    path = folder / "campaign.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return path

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_campaigns import TWO_POSES, analysed, errors, identified, recorded, run
-from mujoco_arm import JOINTS, Arm, write_robot
+from mujoco_arm import JOINTS, Arm, write_robot, write_slow_campaign
 from scipy import stats
+
+import rx90b_flex as rf
 
 SEED = 1
 
@@ -206,3 +208,31 @@ def test_other_dampings_and_frictions_are_no_finding(seed: int, tmp_path: Path) 
     }[seed]
     closed = searched(other(declared, joint, **factors), tmp_path, declared)
     assert closed["verdict"] == "nothing_missing" and closed["effects"] == []
+
+
+# ---- over time ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "cutoff_hz"), [(610, 4.0), pytest.param(611, 10.0, marks=pytest.mark.long), (612, 25.0)]
+)
+def test_over_time_nothing_is_named_where_nothing_is_missing(seed: int, cutoff_hz: float, tmp_path: Path) -> None:
+    # drives stick at each reversal for up to a fifth of a second, which no law of the motion shows
+    arm = Arm.drawn(seed)
+    found = rf.close_loop(write_slow_campaign(arm, arm, tmp_path, cutoff_hz))
+    assert found.effects == ()
+    assert found.before.validation.relative_error < 0.006
+    assert rf.identify(tmp_path / "campaign.toml").validation.relative_error < 0.006
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [613, pytest.param(614, marks=pytest.mark.long)])
+def test_over_time_a_tool_that_nobody_declared_is_found(seed: int, tmp_path: Path) -> None:
+    arm = Arm.drawn(seed, tool_kg=2.0)
+    found = rf.close_loop(write_slow_campaign(arm, Arm.drawn(seed), tmp_path, 4.0))
+    first = found.effects[0]
+    assert first.effect.label == "tip.payload"
+    mass = first.parameters[0]
+    assert mass.value == pytest.approx(2.0, abs=0.03)
+    assert found.after.validation.relative_error < 0.05 * found.before.validation.relative_error

@@ -11,6 +11,7 @@ model, not on what is tried beside it.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from scipy import interpolate, ndimage
@@ -52,15 +53,19 @@ def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) 
         return np.zeros((len(stretch), stretch.motion.q.shape[1]))
     rate = stretch.rate_hz * stretch.factor
 
-    def force(of: list[Effect], q: Array = stretch.motion.q, v: Array = stretch.motion.v) -> Array:
-        moved = dataclasses.replace(stretch.motion, q=q, v=v)
-        return with_forces(np.zeros_like(v), of, moved)
+    def force(of: list[Effect], **changes: Any) -> Array:
+        return with_forces(np.zeros_like(stretch.motion.v), of, dataclasses.replace(stretch.motion, **changes))
 
     angle, velocity = wider
     by_angle, steep = ([e for e in effects if e.remembers is known] for known in (True, False))
     beside = 0.5 * sum(force(steep, v=v) for v in _between(velocity))
     there, here = force(steep, v=velocity), force(steep)
-    size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in (there - here, beside - there))
+    unknown = [there - here, beside - there]
+    if stretch.motion.stuck is not None:
+        # while a drive sticks its friction is any torque between both directions' own
+        stuck = np.where(np.isnan(stretch.motion.stuck), np.nan, 1.0)
+        unknown.append(0.5 * (force(steep, stuck=stuck) - force(steep, stuck=-stuck)))
+    size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in unknown)
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
     width = 2 * round(0.5 / stretch.cutoff_hz * rate) + 1
     envelope = ndimage.maximum_filter1d(size, width, axis=0, mode="nearest")

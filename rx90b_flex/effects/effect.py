@@ -18,8 +18,9 @@ from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
 from rx90b_flex.files.keys import check_keys, close_match
 
-# Rank of a parameter in a robot's parameter vector: the order of table D.1.
-INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)
+INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(
+    1, 7
+)  # ranks in a robot's parameter vector: the order of table D.1
 
 _in_snake_case = cache(lambda name: re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower())
 SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
@@ -60,8 +61,7 @@ class RestSizes:
     ----------
     coordinates : Coordinates
     mass_matrix : array, shape (n, n)
-    total_mass : float
-        Of the links, kg.
+    total_mass : float, of the links, kg
     band_hz : (low, high)
     """
 
@@ -548,12 +548,16 @@ class JointEffect(Effect):
     def basis(self, at: JointMotion) -> Array:
         """Torque per unit of each coefficient, shape (N, k)."""
 
+    def at(self, motion: Motion) -> JointMotion:
+        """The motion that it depends on."""
+        return motion.joint(self.joint, self.port_kind)
+
     def factors(self, motion: Motion) -> tuple[Array, Array] | None:
-        at = motion.joint(self.joint, self.port_kind)
+        at = self.at(motion)
         return at.port, self.basis(at)
 
     def columns(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint, self.port_kind)
+        at = self.at(motion)
         return at.port[None, :, None] * self.basis(at)[:, None, :]
 
     @classmethod
@@ -571,8 +575,7 @@ class JointForce(JointEffect):
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         at = motion.joint(self.joint, self.port_kind)
         outer = np.outer(at.port, at.port)[None]
-        c = self.known_coefficients()
-        by_q, by_v, by_a = (outer * (slope @ c)[:, None, None] for slope in self.slopes(at))
+        by_q, by_v, by_a = (outer * (slope @ self.known_coefficients())[:, None, None] for slope in self.slopes(at))
         return by_q, by_v, by_a
 
 

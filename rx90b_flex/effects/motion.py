@@ -158,6 +158,9 @@ class Motion:
         The present model's forces beyond the tree, for effects that depend on the model as a whole.
     angle_noise : array, shape (n,), or None
         Standard deviation of what the angles are off, rad, where a log tells it.
+    stuck : array, shape (N, joints), or None
+        Where a drive sticks at a reversal: the part of its dry friction, -1 to 1, that it is taken to hold
+        (`signals.sticking.held_part`); elsewhere NaN.
     """
 
     coordinates: Coordinates
@@ -168,6 +171,7 @@ class Motion:
     tree: Callable[[Motion], TreeMotion] = field(repr=False)
     effects: tuple[Force, ...] = field(default=(), repr=False)
     angle_noise: Array | None = field(default=None, repr=False)
+    stuck: Array | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.q.shape[0]
@@ -181,7 +185,8 @@ class Motion:
     def part(self, samples: slice | Indices) -> Motion:
         """Some of the samples."""
         q, v, a, time = (np.ascontiguousarray(x[samples]) for x in (self.q, self.v, self.a, self.time))
-        return replace(self, q=q, v=v, a=a, time=time)
+        stuck = None if self.stuck is None else np.ascontiguousarray(self.stuck[samples])
+        return replace(self, q=q, v=v, a=a, time=time, stuck=stuck)
 
     @cached_property
     def model_torque(self) -> Array:

@@ -6,7 +6,7 @@ friction does that, so the sign is a hyperbolic tangent here; in simulations wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ FINEST = 0.04  # of the velocity's change within a sample at a reversal: what tu
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
 NOISY = 2.0  # standard deviations of an angle's noise within which nothing is known of a deflection
+MOST_HELD = 0.9999  # of the friction
 SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log's noise
 
 
@@ -73,7 +74,7 @@ class Resolution:
         key = ("resolution", *(str(i) for i in np.flatnonzero(at.port)))
         noise = at.motion.angle_noise
         off = None if noise is None else float(np.linalg.norm(at.port * noise))
-        (values,) = at.motion.once(key, lambda: (_resolution(at.q, at.v, at.time, off),))
+        (values,) = at.motion.once(key, lambda: (_resolution(at.q, at.motion.v @ at.port, at.time, off),))  # as logged
         return Resolution(*(float(x) for x in values))
 
 
@@ -144,6 +145,15 @@ class DryFriction(JointForce):
             SHARP if n == "turnover" and np.isnan(x) else x for n, x in zip(self.shape_names(), self.shape, strict=True)
         ]
         return self.checked_shape(np.array(sharp))
+
+    def at(self, motion: Motion) -> JointMotion:
+        """With a velocity that gives the part of the friction which a drive that sticks is taken to hold."""
+        at = super().at(motion)
+        if motion.stuck is None:
+            return at
+        part = motion.stuck[:, motion.coordinates.joints.index(self.joint)]
+        creeping = self.sharpness * np.arctanh(np.clip(part, -MOST_HELD, MOST_HELD))
+        return replace(at, v=np.where(np.isnan(part), at.v, creeping))
 
     @property
     def sharpness(self) -> float:

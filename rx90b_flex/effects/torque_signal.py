@@ -70,7 +70,8 @@ class TorqueDelay(LogEffect):
         if len(motion) < 4 or not motion.time[1] > motion.time[0]:
             return np.zeros_like(motion.q)
         q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
-        ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay)
+        stuck = None if motion.stuck is None else _late_sticks(motion.stuck, delay / (motion.time[1] - motion.time[0]))
+        ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay, stuck=stuck)
         # links ask for smooth torques, which samples hold well enough; of effects each is asked for its own
         smooth = with_forces(np.array(motion.on_tree.load()), (e for e in motion.effects if e.needs_load), motion)
         own = [e for e in motion.effects if not e.needs_load]
@@ -115,6 +116,14 @@ def _sample(motion: Motion) -> float:
     """Time between samples, s; `TorqueDelay.SHORTEST` where they are not a motion in time."""
     step = float(motion.time[1] - motion.time[0]) if len(motion) > 1 else 0.0
     return max(step, TorqueDelay.SHORTEST)
+
+
+def _late_sticks(stuck: Array, samples: float) -> Array:
+    """`Motion.stuck` so many samples ago."""
+    whole = round(samples)
+    at = np.clip(np.arange(len(stuck)) - whole, 0, len(stuck) - 1)
+    slope = np.nan_to_num(np.gradient(stuck, axis=0))
+    return np.asarray(np.clip(stuck[at] - (samples - whole) * slope[at], -1.0, 1.0))
 
 
 def _late(x: Array, time: Array, delay: float) -> Array:

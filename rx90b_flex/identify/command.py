@@ -261,8 +261,9 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
 
 def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
     """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
-    effects = _effects(model, theta)
     flexible = [e for e in declared.effects if e.virtual]
+    stand_ins = {e.label for e in flexible}  # of the flexible ones, on the rigid tree
+    effects = [e for e in _effects(model, theta) if e.label not in stand_ins]
     if not model.links_fitted:
         joints = set(model.regression.joints)
         resting = [e for e in declared.effects if not e.virtual and not set(e.joints) <= joints]
@@ -359,10 +360,7 @@ def _predictions(robot: Robot, rigid: Robot, logs: Sequence[Stretch]) -> tuple[I
     out = []
     for stretch in logs:
         rows = np.array([own.layout.index(j) for j in stretch.recording.joints])
-        seen = stretch.motion
-        motion = dataclasses.replace(own.motion(seen.q, seen.v, seen.a, seen.time), effects=own.forces)
-        if stretch.carried is not None:
-            motion = own.on_links(motion, stretch.loaded(own.link_parameters), effects=own.forces)
+        motion = own.on_links(stretch.motion, stretch.loaded(own.link_parameters), effects=own.forces)
         force = np.array(motion.on_tree.load())
         for effect in own.effects:
             force = force + effect.force(motion)

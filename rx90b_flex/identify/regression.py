@@ -25,6 +25,7 @@ from rx90b_flex.signals import (
     noise_cutoff_hz,
     periods,
 )
+from rx90b_flex.signals.sticking import held_part
 
 # Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
 # columns are low-passed once, as the torque is, and not twice.
@@ -225,6 +226,8 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
         motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=off[order] * np.sqrt(below / (1.0 - below)))
+    stuck = held_part(recording.position, recording.torque, rate)
+    motion_of_tree = dataclasses.replace(motion_of_tree, stuck=None if stuck is None else stuck[:, order])
     carried = None if recording.payload is None else carried_parameters(robot, recording.payload)
     samples = slice(0, _enough(recording, cutoff_hz, len(torque), 0))
     whole = Stretch(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
