@@ -18,9 +18,7 @@ from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
 from rx90b_flex.files.keys import check_keys, close_match
 
-INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(
-    1, 7
-)  # ranks in a robot's parameter vector: the order of table D.1
+INERTIA, SPRING, FRICTION, STIFFNESS, DAMPING, OTHER = range(1, 7)  # ranks of parameters: the order of table D.1
 
 _in_snake_case = cache(lambda name: re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower())
 SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
