@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -576,6 +576,7 @@ def robots_folder() -> Path:
     return installed if installed.is_dir() else here.parent / "urdf"
 
 
+@cache
 def robot_names() -> tuple[str, ...]:
     """Names that `load_robot` knows."""
     # a robot file names a URDF; the controller's file beside it does not

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 import pytest
@@ -12,10 +13,16 @@ from xdist.scheduler import LoadScopeScheduling
 os.environ.setdefault("MPLBACKEND", "Agg")
 if "PYTEST_XDIST_WORKER" in os.environ:  # one worker a core already; here, before NumPy starts its threads
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    gc.disable()  # until all tests are imported: nothing of that goes away again, and to look through it takes a third of the time
 
 # Examples follow from the test's text, not from chance or the clock. More: pytest --hypothesis-profile=default
 settings.register_profile("deterministic", derandomize=True, deadline=None, database=None, print_blob=True)
 settings.load_profile("deterministic")
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 class ByValues(LoadScopeScheduling):

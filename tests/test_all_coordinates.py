@@ -41,8 +41,8 @@ def robot() -> Robot:
     return rf.load_robot("rx90b_4dof")
 
 
-def run(robot: Robot) -> FullLog:
-    trajectory = sine_excitation(robot, np.random.default_rng(0))
+def run(robot: Robot, seed: int = 0) -> FullLog:
+    trajectory = sine_excitation(robot, np.random.default_rng(seed))
     return full_log(simulate(robot, logs_everything(load_cs8()), trajectory, raw=True)).downsampled()
 
 
@@ -62,10 +62,10 @@ def fit(robot: Robot, equations: Equations) -> CoordinatesFit:
     return least_squares(equations, guess(robot))
 
 
-def guess(robot: Robot) -> Array:
+def guess(robot: Robot, seed: int = 1) -> Array:
     """The true parameters, each up to 20 % off."""
     true = robot.parameters
-    return true * (1 + GUESS * np.random.default_rng(1).uniform(-1, 1, len(true)))
+    return true * (1 + GUESS * np.random.default_rng(seed).uniform(-1, 1, len(true)))
 
 
 def places(robot: Robot, part: str, joints: int = 4) -> list[int]:
@@ -116,16 +116,23 @@ def tip_difference_mm(robot: Robot, other: Robot) -> float:
 
 
 @pytest.mark.slow
-def test_repeating_the_experiment_on_the_identified_robot_removes_the_bias_of_friction(
-    robot: Robot, log: FullLog, fit: CoordinatesFit
-) -> None:
-    better = indirect_inference(
-        robot, [log], lambda logs: least_squares(Equations.of(robot, logs), guess(robot)), lambda r: [run(r)]
-    )
-    before, after = (relative_errors(f, "stribeck") for f in (fit, better))
-    assert after.max() < 0.3 * before.max()  # what is left is the bias of the bias
+def test_repeating_the_experiment_on_the_identified_robot_removes_the_bias_of_friction(robot: Robot) -> None:
+    # Each experiment with another multisine and first guess. One run tells the asperity torques of joints 1 and 2 to some
+    # per cent, those of joints 3 and 4 often to 10 % at best, which no repetition betters.
+    pairs = [with_and_without_bias(robot, seed) for seed in range(5)]
+    biased, freed = (np.array([relative_errors(pair[k], "stribeck") for pair in pairs]) for k in (0, 1))
+    assert (freed[:, :2].max(axis=1) < 0.5 * biased[:, :2].max(axis=1)).all()  # what is left is the bias of the bias
+    assert np.median(freed / biased) < 0.3
     # every parameter as identified, the asperity torques too
-    assert tip_difference_mm(robot, better.robot) < 0.01
+    tips = np.array([[tip_difference_mm(robot, fit.robot) for fit in pair] for pair in pairs])
+    assert (tips[:, 1] < tips[:, 0]).all() and np.median(tips[:, 1]) < 0.01
+
+
+def with_and_without_bias(robot: Robot, seed: int) -> tuple[CoordinatesFit, CoordinatesFit]:
+    """The fit to one run, and that freed of what its own simulation shows of bias."""
+    logs, start = [run(robot, seed)], guess(robot, seed + 1)
+    estimate = lambda x: least_squares(Equations.of(robot, x), start)  # noqa: E731
+    return estimate(logs), indirect_inference(robot, logs, estimate, lambda r: [run(r, seed)])
 
 
 def test_differences_at_the_logs_own_rate_lose_accuracy(robot: Robot, log: FullLog, fit: CoordinatesFit) -> None:

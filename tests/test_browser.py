@@ -73,6 +73,17 @@ def run() -> Simulation:
     return simulate(robot, load_cs8().for_joints(robot.joints), straight_line(robot))
 
 
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the report on a loop that was closed, and of the page of its look at the data."""
+    folder = tmp_path_factory.mktemp("reports")
+    result = closed_loop(folder / "data", [HIDDEN], [NOISE, NOISE])
+    write_report(result, folder / "report.html")
+    assert result.checked is not None
+    write_check_page(result.checked, folder / "check.html")
+    return folder
+
+
 @dataclass
 class Opened:
     """A page, and what it asked for and complained of."""
@@ -251,9 +262,8 @@ def test_pages_of_modes_and_of_before_and_after_open_without_a_request(
     page.page.close()
 
 
-def test_the_report_opens_without_a_request(browser: Any, tmp_path: Path, pictures: Path) -> None:
-    report = tmp_path / "report.html"
-    write_report(closed_loop(tmp_path / "data", [HIDDEN], [NOISE, NOISE]), report)
+def test_the_report_opens_without_a_request(browser: Any, reports: Path, pictures: Path) -> None:
+    report = reports / "report.html"
     page = opened(browser, report.as_uri(), pictures)
     images = "[...document.images].map(i => i.complete && i.naturalWidth > 0)"
     shown = page.page.evaluate(images)
@@ -272,22 +282,17 @@ def test_text_on_text_is_seen(browser: Any, tmp_path: Path, pictures: Path) -> N
     spoilt.page.close()
 
 
-def test_report_and_check_page_read_well_also_unfolded(browser: Any, tmp_path: Path, pictures: Path) -> None:
-    result = closed_loop(tmp_path / "data", [HIDDEN], [NOISE, NOISE])
-    write_report(result, tmp_path / "report.html")
-    assert result.checked is not None
-    write_check_page(result.checked, tmp_path / "check.html")
+def test_report_and_check_page_read_well_also_unfolded(browser: Any, reports: Path, pictures: Path) -> None:
     for name in ("report", "check"):
-        page = opened(browser, (tmp_path / f"{name}.html").as_uri(), pictures)
+        page = opened(browser, (reports / f"{name}.html").as_uri(), pictures)
         check_reads_well(page)
         page.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
         check_reads_well(page)
         page.page.close()
 
 
-def test_a_line_zooms_where_it_is_dragged_and_comes_back(browser: Any, tmp_path: Path, pictures: Path) -> None:
-    write_report(closed_loop(tmp_path / "data", [HIDDEN], [NOISE, NOISE]), tmp_path / "report.html")
-    page = opened(browser, (tmp_path / "report.html").as_uri(), pictures)
+def test_a_line_zooms_where_it_is_dragged_and_comes_back(browser: Any, reports: Path, pictures: Path) -> None:
+    page = opened(browser, (reports / "report.html").as_uri(), pictures)
     figures = page.page.locator("figure.zoom")
     assert figures.count() == page.page.locator("figure.zoom.drawn").count() > 0
     figure = page.page.locator("#residuals figure.zoom").first

@@ -183,14 +183,20 @@ def test_a_robot_that_changed_between_two_days_is_fitted_apart_before_and_after(
     ]
 
 
+@pytest.fixture(scope="module")
+def unchanged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, SecondFit]:
+    """Four robots with the same friction on every day."""
+    folder = tmp_path_factory.mktemp("unchanged")
+    return {f"r{k}": dated_fit(folder / f"r{k}", k, (2.0, 2.0, 2.0, 2.0)) for k in range(4)}
+
+
 @pytest.mark.parametrize(
     ("dry", "told"), [((2.0, 2.0, 3.0, 3.0), ("2026-03-15", None)), ((3.0, 2.0, 2.0, 2.0), (None, "2026-03-01"))]
 )
 def test_what_changed_is_compared_as_it_is_now_and_stands_out_since_a_day_or_until_one(
-    dry: tuple[float, ...], told: tuple[str | None, str | None], tmp_path: Path
+    dry: tuple[float, ...], told: tuple[str | None, str | None], unchanged: dict[str, SecondFit], tmp_path: Path
 ) -> None:
-    fits = {f"r{k}": dated_fit(tmp_path / f"r{k}", k, (2.0, 2.0, 2.0, 2.0)) for k in range(4)}
-    fits["worn"] = dated_fit(tmp_path / "worn", 9, dry)
+    fits = {**unchanged, "worn": dated_fit(tmp_path / "worn", 9, dry)}
     out = [(p, v) for p in parameters(fits) for v in p.values if v.stands_out]
     ((p, worn),) = out
     assert (p.type, p.place, p.parameter, worn.robot) == ("coulomb_friction", "shoulder", "torque", "worn")

@@ -386,6 +386,7 @@ def test_the_file_appears_whole_or_not_at_all_and_is_the_same_for_the_same_resul
         raise OSError("disk full")
 
     monkeypatch.setattr(Path, "write_text", half)
+    monkeypatch.setattr("rx90b_flex.view.report.report_html", lambda *_: html)
     with pytest.raises(OSError, match="disk full"):
         write_report(found, path)
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]

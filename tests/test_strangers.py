@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
+import fresh_process
 import independent as ind
 import numpy as np
 import pytest
@@ -40,13 +38,8 @@ def install(folder: Path, name: str, source: str, points: str) -> Path:
 
 def python(code: str, at: Path, packages: Path | None = None, place: tuple[str, Path] | None = None) -> str:
     """What a process of its own prints; `place`: a folder of the package to which the files of another folder belong."""
-    paths = [str(packages or ""), str(Path(rx90b_flex.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     begin = f"import {place[0]} as place; place.__path__.append({str(place[1])!r})\n" if place else ""
-    done = subprocess.run(
-        [sys.executable, "-c", begin + code], cwd=at, capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in paths if p)},
-    )  # fmt: skip
-    return f"{done.returncode}\n{done.stdout}{done.stderr}"
+    return fresh_process.python(begin + code, at, [packages] if packages else [])
 
 
 def commands(*lines: str, at: Path, packages: Path | None = None, place: tuple[str, Path] | None = None) -> list[str]:

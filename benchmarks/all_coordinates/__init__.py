@@ -494,7 +494,8 @@ def indirect_inference(
 
     The experiment is repeated in simulation on the identified robot and identified in the same way. What comes back differs from what
     went in by the bias, ``p <- p + (p_measured - p_simulated)``; at the end the simulated logs give the same estimate as
-    the measured ones (Gouriéroux, Monfort and Renault 1993, indirect inference).
+    the measured ones (Gouriéroux, Monfort and Renault 1993, indirect inference). What the logs hardly tell no repetition betters:
+    of section 4.2.2's one run the asperity torques of joints 3 and 4, whose standard deviations are 0.5 to 17 %.
 
     Parameters
     ----------

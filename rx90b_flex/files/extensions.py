@@ -44,7 +44,12 @@ class Brought:
 
 def import_all(package: str) -> None:
     """Import every module of a folder of the package."""
-    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+    _import_all(package, tuple(importlib.import_module(package).__path__))
+
+
+@cache
+def _import_all(package: str, folders: tuple[str, ...]) -> None:
+    for module in pkgutil.iter_modules(folders):
         importlib.import_module(f"{package}.{module.name}")
 
 
@@ -106,7 +111,8 @@ def package_of(point: EntryPoint) -> str:
 
 def blamed(error: BaseException) -> str:
     """The package with entry points in whose code an error arose; empty: in none."""
-    points = {p.module.split(".")[0]: p for group in (EFFECTS, READERS, ESTIMATORS) for p in entry_points(group=group)}
+    every = entry_points()
+    points = {p.module.split(".")[0]: p for group in (EFFECTS, READERS, ESTIMATORS) for p in every.select(group=group)}
     while error.__cause__ is not None:
         error = error.__cause__
     frames = [str(frame.f_globals.get("__name__")) for frame, _ in traceback.walk_tb(error.__traceback__)]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,6 +15,7 @@ from pathlib import Path
 import jinja2
 import markupsafe
 import matplotlib
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from rx90b_flex.signals.tables import write_whole
@@ -99,8 +102,9 @@ def write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+@cache
 def template(name: str, **filters: object) -> jinja2.Template:
-    """A template of this folder, with filters added."""
+    """A template of this folder, with filters added; compiled once."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rx90b_flex.view", ""),
         autoescape=True,
@@ -136,11 +140,30 @@ def image(figure: Figure, alt: str, caption: str = "", zoom: bool = False) -> Im
     thin(figure)
     buffer = io.BytesIO()
     # the salt makes ids, and so the whole report, the same for the same result
-    with matplotlib.rc_context({"svg.hashsalt": "rx90b_flex", "svg.fonttype": "path"}):
+    with matplotlib.rc_context({"svg.hashsalt": "rx90b_flex", "svg.fonttype": "path"}), _laid_out(figure):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     source = "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
     width, height = (round(96 * x) for x in figure.get_size_inches())
     return Image(source, alt, width, height, caption, said)
+
+
+@contextmanager
+def _laid_out(figure: Figure) -> Iterator[None]:
+    """Axes in their places for SVG, so that saving need not draw all of a figure twice, the first time for its layout alone."""
+    engine, dpi, canvas = figure.get_layout_engine(), figure.dpi, figure.canvas
+    if engine is None:
+        yield
+        return
+    FigureCanvasSVG(figure)
+    figure.dpi = 72  # SVG's
+    engine.execute(figure)
+    figure.set_layout_engine("none")
+    figure.dpi = dpi
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(engine)
+        figure.set_canvas(canvas)
 
 
 def package_version() -> str:

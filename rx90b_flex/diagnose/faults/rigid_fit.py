@@ -63,21 +63,22 @@ class Products:
         fold = np.where(inside, sample.fold, -1)
         _, v, a, _ = sample.seen(reading)
         links = 10 * len(reading.robot.bodies)
-        resisting = columns.copy()
-        resisting[:, :, :links] = 0.0
+        drives = slice(links, links + PER_JOINT * len(sample.joints))
+        resisting = columns[:, :, drives].copy()
         for j in range(len(sample.joints)):  # inertia and offset are no friction
-            at = links + PER_JOINT * j
-            resisting[:, j, [at, at + 3]] = 0.0
-        resisting[:, :, links + PER_JOINT * len(sample.joints) :] = 0.0
+            resisting[:, j, [PER_JOINT * j, PER_JOINT * j + 3]] = 0.0
         parts = []
         for f in range(FOLDS):
             here = fold == f
             x = np.ascontiguousarray(columns[here].transpose(1, 0, 2))
             y = torque[here]
             xt = x.transpose(0, 2, 1)
-            drive = (resisting[here] * v[here][:, :, None]).mean(axis=0) if here.any() else resisting[0] * 0.0
+            drive = np.zeros(columns.shape[1:])
+            if here.any():
+                drive[:, drives] = (resisting[here] * v[here][:, :, None]).mean(axis=0)
             parts.append((xt @ x, (xt @ y).transpose(0, 2, 1), (y**2).sum(axis=0), y.sum(axis=0), here.sum(), drive))
         gram, cross, power, mean_sum, rows, friction = (np.array(p) for p in zip(*parts, strict=True))
+        gram = gram.swapaxes(0, 1).copy().swapaxes(0, 1)  # in memory as sums over the joints need it
         prior = np.zeros(columns.shape[2])
         prior[:links] = reading.robot.link_parameters
         ridge = np.full(len(prior), RIDGE)
@@ -255,7 +256,8 @@ def _held(gram: Array, right: Array, products: Products) -> Array:
     """Solution of normal equations, held by the ridge where they tell nothing, shape (p,)."""
     size = np.diag(gram)
     size = np.sqrt(np.where(size > 1e-12 * size.max(), size, size.max() + 1e-300))
-    scaled = gram / np.outer(size, size) + np.diag(products.ridge)
+    scaled = gram / np.outer(size, size)
+    scaled.flat[:: len(size) + 1] += products.ridge
     _, solved, _ = linalg.lapack.dposv(scaled, right / size + products.ridge * size * products.prior)
     return np.asarray(solved / size)
 
