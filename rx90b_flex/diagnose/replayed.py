@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.regression import prepare
+from rx90b_flex.identify.regression import Regression, prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign
 from rx90b_flex.signals.recording import Role
@@ -49,5 +49,8 @@ def replayed(robot: Robot, campaign: Campaign, role: Role) -> list[tuple[Replaye
     """Recordings of one role, each with the torque of a robot as it stands, (N, joints), N m, after the low-pass."""
     rigid = robot.over_time().restricted(campaign.joints)
     recordings = [r for r in campaign.recordings if r.role == role]
-    replays = [ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in recordings]
+    sticking = Regression.of(robot, campaign.identification, campaign.cutoff_hz).sticking
+    replays = [
+        ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False, sticking=sticking)) for r in recordings
+    ]
     return [(r, r.predict(rigid.effects, rigid.link_parameters)) for r in replays]

@@ -47,7 +47,7 @@ class TorqueData:
     def of(robot: Robot, campaign: Campaign) -> TorqueData:
         sensors = sensors_to_use(campaign)
         fitted, own = Regression.and_whole(robot, campaign.identification, campaign.cutoff_hz, sensors)
-        held_out, other = Regression.and_whole(robot, campaign.validation, campaign.cutoff_hz)
+        held_out, other = Regression.and_whole(robot, campaign.validation, campaign.cutoff_hz, sticking=fitted.sticking)
         replayed, kept = (tuple(ReplayedTorques(fitted.robot, s) for s in whole) for whole in (own, other))
         return TorqueData(fitted, replayed, kept, held_out)
 

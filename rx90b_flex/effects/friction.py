@@ -71,7 +71,7 @@ class CoulombFriction(SidedFriction, LawEffect, DryFriction):
     ----------
     `viscous_friction` grows with speed and `stribeck_friction` fades with it; the jump of `load_friction` is higher
     where the joint carries more; `presliding_friction` turns over gradually, along an angle. At standstill dry
-    friction holds any torque up to its own: where a log shows that a drive sticks at a reversal, it is taken to go over evenly, and
+    friction holds any torque up to its own: where logs show that a drive sticks at a reversal, it is taken to go over evenly, and
     the samples there are given the weight of such a guess.
 
     Source

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -187,6 +187,13 @@ class Motion:
         q, v, a, time = (np.ascontiguousarray(x[samples]) for x in (self.q, self.v, self.a, self.time))
         stuck = None if self.stuck is None else np.ascontiguousarray(self.stuck[samples])
         return replace(self, q=q, v=v, a=a, time=time, stuck=stuck)
+
+    def sticking(self, joints: Sequence[str]) -> Motion:
+        """The same, with friction held in sticks of no other joints."""
+        if self.stuck is None:
+            return self
+        there = [j in joints for j in self.coordinates.joints]
+        return replace(self, stuck=np.where(there, self.stuck, np.nan) if any(there) else None)
 
     @cached_property
     def model_torque(self) -> Array:

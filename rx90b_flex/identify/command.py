@@ -225,7 +225,9 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
     sensors = sensors_to_use(campaign)
     regression, fitted_logs = Regression.and_whole(declared, campaign.identification, campaign.cutoff_hz, sensors)
     rigid = regression.robot
-    held_out = [prepare(rigid, r, campaign.cutoff_hz, thin=False) for r in campaign.validation]
+    held_out = [
+        prepare(rigid, r, campaign.cutoff_hz, thin=False, sticking=regression.sticking) for r in campaign.validation
+    ]
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
     model = estimator.identify(regression, regression.robot.effects, fit_links=fitted)

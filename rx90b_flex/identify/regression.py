@@ -15,6 +15,7 @@ from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import JointEffect, PairEffect
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.carried import carried_parameters
+from rx90b_flex.identify.drives_that_stick import joints_that_stick
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
     Recording,
@@ -113,6 +114,10 @@ class Stretch:
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
+    def sticking(self, joints: Sequence[str]) -> Stretch:
+        """The same, with friction held in sticks of no other joints."""
+        return dataclasses.replace(self, motion=self.motion.sticking(joints))
+
     def thinned(self) -> Stretch:
         """Of one that has all its samples those that a fit needs, away from the ends."""
         rate, cutoff = self.rate_hz, self.cutoff_hz
@@ -188,7 +193,13 @@ class Stretch:
         return len(self.torque)
 
 
-def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: bool = True) -> Stretch:
+def prepare(
+    robot: Robot,
+    recording: Recording,
+    cutoff_hz: float | None,
+    thin: bool = True,
+    sticking: Sequence[str] = (),
+) -> Stretch:
     """Differentiate, low-pass and thin out one recording.
 
     Parameters
@@ -200,6 +211,8 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
         Zero-phase low-pass of every signal; None fits the torque as it was logged.
     thin : bool
         Keep only the samples that a fit needs (`Stretch.thinned`); otherwise all of them.
+    sticking : sequence of str
+        Joints whose dry friction is held where their drives stand still between two moves (`Motion.stuck`).
 
     Raises
     ------
@@ -226,8 +239,10 @@ def prepare(robot: Robot, recording: Recording, cutoff_hz: float | None, thin: b
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
         motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=off[order] * np.sqrt(below / (1.0 - below)))
-    stuck = held_part(recording.position, recording.torque, rate)
-    motion_of_tree = dataclasses.replace(motion_of_tree, stuck=None if stuck is None else stuck[:, order])
+    stuck = held_part(recording.position, rate) if sticking else None
+    motion_of_tree = dataclasses.replace(motion_of_tree, stuck=None if stuck is None else stuck[:, order]).sticking(
+        sticking
+    )
     carried = None if recording.payload is None else carried_parameters(robot, recording.payload)
     samples = slice(0, _enough(recording, cutoff_hz, len(torque), 0))
     whole = Stretch(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
@@ -294,6 +309,8 @@ class Regression:
         Factors between 0 and 1 of all rows of joints, torque and columns alike; None leaves them as they are.
     sensors : tuple of str
         Joints whose torque sensors are fitted beside the motors.
+    sticking : tuple of str
+        Joints whose dry friction is held where their drives stick (`Motion.stuck`).
     """
 
     robot: Robot
@@ -301,24 +318,54 @@ class Regression:
     stretches: tuple[Stretch, ...]
     trust: Array | None = None
     sensors: tuple[str, ...] = ()
+    sticking: tuple[str, ...] = ()
 
     @staticmethod
     def of(
         robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None, sensors: Sequence[str] = ()
     ) -> Regression:
         """Prepare recordings of one robot for a fit, of motors (and torque sensors of some joints) on a rigid tree."""
-        joints = recordings[0].joints
-        rigid = robot.over_time().restricted(joints)
-        return Regression(rigid, joints, tuple(prepare(rigid, r, cutoff_hz) for r in recordings), None, tuple(sensors))
+        return Regression._of(robot, recordings, cutoff_hz, sensors, None, thin=True)[0]
 
     @staticmethod
     def and_whole(
-        robot: Robot, recordings: Sequence[Recording], cutoff_hz: float | None, sensors: Sequence[str] = ()
+        robot: Robot,
+        recordings: Sequence[Recording],
+        cutoff_hz: float | None,
+        sensors: Sequence[str] = (),
+        sticking: Sequence[str] | None = None,
     ) -> tuple[Regression, tuple[Stretch, ...]]:
-        """As `of`, and the recordings with all their samples, to be predicted: each prepared once."""
-        rigid = robot.over_time().restricted(recordings[0].joints)
-        whole = tuple(prepare(rigid, r, cutoff_hz, thin=False) for r in recordings)
-        return Regression(rigid, recordings[0].joints, tuple(s.thinned() for s in whole), None, tuple(sensors)), whole
+        """As `of`, and the recordings with all their samples, to be predicted: each prepared once.
+
+        With `sticking`, of other recordings' regression, it is not asked of these which joints' drives stick.
+        """
+        return Regression._of(robot, recordings, cutoff_hz, sensors, sticking, thin=False)
+
+    @staticmethod
+    def _of(
+        robot: Robot,
+        recordings: Sequence[Recording],
+        cutoff_hz: float | None,
+        sensors: Sequence[str],
+        sticking: Sequence[str] | None,
+        thin: bool,
+    ) -> tuple[Regression, tuple[Stretch, ...]]:
+        joints = recordings[0].joints
+        rigid, asked = robot.over_time().restricted(joints), joints if sticking is None else tuple(sticking)
+        whole = tuple(prepare(rigid, r, cutoff_hz, thin, asked) for r in recordings)
+        stretches = whole if thin else tuple(s.thinned() for s in whole)
+        made = Regression(rigid, joints, stretches, None, tuple(sensors), asked)
+        if sticking is not None:
+            return made, whole
+        found = joints_that_stick(made)
+        return made.with_sticking(found), tuple(s.sticking(found) for s in whole)
+
+    def with_sticking(self, joints: tuple[str, ...]) -> Regression:
+        """The same, with friction held in sticks of these joints alone."""
+        other = dataclasses.replace(self, stretches=tuple(s.sticking(joints) for s in self.stretches), sticking=joints)
+        if "_untouched_links" in self.__dict__:
+            other.__dict__["_untouched_links"] = self._untouched_links
+        return other
 
     @property
     def motors(self) -> Regression:

@@ -1,4 +1,4 @@
-"""Where a drive sticks, at a reversal or for a moment on its way, from its logged angle and torque."""
+"""Where a drive sticks, at a reversal or for a moment on its way, from its logged angle."""
 
 from __future__ import annotations
 
@@ -28,25 +28,23 @@ class Stick(NamedTuple):
     after: float
 
 
-def held_part(position: Array, torque: Array, sample_rate_hz: float) -> Array | None:
+def held_part(position: Array, sample_rate_hz: float) -> Array | None:
     """Part of its dry friction, -1 to 1, that a drive which sticks is taken to hold, elsewhere NaN; (N, joints), None without sticks.
 
     A drive that turns comes to rest and breaks away only when its controller's torque has gone from the friction of the move before
     to that of the next. What it holds in between is no function of the motion: it is taken to go evenly from the one to the other,
-    where the logged torque does so rather than at once.
+    and to stay where the motion goes on as it was.
 
     Parameters
     ----------
-    position, torque : shape (N, joints)
-        As logged, joint side; rad, N m.
+    position : shape (N, joints)
+        As logged, rad.
     sample_rate_hz : float
     """
     out = np.full(position.shape, np.nan)
     for j in range(position.shape[1]):
-        for stick in sticks(position[:, j], sample_rate_hz):
-            even = np.linspace(stick.before, stick.after, stick.end - stick.begin)
-            if stick.before == stick.after or _turns_over(torque[:, j], stick, even):
-                out[stick.begin : stick.end, j] = even
+        for begin, end, before, after in sticks(position[:, j], sample_rate_hz):
+            out[begin:end, j] = np.linspace(before, after, end - begin)
     return None if np.isnan(out).all() else out
 
 
@@ -88,17 +86,3 @@ def _stick(q: Array, middle: int, reach: float, longest: int) -> Stick | None:
     if not shortest <= last - first <= longest or first < 0 or last > len(q):
         return None
     return Stick(first, last, before, after)
-
-
-def _turns_over(torque: Array, stick: Stick, even: Array) -> bool:
-    """Whether a torque goes from one level to another all along a stick, and not at once in its middle."""
-    begin, end, before, after = stick
-    first, last = max(0, 2 * begin - end), min(len(torque), 2 * end - begin)
-    time = np.arange(first, last) - 0.5 * (begin + end)
-    ramp = np.concatenate([np.full(begin - first, before), even, np.full(last - end, after)])
-    left = []
-    for form in (ramp, np.where(time < 0, before, after)):
-        columns = np.stack([np.ones(len(time)), time, form], axis=1)
-        found, *_ = np.linalg.lstsq(columns, torque[first:last], rcond=None)
-        left.append(float(np.sum((torque[first:last] - columns @ found) ** 2)) if found[2] > 0 else np.inf)
-    return left[0] < left[1]

@@ -1,0 +1,64 @@
+"""Which joints' drives stick at a reversal, so that their friction goes over while they stand still."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rx90b_flex.effects.friction import CoulombFriction
+from rx90b_flex.effects.motion import Array, Motion
+
+if TYPE_CHECKING:
+    from rx90b_flex.identify.regression import Regression
+
+TURNOVERS = (2e-4, 1e-3, 5e-3, 2e-2)  # rad/s, within which friction may turn over
+RIDGE = 1e-12  # of the columns' size: what a motion does not tell apart
+
+
+def joints_that_stick(regression: Regression) -> tuple[str, ...]:
+    """Joints whose torques are explained better by friction that goes over in sticks than by one that the speed shows all the time.
+
+    Beside it stand the links, viscous friction and drive inertia; with each, friction turns over within the best of some speeds.
+    """
+    held = regression if regression.excerpt is None else regression.excerpt[0]
+    moving = [j for j in regression.joints if any(_sticks(s.motion, j) for s in held.stretches)]
+    shown = held.with_sticking(())
+    out = []
+    for joint in moving:
+        place = held.joints.index(joint)
+        torque, smooth = held.torque[:, place], _smooth(held, joint)
+        left = [min(_left(torque, smooth, _dry(r, joint, w)) for w in TURNOVERS) for r in (held, shown)]
+        if left[0] < left[1]:
+            out.append(joint)
+    return tuple(out)
+
+
+def _sticks(motion: Motion, joint: str) -> bool:
+    return motion.stuck is not None and not np.isnan(motion.stuck[:, motion.coordinates.joints.index(joint)]).all()
+
+
+def _smooth(regression: Regression, joint: str) -> Array:
+    """Columns (N, k) of what a joint's torque has beside dry friction."""
+    place, at = regression.joints.index(joint), regression.robot.layout.index(joint)
+    links = regression.link_columns[:, place]
+    own = [
+        s.brought(np.stack([s.motion.v[:, at], s.motion.a[:, at], np.ones(len(s.motion))], axis=1))
+        for s in regression.stretches
+    ]
+    return np.hstack([links[:, links.any(axis=0)], np.concatenate(own)])
+
+
+def _dry(regression: Regression, joint: str, turnover: float) -> Array:
+    """Column (N,) of dry friction."""
+    _, columns = regression.compact([CoulombFriction(joint=joint, torque=1.0, turnover=turnover)])
+    return np.asarray(columns[:, 0, 0])
+
+
+def _left(torque: Array, smooth: Array, dry: Array) -> float:
+    """Squared torque that columns (N, k) and dry friction (N,) leave."""
+    columns = np.column_stack([smooth, dry])
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    gram, right = columns.T @ columns, columns.T @ torque
+    theta = np.linalg.solve(gram + RIDGE * np.eye(len(gram)), right)
+    return float(np.sum((torque - columns @ theta) ** 2))
