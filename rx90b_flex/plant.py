@@ -15,9 +15,12 @@ from rx90b_flex.compiled.packed import Packed, accelerations, link_columns, link
 from rx90b_flex.compiled.scratch import scratch_size
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
+from rx90b_flex.compiled.wide import FORCE, LINKS, MOTOR, ROWS, SHOWN, Wide, pack_wide
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.law import REMEMBERED, Law
 from rx90b_flex.effects.motion import Array, Motion
+
+KINDS = {"force": FORCE, "links": LINKS, "shown": SHOWN, "motor": MOTOR}
 
 
 def tree_of(model: pin.Model) -> Tree:
@@ -113,6 +116,32 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
     )
 
 
+def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide | None:
+    """The arrays of laws that are more than a torque by one angle, for lanes that start at q (lanes, n); None: there are none."""
+    if not laws:
+        return None
+    whole = np.zeros((ROWS, len(laws)), dtype=np.int64)
+    combinations = [(law.port, law.port if law.reads is None else law.reads) for law in laws]
+    width = max(np.count_nonzero(c) for both in combinations for c in both)
+    place, weight = np.zeros((2, len(laws), width), dtype=np.int64), np.zeros((2, len(laws), width))
+    most = max(law.remembers for law in laws)
+    slots = max(len(law.parameters) for law in laws)
+    parameters, memory = np.zeros((len(laws), slots + REMEMBERED + most)), np.zeros((len(q), len(laws), 1 + most))
+    for m, (law, both) in enumerate(zip(laws, combinations, strict=True)):
+        for which, combination in enumerate(both):
+            at = np.flatnonzero(combination)
+            place[which, m, : len(at)], weight[which, m, : len(at)] = at, combination[at]
+        acts = int(np.flatnonzero(law.port)[-1])
+        address = int(compiled_law(law.function).address) if law.function else 0
+        drive = int(np.searchsorted(drives, acts)) if law.at in ("shown", "motor") else -1
+        loaded = acts if law.loaded else -1
+        leans = law.loaded or not np.array_equal(*both)
+        whole[:, m] = KINDS[law.at], address, law.stores, len(law.parameters), loaded, law.remembers, drive, leans
+        parameters[m, : len(law.parameters)] = law.parameters
+        memory[:, m, 0] = q @ both[1]
+    return pack_wide(whole, place, weight, parameters, memory, q.shape[1])
+
+
 @dataclass(frozen=True, eq=False)
 class Plant:
     """A robot in arrays: its tree, the effects that have compiled laws, and those that have none.
@@ -121,7 +150,9 @@ class Plant:
     ----------
     tree, laws, drives : arrays
     others : tuple of Effect
-        Asked for `force` and `derivatives` at each step.
+        Those that are more than torques by one angle and its rate each.
+    wide : tuple of Law, or None
+        What a simulation has of them; None: it asks them for `force` and `derivatives` at each step, all of them alike.
     in_tree : tuple of Effect
         Part of `tree`: masses that they fix to it, gravity that they turn.
     """
@@ -130,6 +161,7 @@ class Plant:
     laws: Laws
     others: tuple[Effect, ...]
     drives: Integers  # (joints,) where the drive angles stand among the coordinates
+    wide: tuple[Law, ...] | None = ()
     in_tree: tuple[Effect, ...] = ()
 
     @cached_property
@@ -153,13 +185,14 @@ class Plant:
 def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives: Integers) -> Plant:
     """The arrays of a model and its effects; `motion` is any sample."""
     laws: list[Law] = []
+    wide: list[Law] | None = []
     others: list[Effect] = []
     in_tree: list[Effect] = []
     loaded = model.copy()
     # masses first: where there are some, gravity stays as it is, since tilts turn that of the links alone
     for effect in sorted(effects, key=lambda effect: effect.gravity_change() is not None):
         own, mass, tilt = effect.laws(motion), effect.point_mass(), effect.gravity_change()
-        if own is not None:
+        if own is not None and not any(law.wide for law in own):
             laws += own
         elif mass is not None:
             frame, weight, centre = mass
@@ -172,4 +205,14 @@ def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives
             in_tree.append(effect)
         else:
             others.append(effect)
-    return Plant(tree_of(loaded), laws_of(laws, model.nv), tuple(others), drives, tuple(in_tree))
+            wide = None if own is None or wide is None else [*wide, *own]
+    # what is in the tree is no link, whose torque alone is the load
+    alike = wide is not None and not (in_tree and any(law.loaded for law in wide))
+    return Plant(
+        tree_of(loaded),
+        laws_of(laws, model.nv),
+        tuple(others),
+        drives,
+        tuple(wide or ()) if alike else None,
+        tuple(in_tree),
+    )

@@ -78,9 +78,15 @@ def scatter(laws: Laws, m: int, torque: Any, out: Array) -> None:
 
 
 @inlined
+def call_law(address: int, x: float, rate: float, parameters: Array, out: Array) -> None:
+    """Let a compiled law write to `out`."""
+    _call(address, x, rate, parameters.ctypes.data, out.ctypes.data)
+
+
+@inlined
 def ask(laws: Laws, m: int, x: float, rate: float) -> tuple[float, float, float]:
     """Torque of law m and its slopes by x and rate."""
-    _call(laws.address[m], x, rate, laws.parameters[m].ctypes.data, laws.out.ctypes.data)
+    call_law(laws.address[m], x, rate, laws.parameters[m], laws.out)
     return laws.out[0], laws.out[1], laws.out[2]
 
 

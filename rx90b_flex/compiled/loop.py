@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from rx90b_flex.compiled.compile import Array, called, entry, inlined
@@ -12,6 +14,7 @@ from rx90b_flex.compiled.scratch import Scratch, scratch_in, scratch_size
 from rx90b_flex.compiled.step import first_stage, second_stage
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors, lane_of
+from rx90b_flex.compiled.wide import Wide, deliver, load_room, room_size, show, store_room
 
 DIVISION = 8  # parts of a step along which the laws bend too much
 
@@ -58,21 +61,103 @@ def _store(
 
 
 @called
-def _step(tree: Tree, laws: Laws, scratch: Scratch, state: Array, lost: Array, bend: Array, h: float) -> None:
+def _step(
+    tree: Tree,
+    laws: Laws,
+    scratch: Scratch,
+    wide: Wide | None,
+    room: Array,
+    state: Array,
+    lost: Array,
+    bend: Array,
+    h: float,
+) -> None:
     """A step of eight lanes: coordinates, rates and torques in `state` (3, n), of vectors.
 
     `lost` and `bend` (WIDTH,) receive the power dissipated at its start, W, and how much the laws bend along it, rad.
     """
-    power = first_stage(tree, laws, scratch, None, 0, state[0], state[1], state[2], h)
-    most = second_stage(tree, laws, scratch, None, None, 0, state[0], state[1], state[2], h)
+    power = first_stage(tree, laws, scratch, wide, room, None, 0, state[0], state[1], state[2], h)
+    most = second_stage(tree, laws, scratch, wide, room, None, None, 0, state[0], state[1], state[2], h)
     for place in range(WIDTH):
         lost[place], bend[place] = lane_of(power, place), lane_of(most, place)
+
+
+class _Pack(NamedTuple):
+    """Working memory of the step of some lanes."""
+
+    numbers: Array  # (3, n, WIDTH) coordinates, rates, torques
+    vectors: Array  # (3, n) the same
+    lost: Array  # (WIDTH,)
+    bend: Array  # (WIDTH,)
+
+
+@inlined
+def _new_pack(n: int) -> _Pack:
+    numbers = aligned(3 * n).reshape((3, n, WIDTH))
+    vectors = as_vectors(numbers.reshape(numbers.size)).reshape((3, n))
+    return _Pack(numbers, vectors, np.zeros(WIDTH), np.zeros(WIDTH))
+
+
+@inlined
+def _divided(
+    tree: Tree,
+    laws: Laws,
+    scratch: Scratch,
+    wide: Wide | None,
+    room: Array,
+    pack: _Pack,
+    loop: Loop,
+    lanes: Lanes,
+    lane: int,
+    torque: Array,
+    time: float,
+    h: float,
+) -> None:
+    """One lane's step, `DIVISION` short ones in its place; `torque` (1, n)."""
+    laws.wanted[0] = 1
+    lanes.divided[lane] += 1
+    for i in range(DIVISION):
+        _load(lanes, lane, 1, torque, pack.numbers)
+        if wide is not None:
+            load_room(wide, room, lane, 1, time + i * (h / DIVISION))
+        _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h / DIVISION)
+        _store(loop, lanes, lane, 0, torque[0], pack.numbers, pack.lost[0], h / DIVISION)
+        if wide is not None:
+            store_room(wide, room, lane, 0)
+
+
+@inlined
+def _control_pack(
+    between: Wide | None,
+    loop: Loop,
+    lanes: Lanes,
+    inputs: Inputs,
+    logs: Logs,
+    k: int,
+    first: int,
+    torque: Array,
+) -> int:
+    """A sample of the controllers of lanes from `first` on; `torque` (lanes, n) receives what the motors give. How many still run."""
+    running = 0
+    for place in range(len(torque)):
+        lane = first + place
+        if lanes.status[lane] == RUNNING:
+            if between is not None:
+                show(between, lanes, lane, inputs.noise[k if inputs.noise.shape[0] > 1 else 0])
+            control(loop, lanes, inputs, logs, lane, k, torque[place])
+            if between is not None:
+                deliver(between, loop, torque[place])
+        if lanes.status[lane] == RUNNING:
+            running += 1
+    return running
 
 
 @entry
 def _run_pack(
     plant: Packed,
     size: int,
+    wide: Wide | None,
+    between: Wide | None,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
@@ -86,45 +171,52 @@ def _run_pack(
     n = lanes.q.shape[1]
     scratch = scratch_in(as_vectors(aligned(size)), n, len(laws.inertia))
     h = loop.period / loop.substeps
-    torque, state = np.zeros((count, n)), aligned(3 * n).reshape((3, n, WIDTH))
-    lost, bend = np.zeros(WIDTH), np.zeros(WIDTH)
-    fine, fine_lost, fine_bend = aligned(3 * n).reshape((3, n, WIDTH)), np.zeros(WIDTH), np.zeros(WIDTH)
-    vectors = as_vectors(state.reshape(state.size)).reshape((3, n))
-    fine_vectors = as_vectors(fine.reshape(fine.size)).reshape((3, n))
+    torque, pack, fine = np.zeros((count, n)), _new_pack(n), _new_pack(n)
+    wide_size = 0
+    if wide is not None:
+        wide_size = room_size(wide, n)
+    room, fine_room = aligned(wide_size), aligned(wide_size)
     for k in range(samples):
-        running = 0
-        for place in range(count):
-            if lanes.status[first + place] == RUNNING:
-                control(loop, lanes, inputs, logs, first + place, k, torque[place])
-            if lanes.status[first + place] == RUNNING:
-                running += 1
-        if running == 0:
+        if _control_pack(between, loop, lanes, inputs, logs, k, first, torque) == 0:
             return
         for part in range(loop.substeps):
-            _load(lanes, first, count, torque, state)
+            time = (inputs.first + k) * loop.period + part * h
+            _load(lanes, first, count, torque, pack.numbers)
             laws.wanted[0] = count
-            _step(tree, laws, scratch, vectors, lost, bend, h)
+            if wide is not None:
+                load_room(wide, room, first, count, time)
+            _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h)
             for place in range(count):
                 lane = first + place
                 if lanes.status[lane] != RUNNING:
                     continue
                 if part == 0 and k % logs.stride == 0:
                     at = logs.row + k // logs.stride
-                    logs.dissipated[lane, at] = lanes.dissipated[lane] + lanes.open[lane] * lost[place]
-                if not bend[place] > loop.tolerance:
-                    _store(loop, lanes, lane, place, torque[place], state, lost[place], h)
+                    logs.dissipated[lane, at] = lanes.dissipated[lane] + lanes.open[lane] * pack.lost[place]
+                own = torque[place : place + 1]
+                if pack.bend[place] > loop.tolerance:
+                    _divided(tree, laws, scratch, wide, fine_room, fine, loop, lanes, lane, own, time, h)
                     continue
-                laws.wanted[0] = 1
-                lanes.divided[lane] += 1
-                for _ in range(DIVISION):
-                    _load(lanes, lane, 1, torque[place : place + 1], fine)
-                    _step(tree, laws, scratch, fine_vectors, fine_lost, fine_bend, h / DIVISION)
-                    _store(loop, lanes, lane, 0, torque[place], fine, fine_lost[0], h / DIVISION)
+                _store(loop, lanes, lane, place, own[0], pack.numbers, pack.lost[place], h)
+                if wide is not None:
+                    store_room(wide, room, lane, place)
 
 
-def run(plant: Packed, loop: Loop, lanes: Lanes, inputs: Inputs, logs: Logs, samples: int) -> None:
-    """Advance all running lanes by that many samples, eight at a time; every effect has a compiled law."""
+def run(
+    plant: Packed,
+    wide: Wide | None,
+    between: Wide | None,
+    loop: Loop,
+    lanes: Lanes,
+    inputs: Inputs,
+    logs: Logs,
+    samples: int,
+) -> None:
+    """Advance all running lanes by that many samples, eight at a time; every effect is a compiled law.
+
+    `wide` are laws of the robot, `between` those between its motors and the controller.
+    """
     size = scratch_size(int(plant.integers[0]), int(plant.integers[1]))
     for first in range(0, len(lanes.status), WIDTH):
         count = min(WIDTH, len(lanes.status) - first)
-        _run_pack(plant, size, loop, lanes, inputs, logs, samples, first, count)
+        _run_pack(plant, size, wide, between, loop, lanes, inputs, logs, samples, first, count)

@@ -17,7 +17,7 @@ def _begin(
     tree: Tree, laws: Laws, scratch: Scratch, loop: Loop, extra: Extra, lanes: Lanes, lane: int, torque: Array, h: float
 ) -> None:
     """First stage of a step of one lane, with its share of work and dissipation."""
-    lost = first_stage(tree, laws, scratch, extra, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    lost = first_stage(tree, laws, scratch, None, extra.lost, extra, lane, lanes.q[lane], lanes.v[lane], torque, h)
     dissipate(lanes, lane, lost, h)
     for j in range(len(loop.drive)):
         lanes.work[lane] -= torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
@@ -37,7 +37,9 @@ def _finish(
     h: float,
 ) -> float:
     """Second stage of a step of one lane."""
-    bend = second_stage(tree, laws, scratch, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    bend = second_stage(
+        tree, laws, scratch, None, extra.lost, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h
+    )
     for j in range(len(loop.drive)):
         lanes.work[lane] += torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
     return bend

@@ -20,6 +20,16 @@ from rx90b_flex.compiled.linear import add_dense, factor, factor_general, solve,
 from rx90b_flex.compiled.scratch import Scratch
 from rx90b_flex.compiled.tree import Tree, inverse_dynamics, mass_matrix
 from rx90b_flex.compiled.vectors import larger_size
+from rx90b_flex.compiled.wide import (
+    Wide,
+    first_forces,
+    first_system,
+    links_torques,
+    second_forces,
+    second_system,
+    solve_leaning,
+    view,
+)
 
 # L-stable, and the smaller of the two error constants that (1 - 1/sqrt 2, 1 + 1/sqrt 2) give
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
@@ -49,18 +59,35 @@ def _add_extra_to_system(extra: Extra, lane: int, gh: float, system: Array) -> N
 
 @inlined
 def first_stage(
-    tree: Tree, laws: Laws, s: Scratch, extra: Extra | None, lane: int, q: Array, v: Array, torque: Array, h: float
+    tree: Tree,
+    laws: Laws,
+    s: Scratch,
+    wide: Wide | None,
+    room: Array,
+    extra: Extra | None,
+    lane: int,
+    q: Array,
+    v: Array,
+    torque: Array,
+    h: float,
 ) -> Any:
     """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch. Returns the power dissipated at y, W.
 
-    `extra.force` is the effects' force less `extra.inertia` times the acceleration that it was taken at.
+    `room` is the working memory of the wide laws. `extra.force` is the effects' force less `extra.inertia` times the acceleration
+    that it was taken at.
     """
     n, gh = len(q), GAMMA * h
     for i in range(n):
         s.a[i] = 0.0
-    inverse_dynamics(tree, s, q, v, s.a, s.generalised)
+    if wide is not None:
+        w = view(wide, room, n)
+        links_torques(tree, s, wide, room, w, laws.wanted[0], q, v, s.a)
+    else:
+        inverse_dynamics(tree, s, q, v, s.a, s.generalised)
     lost = law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
     mass_matrix(tree, s, s.system)
+    if wide is not None:
+        lost += first_forces(s, wide, room, w, laws.wanted[0], q, v)
     add_laws_to_system(laws, s, gh, gh * gh, s.system)
     for i in range(n):
         s.right[i] = h * (torque[i] - s.generalised[i])
@@ -73,12 +100,16 @@ def first_stage(
         add_dense(extra.stiffness, lane, -gh * h, v, s.right)
         _add_extra_to_system(extra, lane, gh, s.system)
         factor_general(s.system)
+    elif wide is not None:
+        first_system(s, w, gh, h, v)
     else:
         factor(s.system)
     for i in range(n):
         s.k_v[i] = s.right[i]
     if extra is not None:
         solve_general(s.system, s.k_v)
+    elif wide is not None:
+        solve_leaning(s, w, s.k_v, w.whole.shape[1])
     else:
         solve(s.system, s.k_v)
     for i in range(n):
@@ -114,6 +145,8 @@ def second_stage(
     tree: Tree,
     laws: Laws,
     s: Scratch,
+    wide: Wide | None,
+    room: Array,
     extra: Extra | None,
     late_force: Array | None,
     lane: int,
@@ -130,9 +163,15 @@ def second_stage(
     then of second order.
     """
     n, gh = len(q), GAMMA * h
-    inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
+    if wide is not None:
+        w = view(wide, room, n)
+        links_torques(tree, s, wide, room, w, laws.wanted[0], s.q, s.v, s.a)
+    else:
+        inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
     law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
     bend = _bend(laws, s, h)
+    if wide is not None:
+        second_forces(s, wide, room, w, laws.wanted[0], h)
     # right = h (u - f) - M k_1 - g h K r, with M k_1 from the first stage's equation and r = h v - 2 k_q
     for i in range(n):
         s.right[i] = h * (torque[i] - s.generalised[i]) - s.right[i]
@@ -147,6 +186,8 @@ def second_stage(
         add_dense(extra.stiffness, lane, gh * gh, s.k_v, s.right)
         add_dense(extra.stiffness, lane, -gh, s.q, s.right)
         solve_general(s.system, s.right)
+    elif wide is not None:
+        second_system(s, w, gh)
     else:
         solve(s.system, s.right)
     for i in range(n):

@@ -99,7 +99,7 @@ def motion_errors(result: ClosedLoop | RefusedLoop) -> MotionErrors | str | None
 
 def _is_slow(robot: Robot) -> bool:
     """Whether a simulation steps outside its compiled loop for some of the effects."""
-    return bool(robot.plant.others) or not all(e.in_dynamics for e in robot.effects)
+    return robot.plant.wide is None
 
 
 def _simulated(robot: Robot, controller: CS8, recording: Recording, seconds: float) -> Simulation:

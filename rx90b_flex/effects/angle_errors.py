@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rx90b_flex.effects.effect import Effect, JointEffect, JointForce, Sites, derived, linear
-from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.law import Law, Where
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.ripple import PeriodicEffect
@@ -79,12 +79,25 @@ class _AngleError(LogEffect, PeriodicEffect):
         ahead[:, place] += ratio
         return by_q, by_a * v**2, ahead
 
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """The angle's error at an angle of the drive, and its first two derivatives by it."""
+        sine, cosine, order = parameters[0], parameters[1], parameters[2]
+        s, c = np.sin(order * x), np.cos(order * x)
+        out[0] = sine * s + cosine * c
+        out[1] = order * (sine * c - cosine * s)
+        out[2] = -order * order * out[0]
+
+    def _law_at(self, motion: Motion, at: Where) -> tuple[Law, ...]:
+        values = np.concatenate([self.known_coefficients(), self.known_shape()])
+        port = motion.coordinates.port(self.joint, "drive")
+        return (Law(port, function=self.law, parameters=values, at=at),)
+
     def error(self, q: Array) -> tuple[Array, Array, Array]:
         """The angle's error at angles of the drive, and its first two derivatives by them; each of the shape of q."""
-        (order,), (sine, cosine) = self.known_shape(), self.known_coefficients()
-        s, c = np.sin(order * q), np.cos(order * q)
-        error = sine * s + cosine * c
-        return error, order * (sine * c - cosine * s), -(order**2) * error
+        error, slope, curvature = out = np.zeros((3, *q.shape))
+        self.law(q, 0.0, [*self.known_coefficients(), *self.known_shape()], out)
+        return error, slope, curvature
 
     def _place(self, motion: Motion) -> int:
         return int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
@@ -127,6 +140,9 @@ class ResolverError(_AngleError):
     def sensitivity(self, motion: Motion) -> tuple[Array, ...]:
         by_q, by_v, by_a = motion.model_sensitivity(self.joint)
         return -by_q, -by_v, -by_a, np.zeros(len(motion))
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        return self._law_at(motion, "shown")
 
     def shown(self, motion: Motion) -> tuple[Array, Array]:
         port = motion.coordinates.port(self.joint, "drive")
@@ -187,6 +203,9 @@ class _VaryingRatio(Effect):
             a=motion.a + np.outer(slope * a + curvature * v**2, port),
         )
         return moved, 1.0 + np.outer(slope, port)
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        return self.error._law_at(motion, "links")
 
     def links_at(self, motion: Motion) -> Array:
         return self._moved(motion)[0].q

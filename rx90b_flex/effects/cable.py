@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.effects.effect import SPRING, PairEffect, Sites, linear
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Motion
 
 
@@ -50,6 +51,16 @@ class CableTorque(PairEffect):
         slope = first + 2.0 * second * (motion.q @ by)
         by_q = slope[:, None, None] * np.outer(on, by)
         return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
+
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        out[0] = (parameters[0] + parameters[1] * x) * x
+        out[1] = parameters[0] + 2.0 * parameters[1] * x
+        out[2] = 0.0
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        on, by = (motion.coordinates.port(joint) for joint in self.joint_pair)
+        return (Law(on, reads=by, function=self.law, parameters=self.known_coefficients(), stores=True),)
 
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:

@@ -7,8 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, JointForce, LawEffect, RestSites, RestSizes, linear
+from rx90b_flex.effects.effect import FRICTION, INERTIA, JointForce, RestSites, RestSizes, linear
 from rx90b_flex.effects.law import Law, constant
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 

@@ -577,39 +577,6 @@ class JointForce(JointEffect):
         return by_q, by_v, by_a
 
 
-class LawEffect(JointForce):
-    """An effect on one joint whose physics is stated once, as a law: its columns, their slopes and its compiled form."""
-
-    law_stores: ClassVar[bool] = False  # whether the law is the gradient of `potential`
-
-    @staticmethod
-    @abstractmethod
-    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
-        """Torque at angle x and rate, and its slopes by them, to ``out[0]``, ``out[1]``, ``out[2]``; a `LawFunction`.
-
-        Parameters: the coefficients, which the torque is linear in, then the shape.
-        """
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        port = motion.coordinates.port(self.joint, self.port_kind)
-        values = np.concatenate([self.known_coefficients(), self.known_shape()])
-        return (Law(port, function=self.law, parameters=values, stores=self.law_stores),)
-
-    def basis(self, at: JointMotion) -> Array:
-        return np.ascontiguousarray(self._by_law(at)[0].T)
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        by_q, by_v = (np.ascontiguousarray(x.T) for x in self._by_law(at)[1:])
-        return by_q, by_v, np.zeros_like(by_q)
-
-    def _by_law(self, at: JointMotion) -> Array:
-        """Torque and its slopes by angle and rate, per unit of each coefficient, (3, k, N): the law of all units at once."""
-        units = np.eye(len(self.coefficient_names))
-        out = np.zeros((3, len(units), len(at.q)))
-        self.law(at.q, at.v, [*units[:, :, None], *self.known_shape()], out)
-        return out
-
-
 class Remembering(JointForce):
     """A force of one joint that depends on the motion before, which a simulation keeps in a memory."""
 

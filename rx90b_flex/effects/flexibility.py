@@ -15,7 +15,6 @@ from rx90b_flex.effects.effect import (
     DAMPING,
     STIFFNESS,
     Effect,
-    LawEffect,
     RestSites,
     RestSizes,
     Sites,
@@ -23,6 +22,7 @@ from rx90b_flex.effects.effect import (
     linear,
 )
 from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, Motion
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's

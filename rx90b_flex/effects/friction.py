@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, Effect, JointForce, LawEffect, choice, linear, shape
+from rx90b_flex.effects.effect import FRICTION, Effect, JointForce, choice, linear, shape
 from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
 
@@ -262,7 +263,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionDrift(SidedFriction):
+class FrictionDrift(SidedFriction, LawEffect):
     """Viscous friction that fades as the joint warms up, ``coefficient * exp(-t / time_constant) * v``.
 
     The time is the file's, from its start.
@@ -283,18 +284,18 @@ class FrictionDrift(SidedFriction):
     """
 
     repeats_with_motion: ClassVar[bool] = False
+    law_timed: ClassVar[bool] = True
 
     coefficient: float | None = linear("N m s/rad", rank=FRICTION)
     time_constant: float | None = shape("s", start=10.0, lower=0.05, upper=1.0e5)
 
-    def basis(self, at: JointMotion) -> Array:
-        (time_constant,) = self.known_shape()
-        return (np.exp(-at.time / time_constant) * at.v)[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        (time_constant,) = self.known_shape()
-        slope = np.exp(-at.time / time_constant)[:, None]
-        return np.zeros_like(slope), slope, np.zeros_like(slope)
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        coefficient, time_constant, time = parameters[0], parameters[1], parameters[2]
+        slope = coefficient * np.exp(-time / time_constant)
+        out[0] = slope * rate
+        out[1] = 0.0
+        out[2] = slope
 
     def shape_starts(self, motion: Motion) -> Array:
         low, high = self.shape_range(motion)[:, 0]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, Remembering, linear
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.effect import FRICTION, linear
+from rx90b_flex.effects.law_effect import RememberingLaw
+from rx90b_flex.effects.motion import Array, JointMotion
 from rx90b_flex.effects.reversal import DryFriction, last_direction, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeldFriction(DryFriction, Remembering):
+class HeldFriction(RememberingLaw, DryFriction):
     """What dry friction still holds at rest in the direction of the last move, ``torque * (last direction - sign(v))``.
 
     A controller that brings a joint to rest leaves the gear wound up: the motor goes on holding part of the friction that it last
@@ -38,27 +40,21 @@ class HeldFriction(DryFriction, Remembering):
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:
             return np.zeros((len(at.q), 1))
-        return self._held(at, last_direction(at))[:, None]
+        last = last_direction(at)  # nothing before the first move, of which nobody knows what came before
+        return np.where(last == 0.0, 0.0, last - self.direction(at.v))[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
         moved = last_direction(at) != 0.0 if at.follows else True
         return zero, np.where(moved, -self.direction_slope(at.v), 0.0)[:, None], zero
 
-    def memory(self, motion: Motion) -> Array:
-        return np.zeros((len(motion), 1))
-
-    def onward(self, memory: Array, motion: Motion) -> Array:
-        """Direction of the last move from one sample to the next."""
-        v = motion.joint(self.joint).v
-        return np.where(np.abs(v) > self.sharpness, np.sign(v), memory[:, 0])[:, None]
-
-    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
-        at = motion.joint(self.joint)
-        (torque,) = self.known_coefficients()
-        held = np.where(np.abs(at.v) > self.sharpness, 0.0, self._held(at, memory[:, 0]))
-        return np.outer(torque * held, at.port), np.zeros((len(at.q), len(at.port), len(at.port)))
-
-    def _held(self, at: JointMotion, last: Array) -> Array:
-        """Last direction less the present one; nothing before the first move, of which nobody knows what came before."""
-        return np.where(last == 0.0, 0.0, last - self.direction(at.v))
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """It remembers the direction of the last move; the slope at rest, which drives away from it, is left out."""
+        torque, turnover, last = parameters[0], parameters[1], parameters[5]
+        moving = 1.0 * (np.abs(rate) > turnover)
+        last = moving * np.sign(rate) + (1.0 - moving) * last
+        out[0] = torque * (1.0 - moving) * np.abs(last) * (last - np.tanh(rate / turnover))
+        out[1] = 0.0
+        out[2] = 0.0
+        out[4] = last

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from rx90b_flex.effects.motion import Array
 
 LawFunction = Callable[[float, float, Any, Any], None]
+Where = Literal["force", "links", "shown", "motor"]
+
+# What a function finds behind its own parameters where its law asks for it, and what it writes behind torque and slopes.
+TIME, LOAD, BEFORE, REMEMBERED = range(4)
+BY_LOAD, ONWARD = 3, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +38,20 @@ class Law:
         What the function reads.
     stores : bool
         Whether the function's torque is the gradient of the effect's `potential`; otherwise it dissipates.
+    reads : array, shape (n,), or None
+        Combination of the coordinates that the function depends on, where it is not the one that it acts on.
+    timed, loaded : bool
+        Whether it depends on time (s), and on the torque that the links ask of its port's last coordinate (N m). The function
+        finds them behind its own parameters: ``parameters[k + TIME]``, ``parameters[k + LOAD]`` with k parameters of its own, and
+        writes its slope by the load to ``out[BY_LOAD]``.
+    remembers : int
+        How many numbers it keeps from one step to the next, zero at first. It finds them at ``parameters[k + REMEMBERED:]``, behind x
+        of the step before (``parameters[k + BEFORE]``), and writes what they are at x to ``out[ONWARD:]``; at the same x once more it
+        must leave them.
+    at : str
+        What the function is: ``force``, a torque; ``links``, the angle by which the links are ahead of the port's coordinate, with
+        its first two derivatives by it; ``shown``, what a resolver shows beyond its drive's angle, with its slope; ``motor``, what
+        the motor at the port gives beyond the torque x that it is asked for.
     """
 
     port: Array
@@ -42,6 +61,16 @@ class Law:
     function: LawFunction | None = None
     parameters: Array = field(default_factory=lambda: np.zeros(0))
     stores: bool = False
+    reads: Array | None = None
+    timed: bool = False
+    loaded: bool = False
+    remembers: int = 0
+    at: Where = "force"
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is more than a torque by one combination of the coordinates, on which it acts."""
+        return self.reads is not None or self.timed or self.loaded or self.remembers > 0 or self.at != "force"
 
 
 def constant(x: float, rate: float, parameters: Any, out: Any) -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rx90b_flex.effects.effect import FRICTION, linear
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadFriction(DryFriction):
+class LoadFriction(LawEffect, DryFriction):
     """Gear friction, ``coefficient * |load| * sign(v)``; the load is the torque that the links ask of the joint.
 
     The load comes from the tree as it is known, so the column is linear in the coefficient alone.
@@ -39,21 +39,11 @@ class LoadFriction(DryFriction):
     coefficient: float | None = linear("-", lower=0.0, rank=FRICTION)
     turnover: float | None = turnover_shape()
 
-    def basis(self, at: JointMotion) -> Array:
-        return (np.abs(at.load) * self.direction(at.v))[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        slope = (np.abs(at.load) * self.direction_slope(at.v))[:, None]
-        zero = np.zeros_like(slope)
-        return zero, slope, zero
-
-    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
-        by_q, by_v, by_a = super().derivatives(motion)
-        at = motion.joint(self.joint)
-        place = int(np.flatnonzero(at.port)[-1])
-        factor = self.known_coefficients()[0] * self.direction(at.v) * np.sign(at.load)
-        through_load = [
-            factor[:, None, None] * at.port[None, :, None] * by[:, place, None, :]
-            for by in motion.on_tree.derivatives()
-        ]
-        return by_q + through_load[0], by_v + through_load[1], by_a + through_load[2]
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        coefficient, turnover, load = parameters[0], parameters[1], parameters[3]
+        sign, size = np.tanh(rate / turnover), coefficient * np.abs(load)
+        out[0] = size * sign
+        out[1] = 0.0
+        out[2] = size * (1.0 - sign * sign) / turnover
+        out[3] = coefficient * np.sign(load) * sign

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Motion
 
 
@@ -13,6 +14,12 @@ class LogEffect(Effect):
     """An effect that is no force of the robot: it changes what controller and log are shown, or what the motors give."""
 
     in_dynamics: ClassVar[bool] = False
+
+    def laws(self, motion: Motion) -> tuple[Law, ...] | None:
+        """`shown` and `delivered` as laws at ``shown`` and ``motor``; None: a simulation asks those two at each sample."""
+        of = type(self)
+        asked = of.shown is not LogEffect.shown or of.delivered is not LogEffect.delivered
+        return None if asked else ()
 
     def shown(self, motion: Motion) -> tuple[Array, Array] | None:
         """What controller and log are shown beyond the angles and their rates, each (N, n); None: nothing."""

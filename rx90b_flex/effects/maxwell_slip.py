@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
-from rx90b_flex.effects.effect import FRICTION, Effect, Remembering, derived, linear
+from rx90b_flex.effects.effect import FRICTION, Effect, derived, linear
+from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.presliding import deflection_range, lost_in_noise
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
@@ -21,7 +22,7 @@ BEFORE, AFTER = 0.4, 2.5  # of a smooth element's deflection, within which sever
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaxwellSlipFriction(ManyCoefficients, Remembering):
+class MaxwellSlipFriction(ManyCoefficients, RememberingLaw):
     """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
 
     An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its
@@ -121,17 +122,15 @@ class MaxwellSlipFriction(ManyCoefficients, Remembering):
         zero = np.zeros((len(at.q), self.count))
         return zero, np.repeat(reversal_slope(at.v, SHARP)[:, None], self.count, axis=1), zero
 
-    def memory(self, motion: Motion) -> Array:
-        return np.concatenate([motion.joint(self.joint).q[:, None], np.zeros((len(motion), self.count))], axis=1)
+    def law_parameters(self, motion: Motion) -> Array:
+        return np.stack([self.known_coefficients(), self.known_shape()], axis=1)
 
-    def onward(self, memory: Array, motion: Motion) -> Array:
-        q = motion.joint(self.joint).q[:, None]
-        step = (q - memory[:, :1]) / self.known_shape()
-        return np.concatenate([q, np.clip(memory[:, 1:] + step, -1.0, 1.0)], axis=1)
-
-    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
-        at = motion.joint(self.joint)
-        torques = self.known_coefficients()
-        sticking = np.abs(memory[:, 1:]) < 1.0
-        slope = (sticking * torques / self.known_shape()).sum(axis=1)
-        return np.outer(memory[:, 1:] @ torques, at.port), slope[:, None, None] * np.outer(at.port, at.port)
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """Of one element, which remembers its torque over its limit."""
+        torque, deflection, before, part = parameters[0], parameters[1], parameters[4], parameters[5]
+        part = np.minimum(np.maximum(part + (x - before) / deflection, -1.0), 1.0)
+        out[0] = torque * part
+        out[1] = torque / deflection * (np.abs(part) < 1.0)
+        out[2] = 0.0
+        out[4] = part

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import LawEffect, derived, shape
+from rx90b_flex.effects.effect import derived, shape
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import dahl
-from rx90b_flex.effects.effect import FRICTION, Effect, Remembering, Sites, derived, linear
+from rx90b_flex.effects.effect import FRICTION, Effect, Sites, derived, linear
+from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
 
@@ -18,7 +19,7 @@ LARGEST_DEFLECTION = 0.3  # of a joint's travel: what takes longer to turn over 
 
 
 @dataclass(frozen=True, kw_only=True)
-class PreslidingFriction(Remembering):
+class PreslidingFriction(RememberingLaw):
     """Dahl's friction: at reversal the torque turns over with `stiffness`, then approaches `torque`.
 
     ``dF/dq = stiffness * (1 - F / torque * sign(v))``. Where samples do not follow each other in time there is no memory, and it
@@ -95,22 +96,16 @@ class PreslidingFriction(Remembering):
         zero = np.zeros((len(at.q), 1))
         return zero, reversal_slope(at.v, SHARP)[:, None], zero
 
-    def memory(self, motion: Motion) -> Array:
-        return np.stack([motion.joint(self.joint).q, np.zeros(len(motion))], axis=1)
-
-    def onward(self, memory: Array, motion: Motion) -> Array:
-        """Angle and torque over `torque`: `dahl` from one sample to the next."""
-        (deflection,) = self.known_shape()
-        q = motion.joint(self.joint).q
-        step, before = q - memory[:, 0], memory[:, 1]
-        s = np.sign(step)
-        return np.stack([q, s - (s - before) * np.exp(-np.abs(step) / deflection)], axis=1)
-
-    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
-        at = motion.joint(self.joint)
-        (torque,), (deflection,) = self.known_coefficients(), self.known_shape()
-        slope = torque / deflection * (1.0 - memory[:, 1] * np.sign(at.v))
-        return np.outer(torque * memory[:, 1], at.port), slope[:, None, None] * np.outer(at.port, at.port)
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """It remembers its torque over `torque`: `dahl` from one step to the next."""
+        torque, deflection, before, part = parameters[0], parameters[1], parameters[4], parameters[5]
+        direction = np.sign(x - before)
+        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        out[0] = torque * part
+        out[1] = torque / deflection * (1.0 - part * np.sign(rate))
+        out[2] = 0.0
+        out[4] = part
 
     def shape_starts(self, motion: Motion) -> Array:
         low, high = self.shape_range(motion)[:, 0]

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import OTHER, JointEffect, LawEffect, derived, shape
+from rx90b_flex.effects.effect import OTHER, JointEffect, derived, shape
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 
 GROUP = 16  # orders of a spectrum over the angle that are worked out together

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from scipy import interpolate
 
 from rx90b_flex.effects.effect import JointEffect, Sites, derived, linear, shape
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion, with_forces
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
@@ -180,6 +181,15 @@ class MotorSaturation(LogEffect, JointEffect):
         out = torque.copy()
         out[:, place] = self._asked(torque[:, place])
         return out
+
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """What the motor gives beyond a torque x."""
+        out[0] = -parameters[0] * x * x * x
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, "drive")
+        return (Law(port, function=self.law, parameters=self.known_coefficients(), at="motor"),)
 
     def delivered(self, joints: Sequence[str], torque: Array) -> Array:
         (c,) = self.known_coefficients()

@@ -30,17 +30,15 @@ from rx90b_flex.compiled.controller import (
     Logs,
     Loop,
 )
-from rx90b_flex.compiled.loop import DIVISION, run
-from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
-from rx90b_flex.compiled.step import Extra
-from rx90b_flex.effects import Effect
-from rx90b_flex.effects.effect import Remembering
+from rx90b_flex.compiled.loop import run
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.plant import Plant
+from rx90b_flex.plant import Plant, wide_of
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
+from rx90b_flex.simulate.by_parts import ByParts, shown
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.decimation import Decimator
 from rx90b_flex.simulate.filters import at_rest
@@ -450,9 +448,12 @@ class _Runner:
         self.jumps = [_reference_jump(t, self.loop.speed) for t in job.trajectories]
         self.lanes = self._start()
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
-        self.late_q, self.late_v = np.zeros_like(self.lanes.q), np.zeros_like(self.lanes.q)
         rest = job.robot.motion(self.lanes.q, self.lanes.v, self.lanes.a)
-        self.memories = {e: e.memory(rest) for e in self.plant.others if isinstance(e, Remembering)}
+        laws = self._laws(rest)
+        of_robot = [law for law in laws or () if law.at in ("force", "links")]
+        of_motors = [law for law in laws or () if law.at in ("shown", "motor")]
+        self.wide, self.between = (wide_of(own, self.plant.drives, self.lanes.q) for own in (of_robot, of_motors))
+        self.parts = None if laws is not None else ByParts(job.robot, job.between, self.loop, self.lanes)
         self.shows = any(e.shown(rest) is not None for e in job.between)
         ahead = max((e.history_s for e in job.between), default=0.0)
         rows = int(np.ceil(ahead * controller.controller_rate_hz))
@@ -500,21 +501,17 @@ class _Runner:
         angle = position
         for _ in range(3 if self.job.between else 0):  # errors of angles are small: each round leaves their square
             q, v, _ = static_start(self.job.robot, angle, velocity)
-            angle = position - self._shown(q[None], v[None])[0][0]
+            angle = position - shown(self.job.robot, self.job.between, q[None], v[None])[0][0]
         q, v, torque = static_start(self.job.robot, angle, velocity)
         for effect in self.job.between:
             torque = effect.ordered(self.job.robot.joints, torque[None])[0]
         return q, v, torque
 
-    def _shown(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the resolvers show beyond the drives' angles and speeds, each (lanes, joints)."""
-        motion, drives = self.job.robot.motion(q, v, np.zeros_like(q)), drive_places(self.job.robot)
-        errors = [e.shown(motion) for e in self.job.between]
-        zero = np.zeros((len(q), len(drives)))
-        return (
-            sum((e[0][:, drives] for e in errors if e is not None), zero),
-            sum((e[1][:, drives] for e in errors if e is not None), zero),
-        )
+    def _laws(self, rest: Motion) -> list[Law] | None:
+        """All that is more than a torque by one angle as laws; None where some of it has none, and is worked out in between."""
+        laws = [self.plant.wide, *(e.laws(rest) for e in self.job.between)]
+        known = [own for own in laws if own is not None]
+        return [law for own in known for law in own] if len(known) == len(laws) else None
 
     def run(self, progress: Progress | None = None) -> list[Simulation]:
         """All chunks, then the results."""
@@ -599,86 +596,10 @@ class _Runner:
     # ---- advancing --------------------------------------------------------------------------------------
 
     def _advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        if self.plant.others or self.job.between:
-            self._advance_by_parts(inputs, logs, samples)
+        if self.parts is not None:
+            self.parts.advance(inputs, logs, samples)
         else:
-            run(self.plant.packed, self.loop, self.lanes, inputs, logs, samples)
-
-    def _advance_by_parts(self, inputs: Inputs, logs: Logs, samples: int) -> None:
-        """The loop of `run`, with the effects that have no compiled law asked for their forces in between."""
-        lanes, loop = self.lanes, self.loop
-        torque = np.zeros_like(lanes.q)
-        h = loop.period / loop.substeps
-        for k in range(samples):
-            if self.shows:
-                inputs.noise[k] += np.stack([x.T for x in self._shown(lanes.q, lanes.v)])
-            control_all(loop, lanes, inputs, logs, k, torque)
-            if lanes.status.all():
-                return
-            for effect in self.job.between:
-                torque[:, loop.drive] = effect.delivered(self.job.robot.joints, torque[:, loop.drive])
-            for part in range(loop.substeps):
-                kept, known = tuple(x.copy() for x in lanes), dict(self.memories)
-                time = (inputs.first + k) * loop.period + part * h
-                bend = self._step(torque, time, h)
-                if part == 0 and k % logs.stride == 0:
-                    running = lanes.status == RUNNING
-                    logs.dissipated[running, logs.row + k // logs.stride] = lanes.closed[running]
-                if bend > loop.tolerance:
-                    for now, before in zip(lanes, kept, strict=True):
-                        now[:] = before
-                    self.memories = known
-                    lanes.divided[:] += 1
-                    fine = h / DIVISION
-                    for i in range(DIVISION):
-                        self._step(torque, time + i * fine, fine)
-
-    def _step(self, torque: Array, time: float, h: float) -> float:
-        """One step of all lanes; returns the largest bend of the laws."""
-        plant, lanes, loop, memory = self.plant.packed, self.lanes, self.loop, self.memory
-        extra = self._extra(time)
-        begin_all(plant, memory, loop, extra, lanes, torque, h, self.late_q, self.late_v)
-        late = self._force(self.late_q, self.late_v, lanes.a, time + h)
-        return float(finish_all(plant, memory, loop, extra, late, lanes, torque, h))
-
-    def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
-        motion = self.job.robot.motion(q, v, a, np.full(len(q), time))
-        force = np.zeros_like(q)
-        for effect in self.plant.others:
-            if isinstance(effect, Remembering):
-                force += effect.remembered(effect.onward(self.memories[effect], motion), motion)[0]
-            else:
-                force += effect.force(motion)
-        return force
-
-    def _extra(self, time: float) -> Extra:
-        """Forces and slopes of the effects without a compiled law, at the lanes' states."""
-        robot, lanes = self.job.robot, self.lanes
-        times = np.full(len(lanes.q), time)
-        motion = robot.motion(lanes.q, lanes.v, lanes.a, times)
-        still = robot.motion(lanes.q, np.zeros_like(lanes.v), np.zeros_like(lanes.v), times)
-        count, n = lanes.q.shape
-        force, lost = np.zeros((count, n)), np.zeros(count)
-        slopes = [np.zeros((count, n, n)) for _ in range(3)]
-        for effect in self.plant.others:
-            if isinstance(effect, Remembering):
-                self.memories[effect] = effect.onward(self.memories[effect], motion)
-                own, slope = effect.remembered(self.memories[effect], motion)
-                force += own
-                slopes[0] += slope
-                lost += np.sum(
-                    own * motion.v, axis=1
-                )  # what the asperities store and give back again is counted as lost
-                continue
-            own = effect.force(motion)
-            force += own
-            for total, slope in zip(slopes, effect.derivatives(motion), strict=True):
-                total += slope
-            lost += _dissipated(effect, own, motion, still)
-        # the compiled step wants the part that does not depend on the acceleration
-        force -= np.einsum("lij,lj->li", slopes[2], lanes.a)
-        by_q, by_v, by_a = (np.ascontiguousarray(x) for x in slopes)
-        return Extra(lost, force, by_a, by_v, by_q)
+            run(self.plant.packed, self.wide, self.between, self.loop, self.lanes, inputs, logs, samples)
 
     # ---- results ----------------------------------------------------------------------------------------
 
@@ -759,18 +680,6 @@ def _lanes_last(signals: Sequence[Array]) -> Array:
     first = signals[0]
     shared = all(x is first or np.array_equal(x, first) for x in signals)
     return np.ascontiguousarray(np.stack(signals[:1] if shared else signals, axis=-1))
-
-
-def _dissipated(effect: Effect, force: Array, motion: Motion, still: Motion) -> Array:
-    """Power that an effect without a compiled law takes out of the motion for good, shape (lanes,), W.
-
-    What it asks for beyond its force at rest (which its `potential` holds) and beyond what goes into kinetic energy.
-    """
-    if effect.part in ("links", "drives"):
-        return np.zeros(len(motion))
-    if not effect.needs_load:
-        force = effect.force(dataclasses.replace(motion, a=np.zeros_like(motion.a)))
-    return np.asarray(np.sum((force - effect.force(still)) * motion.v, axis=1))
 
 
 def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:

@@ -254,7 +254,7 @@ def _add_laws(
 ) -> Iterable[Lost]:
     rest = np.zeros(robot.model.nv)
     laws = effect.laws(robot.motion(rest, rest, rest))
-    if laws is None:
+    if laws is None or any(law.wide for law in laws):
         yield Lost(effect.label, _why_no_law(effect))
         return
     missing: list[str] = []

@@ -1,0 +1,109 @@
+"""Effects on one joint whose physics is stated once, as a law: columns, their slopes and the compiled form come from it."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90b_flex.effects.effect import JointForce, Remembering
+from rx90b_flex.effects.law import BY_LOAD, ONWARD, Law
+from rx90b_flex.effects.motion import Array, JointMotion, Motion
+
+
+class LawEffect(JointForce):
+    """An effect on one joint that states a law. The law may read the load too (`needs_load`) and time (`law_timed`)."""
+
+    law_stores: ClassVar[bool] = False  # whether the law is the gradient of `potential`
+    law_timed: ClassVar[bool] = False
+    law_remembers: ClassVar[int] = 0
+
+    @staticmethod
+    @abstractmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """Torque at angle x and rate, and its slopes by them, to ``out[0]``, ``out[1]``, ``out[2]``; a `LawFunction`.
+
+        Parameters: the coefficients, which the torque is linear in, then the shape; behind them what a `Law` may read.
+        """
+
+    def law_shape(self, motion: Motion) -> Array:
+        """What the law reads behind the coefficients, shape (s,)."""
+        return self.known_shape()
+
+    def law_parameters(self, motion: Motion) -> Array:
+        """Parameters of each of the laws side by side, one here; shape (laws, coefficients + s)."""
+        return np.concatenate([self.known_coefficients(), self.law_shape(motion)])[None]
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, self.port_kind)
+        return tuple(
+            Law(
+                port,
+                function=self.law,
+                parameters=values,
+                stores=self.law_stores,
+                timed=self.law_timed,
+                loaded=self.needs_load,
+                remembers=self.law_remembers,
+            )
+            for values in self.law_parameters(motion)
+        )
+
+    def basis(self, at: JointMotion) -> Array:
+        return np.ascontiguousarray(self._by_law(at)[0].T)
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        by_q, by_v = (np.ascontiguousarray(x.T) for x in self._by_law(at)[1:3])
+        return by_q, by_v, np.zeros_like(by_q)
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        own = super().derivatives(motion)
+        if not self.needs_load:
+            return own
+        at = motion.joint(self.joint, self.port_kind)
+        place = int(np.flatnonzero(at.port)[-1])
+        factor = (self.known_coefficients() @ self._by_law(at)[BY_LOAD])[:, None, None] * at.port[None, :, None]
+        by_q, by_v, by_a = (
+            x + factor * by[:, place, None, :] for x, by in zip(own, motion.on_tree.derivatives(), strict=True)
+        )
+        return by_q, by_v, by_a
+
+    def _by_law(self, at: JointMotion) -> Array:
+        """Torque and its slopes by angle, rate and load, per unit of each coefficient, (4, k, N): the law of all units at once."""
+        units = np.eye(len(self.coefficient_names))
+        out = np.zeros((4, len(units), len(at.q)))
+        load = at.load if self.needs_load else 0.0
+        self.law(at.q, at.v, [*units[:, :, None], *self.law_shape(at.motion), at.time, load], out)
+        return out
+
+
+class RememberingLaw(LawEffect, Remembering):
+    """One whose law remembers; what it comes to where samples do not follow each other is its columns' to say."""
+
+    law_remembers: ClassVar[int] = 1
+
+    def memory(self, motion: Motion) -> Array:
+        rest = np.zeros((len(motion), 1 + self.law_remembers))
+        rest[:, 0] = motion.joint(self.joint, self.port_kind).q
+        return np.tile(rest, len(self.law_parameters(motion)))
+
+    def onward(self, memory: Array, motion: Motion) -> Array:
+        q = motion.joint(self.joint, self.port_kind).q
+        return np.concatenate([np.stack([q, *out[ONWARD:]], axis=1) for out in self._steps(memory, motion)], axis=1)
+
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+        port = motion.coordinates.port(self.joint, self.port_kind)
+        torque, slope = sum(self._steps(memory, motion))[:2]  # type: ignore[index]
+        return np.outer(torque, port), slope[:, None, None] * np.outer(port, port)
+
+    def _steps(self, memory: Array, motion: Motion) -> list[Array]:
+        """What each law writes at samples of a motion, (ONWARD + remembered, N), with its memory (N, m) of a step before."""
+        at, rows = motion.joint(self.joint, self.port_kind), self.law_parameters(motion)
+        written = []
+        for values, before in zip(rows, np.split(memory, len(rows), axis=1), strict=True):
+            out = np.zeros((ONWARD + self.law_remembers, len(at.q)))
+            load = at.load if self.needs_load else 0.0
+            self.law(at.q, at.v, [*values, at.time, load, *before.T], out)
+            written.append(out)
+        return written
