@@ -69,7 +69,9 @@ def test_no_type_of_the_package_is_worked_out_in_between(kind, monkeypatch):
     runs(kind, monkeypatch, by_parts=False)
 
 
-BEYOND_ONE_ANGLE = [k for k in VALUES if k not in LOADED and (robot_of(k).plant.others or not catalogue()[k].in_dynamics)]
+BEYOND_ONE_ANGLE = [
+    k for k in VALUES if k not in LOADED and (robot_of(k).plant.others or not catalogue()[k].in_dynamics)
+]
 
 
 @pytest.mark.parametrize("kind", sorted(BEYOND_ONE_ANGLE))

@@ -41,7 +41,7 @@ class Wide(NamedTuple):
     memory: Array  # (lanes, m * memory + n) of the step before: x and what is remembered, law by law; accelerations
 
 
-class View(NamedTuple):
+class WideView(NamedTuple):
     """The same as arrays, with the working memory of a step, which is of vectors."""
 
     whole: Integers  # (ROWS, m) kind, address, whether it stores, where in its parameters the time stands, coordinate whose load it
@@ -74,7 +74,7 @@ def room_size(wide: Wide, n: int) -> int:
 
 
 @inlined
-def view(wide: Wide, room: Array, n: int) -> View:
+def view(wide: Wide, room: Array, n: int) -> WideView:
     """The laws with working memory in `room` (numbers of `room_size` vectors)."""
     m, w = wide.integers[0], wide.integers[1]
     place_from = SIZES + ROWS * m
@@ -85,7 +85,7 @@ def view(wide: Wide, room: Array, n: int) -> View:
     slopes_from = push_from + m * n
     links_from = slopes_from + 5 * m
     exchange_from = links_from + 4 * n
-    return View(
+    return WideView(
         whole=wide.integers[SIZES:place_from].reshape((ROWS, m)),
         place=wide.integers[place_from:].reshape((2, m, w)),
         weight=wide.numbers[1 : 1 + 2 * m * w].reshape((2, m, w)),
@@ -134,7 +134,7 @@ def _ask(wide: Wide, room: Array, n: int, m: int, lanes: int, time: float, stage
 
 
 @inlined
-def _along(w: View, which: int, m: int, x: Array) -> Any:
+def _along(w: WideView, which: int, m: int, x: Array) -> Any:
     """The combination of x that law m acts on or reads."""
     total = w.weight[which, m, 0] * x[w.place[which, m, 0]]
     for i in range(1, w.place.shape[2]):
@@ -143,14 +143,14 @@ def _along(w: View, which: int, m: int, x: Array) -> Any:
 
 
 @inlined
-def _act(w: View, m: int, torque: Any, out: Array) -> None:
+def _act(w: WideView, m: int, torque: Any, out: Array) -> None:
     for i in range(w.place.shape[2]):
         out[w.place[ON, m, i]] += w.weight[ON, m, i] * torque
 
 
 @called
 def links_torques(
-    tree: Tree, s: Scratch, wide: Wide, room: Array, w: View, lanes: int, q: Array, v: Array, a: Array
+    tree: Tree, s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, q: Array, v: Array, a: Array
 ) -> None:
     """Generalised forces that the links need where they are behind their gears, and what of them laws read."""
     links, found = w.links, w.exchange
@@ -175,7 +175,7 @@ def links_torques(
 
 
 @inlined
-def first_forces(s: Scratch, wide: Wide, room: Array, w: View, lanes: int, q: Array, v: Array) -> Any:
+def first_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, q: Array, v: Array) -> Any:
     """Bring the links' mass matrix to the motors and add the laws' forces without their part by accelerations.
 
     Returns the power that they dissipate, W.
@@ -206,7 +206,7 @@ def first_forces(s: Scratch, wide: Wide, room: Array, w: View, lanes: int, q: Ar
 
 
 @inlined
-def first_system(s: Scratch, w: View, gh: float, h: float, v: Array) -> None:
+def first_system(s: Scratch, w: WideView, gh: float, h: float, v: Array) -> None:
     """The laws' part of the system of a step, which it factors, and of its right side."""
     n = len(s.system)
     for m in range(w.whole.shape[1]):
@@ -241,7 +241,7 @@ def first_system(s: Scratch, w: View, gh: float, h: float, v: Array) -> None:
 
 
 @called
-def solve_leaning(s: Scratch, w: View, x: Array, laws: int) -> None:
+def solve_leaning(s: Scratch, w: WideView, x: Array, laws: int) -> None:
     """Solve with the system of a step and the first of the laws that lean, in place."""
     solve(s.system, x)
     n = len(x)
@@ -256,7 +256,7 @@ def solve_leaning(s: Scratch, w: View, x: Array, laws: int) -> None:
 
 
 @inlined
-def second_forces(s: Scratch, wide: Wide, room: Array, w: View, lanes: int, h: float) -> None:
+def second_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, h: float) -> None:
     """Add the laws' forces at y + k_1."""
     found = w.exchange
     for m in range(w.whole.shape[1]):
@@ -270,7 +270,7 @@ def second_forces(s: Scratch, wide: Wide, room: Array, w: View, lanes: int, h: f
 
 
 @inlined
-def second_system(s: Scratch, w: View, gh: float) -> None:
+def second_system(s: Scratch, w: WideView, gh: float) -> None:
     """The laws' part of the right side, and its solution."""
     for m in range(w.whole.shape[1]):
         if w.whole[KIND, m] == FORCE:

@@ -10,11 +10,12 @@ import numpy as np
 
 from rx90b_flex.effects.effect import SPRING, PairEffect, Sites, linear
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.law_effect import SumOfLaws
+from rx90b_flex.effects.motion import Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class CableTorque(PairEffect):
+class CableTorque(SumOfLaws, PairEffect):
     """Torque on joint a from a hose or cable that joint b bends, ``coefficients[0] * q_b + coefficients[1] * q_b^2``.
 
     The reaction is not modelled: the cable is clamped elsewhere.
@@ -36,31 +37,18 @@ class CableTorque(PairEffect):
 
     bends: tuple[float, float] | None = linear("N m/rad^k", rank=SPRING, size=2, public="coefficients")
 
-    def factors(self, motion: Motion) -> tuple[Array, Array]:
-        on, by = self.joint_pair
-        q = motion.joint(by).q
-        return motion.coordinates.port(on), np.stack([q, q**2], axis=1)
-
-    def columns(self, motion: Motion) -> Array:
-        port, basis = self.factors(motion)
-        return port[None, :, None] * basis[:, None, :]
-
-    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+    def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
         on, by = (motion.coordinates.port(joint) for joint in self.joint_pair)
-        first, second = self.known_coefficients()
-        slope = first + 2.0 * second * (motion.q @ by)
-        by_q = slope[:, None, None] * np.outer(on, by)
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
+        powers = (np.array([1.0, 1.0]), np.array([1.0, 2.0]))
+        return tuple(Law(on, reads=by, function=self.law, parameters=p, stores=True) for p in powers)
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
-        out[0] = (parameters[0] + parameters[1] * x) * x
-        out[1] = parameters[0] + 2.0 * parameters[1] * x
+        """A torque by a power, 1 or more, of the other joint's angle."""
+        factor, power = parameters[0], parameters[1]
+        out[0] = factor * x**power
+        out[1] = factor * power * x ** (power - 1.0)
         out[2] = 0.0
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        on, by = (motion.coordinates.port(joint) for joint in self.joint_pair)
-        return (Law(on, reads=by, function=self.law, parameters=self.known_coefficients(), stores=True),)
 
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:

@@ -11,12 +11,13 @@ import numpy as np
 from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, RestSites, RestSizes, linear
 from rx90b_flex.effects.friction import CoulombFriction
 from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope, turnover_range, turnover_shape
+from rx90b_flex.effects.reversal import SHARP, turnover_range, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCoupling(PairEffect):
+class JointCoupling(SumOfLaws, PairEffect):
     """Motor b also turns with joint a, as in a wrist whose last motor sits behind the joint before.
 
     The motor's angle is q_a + q_b (joint side of b), so its rotor's inertia, its viscous and its dry friction
@@ -65,38 +66,10 @@ class JointCoupling(PairEffect):
     def known_shape(self) -> Array:
         return np.array([self._sharpness])
 
-    def _port(self, motion: Motion) -> Array:
-        a, b = self.joint_pair
-        return motion.coordinates.port(a, "drive") + motion.coordinates.port(b, "drive")
-
-    def factors(self, motion: Motion) -> tuple[Array, Array]:
-        port = self._port(motion)
-        v = motion.v @ port
-        return port, np.stack([motion.a @ port, v, reversal(v, self._sharpness)], axis=1)
-
-    def columns(self, motion: Motion) -> Array:
-        port, basis = self.factors(motion)
-        return port[None, :, None] * basis[:, None, :]
-
-    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
-        port = self._port(motion)
-        inertia, viscous, coulomb = self.known_coefficients()
-        outer = np.outer(port, port)[None]
-        slope = viscous + coulomb * reversal_slope(motion.v @ port, self._sharpness)
-        zero = np.zeros((len(motion), 1, 1)) * outer
-        return zero, slope[:, None, None] * outer, zero + inertia * outer
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        inertia, viscous, coulomb = (float(x) for x in self.known_coefficients())
-        return (
-            Law(
-                self._port(motion),
-                inertia=inertia,
-                damping=viscous,
-                function=CoulombFriction.law,
-                parameters=np.array([coulomb, self._sharpness]),
-            ),
-        )
+    def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
+        a, b = (motion.coordinates.port(joint, "drive") for joint in self.joint_pair)
+        dry = Law(a + b, function=CoulombFriction.law, parameters=np.array([1.0, self._sharpness]))
+        return Law(a + b, inertia=1.0), Law(a + b, damping=1.0), dry
 
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, Effect, JointEffect, JointForce, Sites, given, linear, shape
-from rx90b_flex.effects.law import Law
+from rx90b_flex.effects.effect import SPRING, Effect, JointEffect, Sites, given, linear, shape
+from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
 FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
@@ -21,7 +20,7 @@ LARGEST_RATIO = 0.9999  # of such a spring: at 1 its ends may meet
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravitySpring(JointForce):
+class GravitySpring(LawEffect):
     """A spring between two neighbouring links, equations 3.9 and 3.61.
 
     It pulls its ends together with ``stiffness * (l - l_0) + prestress``, so its torque about the joint is
@@ -50,38 +49,30 @@ class GravitySpring(JointForce):
 
     behind_gear: ClassVar[bool] = True
     part: ClassVar[str] = "spring"
+    law_stores: ClassVar[bool] = True
 
     stiffness: float | None = linear("N/m", lower=0.0, rank=SPRING)
     prestress: float | None = linear("N", rank=SPRING)
     anchors: tuple[float, ...] | None = given("m", size=6)
 
-    def basis(self, at: JointMotion) -> Array:
-        elongation, slope, _ = self._elongation(at)
-        return np.stack([elongation * slope, slope], axis=1)
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        elongation, slope, curvature = self._elongation(at)
-        by_angle = np.stack([elongation * curvature + slope**2, curvature], axis=1)
-        zero = np.zeros_like(by_angle)
-        return by_angle, zero, zero
-
     def potential(self, motion: Motion) -> Array:
         stiffness, prestress = self.known_coefficients()
-        elongation, _, _ = self._elongation(motion.joint(self.joint, self.port_kind))
-        return (0.5 * stiffness * elongation + prestress) * elongation
+        length, rest = self._lengths(motion)
+        return (0.5 * stiffness * (length - rest) + prestress) * (length - rest)
 
-    def _elongation(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        """Elongation and its first two derivatives by the joint angle, each (N,)."""
-        constant, cosine, sine, squares = self._geometry(at.motion)
-        product = constant + cosine * np.cos(at.q) + sine * np.sin(at.q)
-        by_angle = sine * np.cos(at.q) - cosine * np.sin(at.q)
-        rest = np.sqrt(squares - 2.0 * (constant + cosine))
-        length = np.sqrt(squares - 2.0 * product)
+    def law_shape(self, motion: Motion) -> Array:
+        self._lengths(motion)  # which must have a direction
+        return self._geometry(motion)
+
+    def _lengths(self, motion: Motion) -> tuple[Array, float]:
+        """Distance of the anchors along a motion, (N,), and at zero joint angle, m."""
+        constant, cosine, sine, squares = self._geometry(motion)
+        q = motion.joint(self.joint).q
+        length = np.sqrt(squares - 2.0 * (constant + cosine * np.cos(q) + sine * np.sin(q)))
+        rest = float(np.sqrt(squares - 2.0 * (constant + cosine)))
         if rest == 0.0 or not length.all():
             raise ValueError(f"{self.label}: the anchors meet, where the spring's force has no direction")
-        slope = -by_angle / length
-        curvature = (product - constant - slope**2) / length
-        return length - rest, slope, curvature
+        return length, rest
 
     def _geometry(self, motion: Motion) -> Array:
         """Parts of ``fixed . R(theta) moving`` (constant, by cosine, by sine), and the anchors' squared distances from
@@ -96,21 +87,17 @@ class GravitySpring(JointForce):
         return np.array([fixed @ along, *turned, fixed @ fixed + moving @ moving])
 
     @staticmethod
-    def law(x: float, rate: float, parameters: Any, out: Any) -> None:
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        stiffness, prestress = parameters[0], parameters[1]
         constant, cosine, sine, squares = parameters[2], parameters[3], parameters[4], parameters[5]
-        turned = cosine * math.cos(x) + sine * math.sin(x)
-        length = math.sqrt(squares - 2.0 * (constant + turned))
-        slope = (cosine * math.sin(x) - sine * math.cos(x)) / length
+        turned = cosine * np.cos(x) + sine * np.sin(x)
+        length = np.sqrt(squares - 2.0 * (constant + turned))
+        slope = (cosine * np.sin(x) - sine * np.cos(x)) / length
         curvature = (turned - slope * slope) / length
-        force = parameters[0] * (length - math.sqrt(squares - 2.0 * (constant + cosine))) + parameters[1]
+        force = stiffness * (length - np.sqrt(squares - 2.0 * (constant + cosine))) + prestress
         out[0] = force * slope
-        out[1] = force * curvature + parameters[0] * slope * slope
+        out[1] = force * curvature + stiffness * slope * slope
         out[2] = 0.0
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        values = np.concatenate([self.known_coefficients(), self._geometry(motion)])
-        port = motion.coordinates.port(self.joint, self.port_kind)
-        return (Law(port, function=self.law, parameters=values, stores=True),)
 
     def line_spring(self) -> tuple[Array, Array, float, float]:
         if self.anchors is None:

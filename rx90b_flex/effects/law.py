@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -66,6 +66,21 @@ class Law:
     loaded: bool = False
     remembers: int = 0
     at: Where = "force"
+
+    @property
+    def combination(self) -> Array:
+        """What its function depends on, shape (n,)."""
+        return self.port if self.reads is None else self.reads
+
+    def times(self, value: float) -> Law:
+        """So many times the law, whose function is in proportion to its first parameter."""
+        return replace(
+            self,
+            inertia=value * self.inertia,
+            damping=value * self.damping,
+            stiffness=value * self.stiffness,
+            parameters=np.concatenate([value * self.parameters[:1], self.parameters[1:]]),
+        )
 
     @property
     def wide(self) -> bool:

@@ -1,15 +1,68 @@
-"""Effects on one joint whose physics is stated once, as a law: columns, their slopes and the compiled form come from it."""
+"""Effects whose physics is stated once, as a law or one a coefficient: columns, their slopes and the compiled form come from it."""
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import JointForce, Remembering
+from rx90b_flex.effects.effect import Effect, JointForce, Remembering
 from rx90b_flex.effects.law import BY_LOAD, ONWARD, Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+
+
+class SumOfLaws(Effect):
+    """An effect on one combination of the coordinates that states a law for each coefficient: inertia, damping, spring, any other."""
+
+    @abstractmethod
+    def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
+        """The law of one unit of each coefficient, all on one port; a function is in proportion to its first parameter."""
+
+    def laws(self, motion: Motion) -> tuple[Law, ...]:
+        values = zip(self.known_coefficients(), self.unit_laws(motion), strict=True)
+        scaled = [law.times(float(value)) for value, law in values]
+        total = {name: sum(getattr(law, name) for law in scaled) for name in ("inertia", "damping", "stiffness")}
+        others = [law for law in scaled if law.function is not None]
+        first = others[0] if others else scaled[0]
+        return (dataclasses.replace(first, **total), *others[1:])  # one law holds a linear part and a function
+
+    def factors(self, motion: Motion) -> tuple[Array, Array]:
+        units = self.unit_laws(motion)
+        return units[0].port, np.stack([_written(law, motion)[0] for law in units], axis=1)
+
+    def columns(self, motion: Motion) -> Array:
+        port, basis = self.factors(motion)
+        return port[None, :, None] * basis[:, None, :]
+
+    def basis(self, at: JointMotion) -> Array:
+        """Of one on a joint."""
+        return self.factors(at.motion)[1]
+
+    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
+        units = self.unit_laws(motion)
+        values, outer = self.known_coefficients(), np.outer(units[0].port, units[0].combination)
+        _, *slopes = np.tensordot(values, [_written(law, motion) for law in units], axes=1)
+        by_q, by_v, by_a = (slope[:, None, None] * outer for slope in slopes)
+        return by_q, by_v, by_a
+
+
+def _written(law: Law, motion: Motion) -> Array:
+    """Torque of a law and its slopes by what it reads, its rate and second rate, at samples of a motion; (4, N)."""
+    out = np.zeros((4, len(motion)))
+    at = np.flatnonzero(law.combination)
+    if len(at) == 1 and law.combination[at[0]] == 1.0:
+        x, rate, second = motion.q[:, at[0]], motion.v[:, at[0]], motion.a[:, at[0]]
+    else:
+        x, rate, second = (of @ law.combination for of in (motion.q, motion.v, motion.a))
+    if law.function is not None:
+        law.function(x, rate, law.parameters, out)
+    for value, of, slope in ((law.stiffness, x, out[1]), (law.damping, rate, out[2]), (law.inertia, second, out[3])):
+        if value:
+            out[0] += value * of
+            slope += value
+    return out
 
 
 class LawEffect(JointForce):

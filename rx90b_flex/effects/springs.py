@@ -9,13 +9,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, JointForce, RestSites, RestSizes, derived, linear
+from rx90b_flex.effects.effect import SPRING, JointEffect, RestSites, RestSizes, derived, linear
 from rx90b_flex.effects.law import Law, constant
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.law_effect import SumOfLaws
+from rx90b_flex.effects.motion import Array, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpring(JointForce):
+class JointSpring(SumOfLaws, JointEffect):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
@@ -73,22 +74,14 @@ class JointSpring(JointForce):
             rest_angle=None if np.isnan(rest) else rest,
         )
 
-    def basis(self, at: JointMotion) -> Array:
-        return np.stack([at.q, -np.ones_like(at.q)], axis=1)
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        zero = np.zeros((len(at.q), 2))
-        return zero + [1.0, 0.0], zero, zero
+    def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
+        port = motion.coordinates.port(self.joint, self.port_kind)
+        return Law(port, stiffness=1.0), Law(port, function=constant, parameters=np.array([-1.0]), stores=True)
 
     def potential(self, motion: Motion) -> Array:
         stiffness, preload = self.known_coefficients()
         q = motion.joint(self.joint).q
         return (0.5 * stiffness * q - preload) * q
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        stiffness, preload = self.known_coefficients()
-        port = motion.coordinates.port(self.joint, self.port_kind)
-        return (Law(port, stiffness=float(stiffness), function=constant, parameters=np.array([-preload]), stores=True),)
 
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:
