@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects.motion import Array
 
-LawFunction = Callable[[float, float, Any, Any], None]
+LawFunction = Callable[[Any, Any, Any, Any], None]
 Where = Literal["force", "links", "shown", "motor"]
 
 # What a function finds behind its own parameters where its law asks for it, and what it writes behind torque and slopes.

@@ -30,7 +30,10 @@ class SumOfLaws(Effect):
 
     def factors(self, motion: Motion) -> tuple[Array, Array]:
         units = self.unit_laws(motion)
-        return units[0].port, np.stack([_written(law, motion)[0] for law in units], axis=1)
+        basis = np.empty((len(motion), len(units)))
+        for column, law in zip(basis.T, units, strict=True):
+            column[:] = _written(law, motion)[0]
+        return units[0].port, basis
 
     def columns(self, motion: Motion) -> Array:
         port, basis = self.factors(motion)
@@ -42,27 +45,34 @@ class SumOfLaws(Effect):
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         units = self.unit_laws(motion)
-        values, outer = self.known_coefficients(), np.outer(units[0].port, units[0].combination)
-        _, *slopes = np.tensordot(values, [_written(law, motion) for law in units], axes=1)
-        by_q, by_v, by_a = (slope[:, None, None] * outer for slope in slopes)
+        outer = np.outer(units[0].port, units[0].combination)
+        each = zip(self.known_coefficients(), units, strict=True)
+        total = sum(
+            value * np.array(np.broadcast_arrays(np.zeros(len(motion)), *_written(law, motion))) for value, law in each
+        )
+        by_q, by_v, by_a = (slope[:, None, None] * outer for slope in total[2:])
         return by_q, by_v, by_a
 
 
-def _written(law: Law, motion: Motion) -> Array:
-    """Torque of a law and its slopes by what it reads, its rate and second rate, at samples of a motion; (4, N)."""
-    out = np.zeros((4, len(motion)))
-    at = np.flatnonzero(law.combination)
-    if len(at) == 1 and law.combination[at[0]] == 1.0:
-        x, rate, second = motion.q[:, at[0]], motion.v[:, at[0]], motion.a[:, at[0]]
-    else:
-        x, rate, second = (of @ law.combination for of in (motion.q, motion.v, motion.a))
+def _written(law: Law, motion: Motion) -> list[Array]:
+    """Torque of a law and its slopes by what it reads, its rate and second rate, at samples of a motion; each (N,), or a number."""
+    own: list[Any] = [0.0, 0.0, 0.0, 0.0]
     if law.function is not None:
-        law.function(x, rate, law.parameters, out)
-    for value, of, slope in ((law.stiffness, x, out[1]), (law.damping, rate, out[2]), (law.inertia, second, out[3])):
+        out = np.empty((3, len(motion)))
+        law.function(_read(law, motion.q), _read(law, motion.v), law.parameters, out)
+        own[:3] = out
+    linear = ((law.stiffness, motion.q), (law.damping, motion.v), (law.inertia, motion.a))
+    for slope, (value, of) in enumerate(linear, start=1):
         if value:
-            out[0] += value * of
-            slope += value
-    return out
+            own[0], own[slope] = own[0] + value * _read(law, of), own[slope] + value
+    return own
+
+
+def _read(law: Law, of: Array) -> Array:
+    """What a law reads of coordinates or their rates (N, n), shape (N,)."""
+    at = np.flatnonzero(law.combination)
+    alone = len(at) == 1 and law.combination[at[0]] == 1.0
+    return of[:, at[0]] if alone else np.asarray(of @ law.combination)
 
 
 class LawEffect(JointForce):
