@@ -1,7 +1,8 @@
-"""Cost of each effect type in a simulation: python benchmarks/effects.py [--robot NAME] [--seconds S] [TYPE ...]
+"""Cost of each effect type in a simulation: python benchmarks/effects.py [--robot NAME] [--seconds S] [--in-between] [TYPE ...]
 
 Processor time of a run of a six-joint robot under its controller with one effect of each type at joint 2, over that of the run with
-`coulomb_friction` in its place; all six axes move on sines.
+`coulomb_friction` in its place; all six axes move on sines. With `--in-between` all that is not a torque by one angle is worked out in
+Python between the parts of each step, as for an effect without a law.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 import rx90b_flex as rf
 from rx90b_flex.effects import Effect, catalogue
 from rx90b_flex.robot import Robot
-from rx90b_flex.simulate import Trajectory, load_cs8, simulate
+from rx90b_flex.simulate import Trajectory, closed_loop, load_cs8, simulate
 
 BESIDE = "coulomb_friction"
 # of a size that leaves the motion much as it is
@@ -114,11 +115,14 @@ def main() -> None:
     parser.add_argument("--robot", default="rx90b")
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--times", type=int, default=3)
+    parser.add_argument("--in-between", action="store_true")
     stated = parser.parse_args()
     robot = rf.load_robot(stated.robot)
     trajectory = sines(robot, stated.seconds)
     beside = processor_s(with_effect(robot, BESIDE), trajectory, stated.times)
     print(f"{stated.robot}, {stated.seconds:g} s with {BESIDE}: {beside:.2f} s of processor")
+    if stated.in_between:
+        closed_loop._Runner._laws = lambda self, rest: None  # type: ignore[method-assign]
     for kind in stated.types or sorted(VALUES):
         taken = processor_s(with_effect(robot, kind), trajectory, stated.times)
         print(f"{kind:24s} {taken:7.2f} s, {taken / beside:6.2f} times", flush=True)

@@ -17,7 +17,7 @@ from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
 from rx90b_flex.compiled.wide import FORCE, LINKS, MOTOR, ROWS, SHOWN, Wide, pack_wide
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.law import REMEMBERED, Law
+from rx90b_flex.effects.law import BY_LOAD, LOAD, ONWARD, REMEMBERED, Law
 from rx90b_flex.effects.motion import Array, Motion
 
 KINDS = {"force": FORCE, "links": LINKS, "shown": SHOWN, "motor": MOTOR}
@@ -85,6 +85,21 @@ def _samples(motion: Motion) -> tuple[Array, ...]:
     return tuple(np.require(x, dtype=float, requirements=["C", "W"]) for x in (motion.q, motion.v, motion.a))
 
 
+def _address(law: Law) -> int:
+    """Of a law's compiled function; 0: it has none. Refuses one that goes beyond its arrays, of which compiled code says nothing."""
+    if law.function is None:
+        return 0
+    read = REMEMBERED + law.remembers if law.remembers else LOAD + 1 if law.loaded else int(law.timed)
+    written = ONWARD + law.remembers if law.remembers else BY_LOAD + law.loaded
+    try:
+        with np.errstate(all="ignore"):
+            law.function(np.float64(0.1), np.float64(0.1), np.append(law.parameters, np.ones(read)), np.zeros(written))
+    except IndexError as error:
+        why = "reads or writes more than its law states (timed, loaded, remembers)"
+        raise ValueError(f"{law.function.__qualname__} {why}: {error}") from None
+    return int(compiled_law(law.function).address)
+
+
 def laws_of(laws: Sequence[Law], n: int) -> Laws:
     """The arrays of scalar laws on n coordinates."""
     ports = [np.flatnonzero(law.port) for law in laws]
@@ -100,7 +115,7 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
     inertia, damping, stiffness = (
         np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness")
     )
-    address = [0 if law.function is None else int(compiled_law(law.function).address) for law in laws]
+    address = [_address(law) for law in laws]
     stores = [law.stores for law in laws]
     return Laws(
         place,
@@ -132,11 +147,10 @@ def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide | None:
             at = np.flatnonzero(combination)
             place[which, m, : len(at)], weight[which, m, : len(at)] = at, combination[at]
         acts = int(np.flatnonzero(law.port)[-1])
-        address = int(compiled_law(law.function).address) if law.function else 0
         drive = int(np.searchsorted(drives, acts)) if law.at in ("shown", "motor") else -1
         loaded = acts if law.loaded else -1
         leans = law.loaded or not np.array_equal(*both)
-        whole[:, m] = KINDS[law.at], address, law.stores, len(law.parameters), loaded, law.remembers, drive, leans
+        whole[:, m] = KINDS[law.at], _address(law), law.stores, len(law.parameters), loaded, law.remembers, drive, leans
         parameters[m, : len(law.parameters)] = law.parameters
         memory[:, m, 0] = q @ both[1]
     return pack_wide(whole, place, weight, parameters, memory, q.shape[1])
@@ -205,7 +219,7 @@ def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives
             in_tree.append(effect)
         else:
             others.append(effect)
-            wide = None if own is None or wide is None else [*wide, *own]
+            wide = None if own is None or wide is None or not all(law.wide for law in own) else [*wide, *own]
     # what is in the tree is no link, whose torque alone is the load
     alike = wide is not None and not (in_tree and any(law.loaded for law in wide))
     return Plant(

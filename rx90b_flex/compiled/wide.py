@@ -188,8 +188,7 @@ def first_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, q
         if w.whole[KIND, m] != FORCE:
             continue
         p, moved = w.whole[LOADED, m], 0.0 * q[0]
-        rate = _along(w, BY, m, v)
-        found[X], found[RATE] = _along(w, BY, m, q), rate
+        found[X], found[RATE] = _along(w, BY, m, q), _along(w, BY, m, v)
         if p >= 0:
             for i in range(n):
                 w.row[m, i] = s.system[p, i] if i >= p else s.system[i, p]
@@ -201,7 +200,7 @@ def first_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, q
             w.slopes[i, m] = found[ASKED + i]
         _act(w, m, torque - w.slopes[BY_LOAD, m] * moved, s.generalised)
         if not w.whole[STORES, m]:
-            lost += torque * rate
+            lost += torque * _along(w, ON, m, v)
     return lost
 
 

@@ -99,7 +99,9 @@ def motion_errors(result: ClosedLoop | RefusedLoop) -> MotionErrors | str | None
 
 def _is_slow(robot: Robot) -> bool:
     """Whether a simulation steps outside its compiled loop for some of the effects."""
-    return robot.plant.wide is None
+    rest = np.zeros(robot.model.nv)
+    motion = robot.motion(rest, rest, rest)
+    return robot.plant.wide is None or any(e.laws(motion) is None for e in robot.effects if not e.in_dynamics)
 
 
 def _simulated(robot: Robot, controller: CS8, recording: Recording, seconds: float) -> Simulation:

@@ -577,24 +577,6 @@ class JointForce(JointEffect):
         return by_q, by_v, by_a
 
 
-class Remembering(JointForce):
-    """A force of one joint that depends on the motion before, which a simulation keeps in a memory."""
-
-    remembers: ClassVar[bool] = True
-
-    @abstractmethod
-    def memory(self, motion: Motion) -> Array:
-        """What an effect that remembers knows at rest before a motion, shape (N, m)."""
-
-    @abstractmethod
-    def onward(self, memory: Array, motion: Motion) -> Array:
-        """What it knows a step later, at the samples of a motion, shape (N, m)."""
-
-    @abstractmethod
-    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
-        """Force (N, n) of an effect that remembers, and its derivative by q (N, n, n)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class PairEffect(Effect):
     """An effect on two joints [a, b]."""

@@ -67,6 +67,16 @@ class Law:
     remembers: int = 0
     at: Where = "force"
 
+    def __post_init__(self) -> None:
+        if self.wide and (self.function is None or self.inertia or self.damping or self.stiffness):
+            raise ValueError(
+                "a law that is more than a torque by one angle has a function and no linear part: state two laws"
+            )
+        if self.at != "force" and (self.timed or self.loaded or self.remembers or np.count_nonzero(self.port) != 1):
+            raise ValueError(
+                f"a law at {self.at!r} depends on one coordinate alone: not on time, load or what it remembers"
+            )
+
     @property
     def combination(self) -> Array:
         """What its function depends on, shape (n,)."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import Effect, JointForce, Remembering
+from rx90b_flex.effects.effect import Effect, JointForce
 from rx90b_flex.effects.law import BY_LOAD, ONWARD, Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 
@@ -18,15 +18,21 @@ class SumOfLaws(Effect):
 
     @abstractmethod
     def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
-        """The law of one unit of each coefficient, all on one port; a function is in proportion to its first parameter."""
+        """The law of one unit of each coefficient, all on one port; a function is in proportion to its first parameter.
+
+        Functions may read another joint's angle and time, not the load or what they remember.
+        """
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         values = zip(self.known_coefficients(), self.unit_laws(motion), strict=True)
         scaled = [law.times(float(value)) for value, law in values]
         total = {name: sum(getattr(law, name) for law in scaled) for name in ("inertia", "damping", "stiffness")}
-        others = [law for law in scaled if law.function is not None]
-        first = others[0] if others else scaled[0]
-        return (dataclasses.replace(first, **total), *others[1:])  # one law holds a linear part and a function
+        found = [law for law in scaled if law.function is not None]
+        if found and not found[0].wide:  # one law holds a linear part and a function
+            found[0] = dataclasses.replace(found[0], **total)
+        elif not found or any(total.values()):
+            found.append(Law(scaled[0].port, **total))
+        return tuple(found)
 
     def factors(self, motion: Motion) -> tuple[Array, Array]:
         units = self.unit_laws(motion)
@@ -59,7 +65,7 @@ def _written(law: Law, motion: Motion) -> list[Array]:
     own: list[Any] = [0.0, 0.0, 0.0, 0.0]
     if law.function is not None:
         out = np.empty((3, len(motion)))
-        law.function(_read(law, motion.q), _read(law, motion.v), law.parameters, out)
+        law.function(_read(law, motion.q), _read(law, motion.v), [*law.parameters, motion.time], out)
         own[:3] = out
     linear = ((law.stiffness, motion.q), (law.damping, motion.v), (law.inertia, motion.a))
     for slope, (value, of) in enumerate(linear, start=1):
@@ -141,24 +147,29 @@ class LawEffect(JointForce):
         return out
 
 
-class RememberingLaw(LawEffect, Remembering):
+class RememberingLaw(LawEffect):
     """One whose law remembers; what it comes to where samples do not follow each other is its columns' to say."""
 
+    remembers: ClassVar[bool] = True
     law_remembers: ClassVar[int] = 1
 
     def memory(self, motion: Motion) -> Array:
+        """What it knows at rest before a motion, shape (N, m)."""
         rest = np.zeros((len(motion), 1 + self.law_remembers))
         rest[:, 0] = motion.joint(self.joint, self.port_kind).q
         return np.tile(rest, len(self.law_parameters(motion)))
 
     def onward(self, memory: Array, motion: Motion) -> Array:
+        """What it knows a step later, at the samples of a motion, shape (N, m)."""
         q = motion.joint(self.joint, self.port_kind).q
         return np.concatenate([np.stack([q, *out[ONWARD:]], axis=1) for out in self._steps(memory, motion)], axis=1)
 
-    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array]:
+    def remembered(self, memory: Array, motion: Motion) -> tuple[Array, Array, Array]:
+        """Force (N, n), and its derivatives by q and v (N, n, n)."""
         port = motion.coordinates.port(self.joint, self.port_kind)
-        torque, slope = sum(self._steps(memory, motion))[:2]  # type: ignore[index]
-        return np.outer(torque, port), slope[:, None, None] * np.outer(port, port)
+        torque, by_x, by_rate = sum(self._steps(memory, motion))[:3]  # type: ignore[index]
+        by_q, by_v = (slope[:, None, None] * np.outer(port, port) for slope in (by_x, by_rate))
+        return np.outer(torque, port), by_q, by_v
 
     def _steps(self, memory: Array, motion: Motion) -> list[Array]:
         """What each law writes at samples of a motion, (ONWARD + remembered, N), with its memory (N, m) of a step before."""

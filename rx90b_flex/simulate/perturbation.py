@@ -188,7 +188,8 @@ class _Along:
         state = [x[rows] for x in (self.position, self.velocity, self.acceleration)]
         if self.pose is not None:
             state = [np.tile(self.pose, (len(rows), 1)), *(np.zeros_like(x) for x in state[1:])]
-        motion = self.robot.motion(*(self._whole(x) for x in state))
+        q, v, a = (self._whole(x) for x in state)
+        motion = self.robot.motion(q, v, a, rows / self.rate_hz)
         totals = [own + fixed for own, fixed in zip(motion.on_tree.derivatives(), self.constant, strict=True)]
         for effect in (*self.robot.plant.others, *self.robot.plant.in_tree):
             for total, own in zip(totals, effect.derivatives(motion), strict=True):
