@@ -1,8 +1,8 @@
 """Cost of each effect type in a simulation: python benchmarks/effects.py [--robot NAME] [--seconds S] [--in-between] [TYPE ...]
 
 Processor time of a run of a six-joint robot under its controller with one effect of each type at joint 2, over that of the run with
-`coulomb_friction` in its place; all six axes move on sines. With `--in-between` all that is not a torque by one angle is worked out in
-Python between the parts of each step, as for an effect without a law.
+`coulomb_friction` in its place; all six axes move on sines. With `--in-between` all that is not a torque by one angle is worked out
+in Python between the parts of each step, as for an effect without a law.
 """
 
 from __future__ import annotations

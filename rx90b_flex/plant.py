@@ -147,7 +147,7 @@ def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide | None:
             at = np.flatnonzero(combination)
             place[which, m, : len(at)], weight[which, m, : len(at)] = at, combination[at]
         acts = int(np.flatnonzero(law.port)[-1])
-        drive = int(np.searchsorted(drives, acts)) if law.at in ("shown", "motor") else -1
+        drive = int(np.flatnonzero(drives == acts)[0]) if law.at in ("shown", "motor") else -1
         loaded = acts if law.loaded else -1
         leans = law.loaded or not np.array_equal(*both)
         whole[:, m] = KINDS[law.at], _address(law), law.stores, len(law.parameters), loaded, law.remembers, drive, leans

@@ -147,7 +147,7 @@ GOOD = printed("new_effect", "python")
     [
         (BROKEN, "RuntimeError: built for another version"),
         ("CubicFriction = 3\n", "3 is no subclass of rx90b_flex.effects.effect.Effect"),
-        (GOOD.replace("def column_slope", "def another_slope"), "CubicFriction lacks column_slope"),
+        (GOOD.replace("def law", "def another_law"), "CubicFriction lacks law"),
         (GOOD.replace("class Cubic", "class Coulomb") + "\nCubicFriction = CoulombFriction\n", "'coulomb_friction' already"),
     ],
 )  # fmt: skip
@@ -172,7 +172,7 @@ def test_a_broken_package_of_effects_is_named_and_left_out(source, why, tmp_path
 
 
 def test_an_error_in_a_package_of_effects_names_the_package(tmp_path):
-    source = GOOD.replace("return np.asarray(v**3)", "return v.no_such_thing")
+    source = GOOD.replace("out[0] = ", "out[0] = rate.no_such_thing * ")
     packages = install(tmp_path, "broken_friction", source, POINT)
     (told,) = commands(f"demo --hidden {TYPE} --out found", at=tmp_path, packages=packages)
     last = told.splitlines()[-1]

@@ -7,14 +7,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, JointForce, RestSites, RestSizes, linear
+from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, RestSites, RestSizes, linear
 from rx90b_flex.effects.law import Law, constant
-from rx90b_flex.effects.law_effect import LawEffect
-from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
+from rx90b_flex.effects.motion import Array, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveInertia(JointForce):
+class DriveInertia(SumOfLaws, JointEffect):
     """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.2, after Spong).
 
     Signature
@@ -42,16 +42,8 @@ class DriveInertia(JointForce):
 
     inertia: float | None = linear("kg m^2", lower=0.0, rank=INERTIA)
 
-    def basis(self, at: JointMotion) -> Array:
-        return at.a[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        zero = np.zeros((len(at.a), 1))
-        return zero, zero, zero + 1.0
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        port = motion.coordinates.port(self.joint, self.port_kind)
-        return (Law(port, inertia=float(self.known_coefficients()[0])),)
+    def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
+        return (Law(motion.coordinates.port(self.joint, self.port_kind), inertia=1.0),)
 
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:

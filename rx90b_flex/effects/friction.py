@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, Effect, JointForce, choice, linear, shape
+from rx90b_flex.effects.effect import FRICTION, Effect, JointEffect, choice, linear, shape
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.law_effect import LawEffect
+from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
 
@@ -22,7 +21,7 @@ FADES = 4.0  # times the smallest turn-over that a log resolves: what fades fast
 
 
 @dataclass(frozen=True, kw_only=True)
-class SidedFriction(JointForce):
+class SidedFriction(JointEffect):
     """Friction of one joint on either side of its drive's flexibility.
 
     Attributes
@@ -37,27 +36,6 @@ class SidedFriction(JointForce):
     @property
     def port_kind(self) -> str:
         return "drive" if self.side == "motor" else "joint"
-
-
-@dataclass(frozen=True, kw_only=True)
-class VelocityFriction(SidedFriction):
-    """Friction whose one column is a function of velocity."""
-
-    @abstractmethod
-    def column(self, v: Array) -> Array:
-        """Torque per unit of the coefficient, shape (N,)."""
-
-    @abstractmethod
-    def column_slope(self, v: Array) -> Array:
-        """Derivative of `column` by velocity, shape (N,)."""
-
-    def basis(self, at: JointMotion) -> Array:
-        return self.column(at.v)[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        slope = self.column_slope(at.v)[:, None]
-        zero = np.zeros_like(slope)
-        return zero, slope, zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +75,7 @@ class CoulombFriction(SidedFriction, LawEffect, DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousFriction(VelocityFriction):
+class ViscousFriction(SumOfLaws, SidedFriction):
     """Friction linear in velocity, ``coefficient * v``.
 
     Signature
@@ -117,15 +95,8 @@ class ViscousFriction(VelocityFriction):
 
     coefficient: float | None = linear("N m s/rad", lower=0.0, rank=FRICTION)
 
-    def column(self, v: Array) -> Array:
-        return v
-
-    def column_slope(self, v: Array) -> Array:
-        return np.ones_like(v)
-
-    def laws(self, motion: Motion) -> tuple[Law, ...]:
-        port = motion.coordinates.port(self.joint, self.port_kind)
-        return (Law(port, damping=float(self.known_coefficients()[0])),)
+    def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
+        return (Law(motion.coordinates.port(self.joint, self.port_kind), damping=1.0),)
 
 
 @dataclass(frozen=True, kw_only=True)
