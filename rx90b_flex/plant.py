@@ -131,16 +131,14 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
     )
 
 
-def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide | None:
-    """The arrays of laws that are more than a torque by one angle, for lanes that start at q (lanes, n); None: there are none."""
-    if not laws:
-        return None
+def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide:
+    """The arrays of laws that are more than a torque by one angle, for lanes that start at q (lanes, n)."""
     whole = np.zeros((ROWS, len(laws)), dtype=np.int64)
     combinations = [(law.port, law.port if law.reads is None else law.reads) for law in laws]
-    width = max(np.count_nonzero(c) for both in combinations for c in both)
+    width = max((np.count_nonzero(c) for both in combinations for c in both), default=1)
     place, weight = np.zeros((2, len(laws), width), dtype=np.int64), np.zeros((2, len(laws), width))
-    most = max(law.remembers for law in laws)
-    slots = max(len(law.parameters) for law in laws)
+    most = max((law.remembers for law in laws), default=0)
+    slots = max((len(law.parameters) for law in laws), default=0)
     parameters, memory = np.zeros((len(laws), slots + REMEMBERED + most)), np.zeros((len(q), len(laws), 1 + most))
     for m, (law, both) in enumerate(zip(laws, combinations, strict=True)):
         for which, combination in enumerate(both):

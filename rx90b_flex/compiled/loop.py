@@ -128,7 +128,7 @@ def _divided(
 
 @inlined
 def _control_pack(
-    between: Wide | None,
+    between: Wide,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
@@ -142,11 +142,9 @@ def _control_pack(
     for place in range(len(torque)):
         lane = first + place
         if lanes.status[lane] == RUNNING:
-            if between is not None:
-                show(between, lanes, lane, inputs.noise[k if inputs.noise.shape[0] > 1 else 0])
+            show(between, lanes, lane, inputs.noise[k if inputs.noise.shape[0] > 1 else 0])
             control(loop, lanes, inputs, logs, lane, k, torque[place])
-            if between is not None:
-                deliver(between, loop, torque[place])
+            deliver(between, loop, torque[place])
         if lanes.status[lane] == RUNNING:
             running += 1
     return running
@@ -157,7 +155,7 @@ def _run_pack(
     plant: Packed,
     size: int,
     wide: Wide | None,
-    between: Wide | None,
+    between: Wide,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
@@ -205,7 +203,7 @@ def _run_pack(
 def run(
     plant: Packed,
     wide: Wide | None,
-    between: Wide | None,
+    between: Wide,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,

@@ -452,7 +452,8 @@ class _Runner:
         laws = self._laws(rest)
         of_robot = [law for law in laws or () if law.at in ("force", "links")]
         of_motors = [law for law in laws or () if law.at in ("shown", "motor")]
-        self.wide, self.between = (wide_of(own, self.plant.drives, self.lanes.q) for own in (of_robot, of_motors))
+        self.wide = wide_of(of_robot, self.plant.drives, self.lanes.q) if of_robot else None
+        self.between = wide_of(of_motors, self.plant.drives, self.lanes.q)
         self.parts = None if laws is not None else ByParts(job.robot, job.between, self.loop, self.lanes)
         self.shows = any(e.shown(rest) is not None for e in job.between)
         ahead = max((e.history_s for e in job.between), default=0.0)
