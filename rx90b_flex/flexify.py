@@ -20,6 +20,7 @@ import io
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -562,25 +563,11 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
     links += robot.links
     for joint in robot.joints:
         joints.append(joint)
-        virtual: list[tuple[str, str, Vector]] = []
-        if joint.name in torsion:
-            kind = "prismatic" if joint.type == "prismatic" else "revolute"
-            virtual.append((_TORSION, kind, joint.axis))
-        if joint.name in bending:
-            virtual += zip((_BEND_1, _BEND_2), ("revolute", "revolute"), bending_axes(joint.axis), strict=True)
-        if not virtual:
-            continue
-        child = joint.child
-        joint.child = f"{joint.name}_drive_link"
-        links.append(Link(name=joint.child))
-        parent = joint.child
-        for kind, joint_type, axis in virtual:
-            name = f"{joint.name}_{kind}"
-            last = kind == virtual[-1][0]
-            joints.append(_virtual_joint(name, joint_type, parent, child if last else f"{name}_link", axis))
-            if not last:
-                links.append(Link(name=f"{name}_link"))
-            parent = f"{name}_link"
+        if joint.name in torsion or joint.name in bending:
+            chain = _virtual_chain(joint, joint.name in torsion, joint.name in bending)
+            joint.child = chain[0].parent
+            joints += chain
+            links += [Link(name=virtual.parent) for virtual in chain]
     robot.links, robot.joints = links, joints
     for what, names in (("link", [link.name for link in links]), ("joint", [joint.name for joint in joints])):
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -590,6 +577,21 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
                 "(is it flexible already?); rename it"
             )
     return _refresh(result)
+
+
+def _virtual_chain(joint: Any, twists: bool, bends: bool) -> list[Any]:
+    """Virtual joints of a driving joint, the last one with its child; parents of all are new links."""
+    kinds: list[tuple[str, str, Vector]] = []
+    if twists:
+        kinds.append((_TORSION, "prismatic" if joint.type == "prismatic" else "revolute", joint.axis))
+    if bends:
+        kinds += zip((_BEND_1, _BEND_2), ("revolute", "revolute"), bending_axes(joint.axis), strict=True)
+    names = [f"{joint.name}_{kind}" for kind, _, _ in kinds]
+    links = [f"{joint.name}_drive_link", *(f"{name}_link" for name in names[:-1]), joint.child]
+    return [
+        _virtual_joint(name, joint_type, parent, child, axis)
+        for name, (_, joint_type, axis), (parent, child) in zip(names, kinds, pairwise(links), strict=True)
+    ]
 
 
 def _virtual_joint(name: str, joint_type: str, parent: str, child: str, axis: Vector) -> Any:

@@ -7,11 +7,11 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from rx90b_flex.commands.shared import Out, Overwrite, progress, say, show_table
+from rx90b_flex.commands.shared import CampaignFile, Out, Overwrite, progress, say, show_table
 
 
 def check_command(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    campaign: CampaignFile,
     out: Out,
     plots: Annotated[
         bool, typer.Option("--plots", help="Each joint's torque against the declared model's, before any fit.")

@@ -12,34 +12,41 @@ from rx90b_flex.commands.shared import Overwrite, progress, say, show_table
 if TYPE_CHECKING:
     from rx90b_flex.path.check import PathCheck
 
+# options that take several lines
+PathSource = Annotated[
+    str,
+    typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
+]
+RobotOfPath = Annotated[
+    str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
+]
+Contributions = Annotated[
+    bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
+]
+MeasuredTip = Annotated[
+    Path | None,
+    typer.Option(
+        help="Measured places of the tip (CSV: x, y, z, time if known) to compare with the predicted ones, and nothing else."
+    ),
+]
+SaveExample = Annotated[
+    Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
+]
+
 
 def check_path_command(
-    path: Annotated[
-        str,
-        typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
-    ],
+    path: PathSource,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
     tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
-    robot: Annotated[
-        str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
-    ] = None,
+    robot: RobotOfPath = None,
     speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
     controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
     correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
-    contributions: Annotated[
-        bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
-    ] = True,
-    measured: Annotated[
-        Path | None,
-        typer.Option(
-            help="Measured places of the tip (CSV: x, y, z, time if known) to compare with the predicted ones, and nothing else."
-        ),
-    ] = None,
+    contributions: Contributions = True,
+    measured: MeasuredTip = None,
     iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
     jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
-    save_example: Annotated[
-        Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
-    ] = None,
+    save_example: SaveExample = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Check whether the tip keeps to a seam; correct the path.

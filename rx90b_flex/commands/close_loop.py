@@ -12,25 +12,28 @@ from rx90b_flex.commands import fleet
 from rx90b_flex.commands.check import end_refused
 from rx90b_flex.commands.shared import Basics, Despite, Out, Overwrite, progress, say, show_table, value_words
 
+# options that take several lines
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`; several campaigns are a fleet, one a robot.",
+        metavar="CAMPAIGN...",
+    ),
+]
+ModelError = Annotated[float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")]
+DaskScheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler for a fleet, such as tcp://host:8786.")
+]
+
 
 def close_loop_command(
-    campaigns: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`; several campaigns are a fleet, one a robot.",
-            metavar="CAMPAIGN...",
-        ),
-    ],
+    campaigns: Sources,
     out: Out,
     seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
     robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
-    model_error: Annotated[
-        float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")
-    ] = None,
+    model_error: ModelError = None,
     jobs: Annotated[int | None, typer.Option(help="Processes for a fleet; 1 where not given.")] = None,
-    dask: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler for a fleet, such as tcp://host:8786.")
-    ] = None,
+    dask: DaskScheduler = None,
     basics: Basics = False,
     despite_faults: Despite = False,
     overwrite: Overwrite = False,

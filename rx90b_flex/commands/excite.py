@@ -7,49 +7,52 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import Out, Overwrite, numbers, progress, say
+from rx90b_flex.commands.shared import HighHz, LowHz, Out, Overwrite, RobotSource, numbers, progress, say
+
+# options that take several lines
+InputMatrix = Annotated[str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")]
+Peak = Annotated[
+    str | None, typer.Option(help="Largest torque, N m: one, or one a joint; 10 % of the limits otherwise.")
+]
+White = Annotated[bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")]
+ControllerFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="Controller file (TOML): for --white, --simulate, references that order torques, and frf's replay."
+    ),
+]
+CarriedBy = Annotated[
+    str, typer.Option(help="What carries the excitation: torque (fed forward), reference (motion alone) or both.")
+]
+SpeedPeak = Annotated[
+    str | None,
+    typer.Option(
+        help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."
+    ),
+]
+RateHz = Annotated[float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")]
 
 
 def excite_command(
-    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    robot: RobotSource,
     out: Out,
     pose: Annotated[list[str] | None, typer.Option(help="Degrees, one a joint: 0,90,0; repeat for more poses.")] = None,
     joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
-    matrix: Annotated[
-        str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")
-    ] = "ones",
-    peak: Annotated[
-        str | None, typer.Option(help="Largest torque, N m: one, or one a joint; 10 % of the limits otherwise.")
-    ] = None,
-    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 2.5,
-    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
+    matrix: InputMatrix = "ones",
+    peak: Peak = None,
+    low_hz: LowHz = 2.5,
+    high_hz: HighHz = 80.0,
     period_s: Annotated[float, typer.Option(help="Period; a longer one has finer lines.")] = 4.096,
     speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s.")] = 0.11,
     swings: Annotated[int, typer.Option(help="Times to and fro in a period; odd.")] = 1,
     realisations: Annotated[int, typer.Option(help="Multisines with other phases.")] = 16,
     periods: Annotated[int, typer.Option(help="Periods of a run; the first is for the transient.")] = 9,
     one_sign: Annotated[bool, typer.Option("--one-sign", help="Without the runs of opposite sign.")] = False,
-    white: Annotated[
-        bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")
-    ] = False,
-    controller: Annotated[
-        Path | None,
-        typer.Option(
-            help="Controller file (TOML): for --white, --simulate, references that order torques, and frf's replay."
-        ),
-    ] = None,
-    by: Annotated[
-        str, typer.Option(help="What carries the excitation: torque (fed forward), reference (motion alone) or both.")
-    ] = "torque",
-    speed_peak: Annotated[
-        str | None,
-        typer.Option(
-            help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."
-        ),
-    ] = None,
-    rate_hz: Annotated[
-        float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")
-    ] = None,
+    white: White = False,
+    controller: ControllerFile = None,
+    by: CarriedBy = "torque",
+    speed_peak: SpeedPeak = None,
+    rate_hz: RateHz = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
     overwrite: Overwrite = False,

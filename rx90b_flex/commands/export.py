@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import say
+from rx90b_flex.commands.shared import RobotSource, say
 
 
 def export_command(
-    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    robot: RobotSource,
     file_format: Annotated[str, typer.Option("--format", help="urdf, mjcf (MuJoCo) or sdf (Gazebo).")],
     out: Annotated[Path, typer.Option("--out", help="File to write.")],
 ) -> None:

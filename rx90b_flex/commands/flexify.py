@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import say
+from rx90b_flex.commands.shared import RobotSource, say
 
 
 def flexify_command(
-    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    robot: RobotSource,
     out: Annotated[Path, typer.Option("--out", help="URDF to write.")],
     torsion: Annotated[list[str] | None, typer.Option(help="Joint whose drive twists; repeat for more.")] = None,
     bending: Annotated[list[str] | None, typer.Option(help="Joint that bends; repeat for more.")] = None,

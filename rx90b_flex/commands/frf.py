@@ -7,54 +7,62 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import Out, Overwrite, numbers, progress, say, show_table
+from rx90b_flex.commands.shared import HighHz, LowHz, Out, Overwrite, numbers, progress, say, show_table
 
 if TYPE_CHECKING:
     from rx90b_flex.identify.frf_command import MotorIdentification
 
 MOST_MODES = 30  # of transfer functions: more are no modes of a robot in any band
 
+# options that take several lines
+PeriodicCampaign = Annotated[
+    Path, typer.Argument(help="Campaign file (TOML): periodic excitation with feed-forward torque.")
+]
+ControllerFile = Annotated[
+    Path | None, typer.Option(help="Controller file; controller.toml beside CAMPAIGN otherwise.")
+]
+BendingAlikeStd = Annotated[
+    float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
+]
+HingeStd = Annotated[
+    float, typer.Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")
+]
+References = Annotated[
+    Path | None,
+    typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
+]
+Modes = Annotated[
+    str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")
+]
+StartHz = Annotated[
+    str | None,
+    typer.Option(
+        help="Resonances that transfer functions of as many modes start from as well: F1,F2,...", show_default=False
+    ),
+]
+Delays = Annotated[str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")]
+MainsHz = Annotated[float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")]
+NoReplay = Annotated[
+    bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
+]
+
 
 def frf_command(
-    campaign: Annotated[
-        Path, typer.Argument(help="Campaign file (TOML): periodic excitation with feed-forward torque.")
-    ],
+    campaign: PeriodicCampaign,
     out: Out,
-    low_hz: Annotated[float, typer.Option(help="Lowest line.")] = 8.0,
-    high_hz: Annotated[float, typer.Option(help="Highest line.")] = 80.0,
-    controller: Annotated[
-        Path | None, typer.Option(help="Controller file; controller.toml beside CAMPAIGN otherwise.")
-    ] = None,
+    low_hz: LowHz = 8.0,
+    high_hz: HighHz = 80.0,
+    controller: ControllerFile = None,
     link_mass_std: Annotated[float, typer.Option(help="Relative uncertainty of the links' masses; 0: known.")] = 0.0,
-    bending_alike_std: Annotated[
-        float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
-    ] = 0.1,
-    hinge_std: Annotated[
-        float, typer.Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")
-    ] = 0.0,
-    references: Annotated[
-        Path | None,
-        typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
-    ] = None,
-    modes: Annotated[
-        str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")
-    ] = "2,8",
-    start_hz: Annotated[
-        str | None,
-        typer.Option(
-            help="Resonances that transfer functions of as many modes start from as well: F1,F2,...", show_default=False
-        ),
-    ] = None,
-    delays: Annotated[
-        str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")
-    ] = "none",
+    bending_alike_std: BendingAlikeStd = 0.1,
+    hinge_std: HingeStd = 0.0,
+    references: References = None,
+    modes: Modes = "2,8",
+    start_hz: StartHz = None,
+    delays: Delays = "none",
     seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
-    mains_hz: Annotated[
-        float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")
-    ] = None,
-    no_replay: Annotated[
-        bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
-    ] = False,
+    mains_hz: MainsHz = None,
+    no_replay: NoReplay = False,
     jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
     overwrite: Overwrite = False,
 ) -> None:

@@ -8,14 +8,24 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rx90b_flex.commands.check import end_refused
-from rx90b_flex.commands.shared import Basics, Despite, Out, Overwrite, progress, say, show_table, value_words
+from rx90b_flex.commands.shared import (
+    Basics,
+    CampaignFile,
+    Despite,
+    Out,
+    Overwrite,
+    progress,
+    say,
+    show_table,
+    value_words,
+)
 
 if TYPE_CHECKING:
     from rx90b_flex.robot import Robot
 
 
 def identify_command(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    campaign: CampaignFile,
     out: Out,
     basics: Basics = False,
     estimator: Annotated[

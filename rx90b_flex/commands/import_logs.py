@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import Basics, Out, Overwrite, progress, say
+from rx90b_flex.commands.shared import ROBOT_HELP, Basics, Out, Overwrite, progress, say
 
 
 def import_command(
@@ -17,7 +17,7 @@ def import_command(
             help="Logs: CSV, Parquet, MATLAB, MCAP, ROS 2 bags, or any with a reader; the last one validates."
         ),
     ],
-    robot: Annotated[str, typer.Option(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    robot: Annotated[str, typer.Option(help=ROBOT_HELP)],
     out: Out,
     columns: Annotated[
         list[str] | None, typer.Option(help="What a signal's columns are: torque=NAME,NAME; repeat for more signals.")

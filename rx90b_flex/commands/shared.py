@@ -15,6 +15,11 @@ Out = Annotated[
         "--out", help="Folder for the results; made if it does not exist, an earlier result in it is replaced."
     ),
 ]
+ROBOT_HELP = "Robot name, robot file, URDF, or example-robot-data:NAME."
+RobotSource = Annotated[str, typer.Argument(help=ROBOT_HELP)]
+CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).")]
+LowHz = Annotated[float, typer.Option(help="Lowest line.")]
+HighHz = Annotated[float, typer.Option(help="Highest line.")]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
 ]

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+from rx90b_flex.commands.shared import Out, Overwrite, RobotSource, progress, say
 
 
 def simulate_command(
-    robot: Annotated[str, typer.Argument(help="Robot name, robot file, URDF, or example-robot-data:NAME.")],
+    robot: RobotSource,
     out: Out,
     trajectory: Annotated[
         Path | None,

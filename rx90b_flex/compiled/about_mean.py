@@ -87,6 +87,53 @@ def _see_ports(ports: Ports, middle: Array, push: Array, port_x: Array, port_rat
 
 
 @inlined
+def _between(low: Array, high: Array, part: float, mass: Array, damping: Array, stiffness: Array) -> None:
+    """M, D and K so far on the way from one node to the next."""
+    for i in range(len(mass)):
+        for j in range(len(mass)):
+            mass[i, j] = low[0, i, j] + part * (high[0, i, j] - low[0, i, j])
+            damping[i, j] = low[1, i, j] + part * (high[1, i, j] - low[1, i, j])
+            stiffness[i, j] = low[2, i, j] + part * (high[2, i, j] - low[2, i, j])
+
+
+@inlined
+def _solve_rate(
+    inverse: Array,
+    mass: Array,
+    stiffness: Array,
+    force: Array,
+    drive: Integers,
+    ports: Ports,
+    h: float,
+    move: Array,
+    shift: Array,
+    push: Array,
+) -> None:
+    """The rate in the middle of a step, as `Steps` has it, from the inverse of the step's system."""
+    n = len(mass)
+    for i in range(n):
+        for j in range(2 * n):
+            move[i, j] = 0.0
+        constant = 0.0
+        for m in range(n):
+            x = inverse[i, m]
+            y = -0.5 * h * x
+            constant += y * force[m]
+            for j in range(n):
+                move[i, j] += x * mass[m, j]
+            for j in range(n):
+                move[i, n + j] += y * stiffness[m, j]
+        shift[i] = constant
+        for j in range(len(drive)):
+            move[i, 2 * n + j] = 0.5 * h * inverse[i, drive[j]]
+        for p in range(push.shape[1]):
+            total = 0.0
+            for m in range(n):
+                total += inverse[i, m] * ports.vector[m, p]
+            push[i, p] = 0.5 * h * total
+
+
+@inlined
 def _make_step(
     tree: Tree,
     laws: Laws,
@@ -104,14 +151,10 @@ def _make_step(
     """Matrices of the step at a chunk's sample `at`."""
     row = at // up
     part = (at - row * up + 0.5) / up
-    middle, low, high = along.middle[at], along.nodes[row], along.nodes[row + 1]
+    middle = along.middle[at]
     n = middle.shape[1]
     mass, damping, stiffness, system, inverse = work[0], work[1], work[2], work[3], work[4]
-    for i in range(n):
-        for j in range(n):
-            mass[i, j] = low[0, i, j] + part * (high[0, i, j] - low[0, i, j])
-            damping[i, j] = low[1, i, j] + part * (high[1, i, j] - low[1, i, j])
-            stiffness[i, j] = low[2, i, j] + part * (high[2, i, j] - low[2, i, j])
+    _between(along.nodes[row], along.nodes[row + 1], part, mass, damping, stiffness)
     force = scratch.generalised
     inverse_dynamics(tree, scratch, middle[0], middle[1], middle[2], force)
     for m in range(len(laws.inertia)):
@@ -124,29 +167,9 @@ def _make_step(
         for j in range(n):
             system[i, j] = mass[i, j] + 0.5 * h * damping[i, j] + 0.25 * h * h * stiffness[i, j]
     invert(system, inverse)
-    move, push, gain = steps.move[at], steps.push[at], steps.gain[at]
-    port_x, port_rate = steps.port_x[at], steps.port_rate[at]
-    for i in range(n):
-        for j in range(2 * n):
-            move[i, j] = 0.0
-        shift = 0.0
-        for m in range(n):
-            x = inverse[i, m]
-            y = -0.5 * h * x
-            shift += y * force[m]
-            for j in range(n):
-                move[i, j] += x * mass[m, j]
-            for j in range(n):
-                move[i, n + j] += y * stiffness[m, j]
-        steps.shift[at, i] = shift
-        for j in range(len(drive)):
-            move[i, 2 * n + j] = 0.5 * h * inverse[i, drive[j]]
-        for p in range(push.shape[1]):
-            total = 0.0
-            for m in range(n):
-                total += inverse[i, m] * ports.vector[m, p]
-            push[i, p] = 0.5 * h * total
-    _see_ports(ports, middle, push, port_x, port_rate, gain)
+    push = steps.push[at]
+    _solve_rate(inverse, mass, stiffness, force, drive, ports, h, steps.move[at], steps.shift[at], push)
+    _see_ports(ports, middle, push, steps.port_x[at], steps.port_rate[at], steps.gain[at])
 
 
 @entry

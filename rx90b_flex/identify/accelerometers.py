@@ -155,10 +155,7 @@ def fit_accelerations(
         raise ValueError(f"covariance has shape {covariance.shape}; expected ({lines}, {rows}, {rows})")
     _refuse_unseen(robot, seen)
     equations = _equations(robot, np.asarray(angles, dtype=float))
-    # coordinates from the sensors, best for their noise, and what noise is left in them
-    weighted = np.linalg.solve(covariance, seen).conj().swapaxes(1, 2)
-    spread = np.linalg.inv(weighted @ seen)
-    x = spread @ weighted @ measured  # (F, n, E)
+    x, spread = _coordinates(seen, measured, covariance)
     s = (2j * np.pi * hz)[:, None, None]
     known = s**2 * equations.inertia + equations.stiffness
     start = equations.start
@@ -193,6 +190,15 @@ class _Equations:
     stiffness: Array
     by_stiffness: Array
     by_damping: Array
+
+
+def _coordinates(
+    seen: ComplexArray, measured: ComplexArray, covariance: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Coordinates from the sensors, best for their noise, (F, n, E), and the covariance that it leaves in them, (F, n, n)."""
+    weighted = np.linalg.solve(covariance, seen).conj().swapaxes(1, 2)
+    spread = np.asarray(np.linalg.inv(weighted @ seen))
+    return spread @ weighted @ measured, spread
 
 
 def _equations(robot: Robot, angles: Array) -> _Equations:

@@ -306,28 +306,11 @@ def fit_joint(
     if (largest == 0.0).any():
         raise ValueError("one of the three moments is zero throughout: its hinge's stiffness cannot show")
     weight = np.linalg.inv(np.linalg.cholesky(turn.covariance))
-    # unknowns of about 1, in 1e-3 rad; then how the model's nine numbers follow from them
-    size = np.diag(np.concatenate([np.full(_FRAME, 1e-3), 1e-3 / largest]))
-    if same_bending:
-        size = np.column_stack([size[:, :-2], np.r_[np.zeros(_FRAME + 1), 1.0, 1.0] * 1e-3 / largest[1:].max()])
-    x = np.zeros(size.shape[1])
-    prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
-    for iteration in range(iterations):
-        residual, slope = _misfit(size @ x, turn.rotation, angle, moment)
-        r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
-        columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
-        u, s, vt = np.linalg.svd(columns, full_matrices=False)
-        # at first only what shows clearly: along the faint direction a far start would throw the fit off
-        clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]
-        step = vt.T[:, clear] @ ((u.T @ r)[clear] / s[clear])
-        x = x + step
-        if iteration >= _COARSE and np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max()):
-            break
-    else:
-        raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")
-    std = np.sqrt(((size @ vt.T / s) ** 2).sum(axis=1))
-    before, behind, compliance = np.split(size @ x, [3, _FRAME])
-    residual, _ = _misfit(size @ x, turn.rotation, angle, moment)
+    size = _sizes_of_unknowns(largest, same_bending)
+    found, root = _settled_joint(turn.rotation, angle, moment, weight, size, frame_prior, iterations)
+    std = np.sqrt((root**2).sum(axis=1))
+    before, behind, compliance = np.split(found, [3, _FRAME])
+    residual, _ = _misfit(found, turn.rotation, angle, moment)
     deformation = hinge_angles(mismatched(turn.rotation, -before, -behind))
     deformation[:, 0] = np.angle(np.exp(1j * (deformation[:, 0] - angle)))
     return JointFit(
@@ -339,8 +322,36 @@ def fit_joint(
         behind_std=std[3:_FRAME],
         deformation=deformation,
         chi2=float(((weight @ residual[..., None]) ** 2).sum()),
-        degrees_of_freedom=residual.size - len(x),
+        degrees_of_freedom=residual.size - size.shape[1],
     )
+
+
+def _sizes_of_unknowns(largest: Array, same_bending: bool) -> Array:
+    """How the model's nine numbers follow from unknowns of about 1, in 1e-3 rad; shape (9, 9), or (9, 8)."""
+    size = np.diag(np.concatenate([np.full(_FRAME, 1e-3), 1e-3 / largest]))
+    if same_bending:
+        size = np.column_stack([size[:, :-2], np.r_[np.zeros(_FRAME + 1), 1.0, 1.0] * 1e-3 / largest[1:].max()])
+    return size
+
+
+def _settled_joint(
+    rotation: Array, angle: Array, moment: Array, weight: Array, size: Array, frame_prior: float, iterations: int
+) -> tuple[Array, Array]:
+    """The model's nine numbers by Gauss-Newton, and a root R of their covariance, R R^T."""
+    x = np.zeros(size.shape[1])
+    prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
+    for iteration in range(iterations):
+        residual, slope = _misfit(size @ x, rotation, angle, moment)
+        r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
+        columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
+        u, s, vt = np.linalg.svd(columns, full_matrices=False)
+        # at first only what shows clearly: along the faint direction a far start would throw the fit off
+        clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]
+        step = vt.T[:, clear] @ ((u.T @ r)[clear] / s[clear])
+        x = x + step
+        if iteration >= _COARSE and np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max()):
+            return size @ x, size @ vt.T / s
+    raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")
 
 
 def _misfit(x: Array, rotation: Array, angle: Array, moment: Array) -> tuple[Array, Array]:
@@ -425,6 +436,42 @@ def _placed_with_markers(
     return rotation, first[:-3].reshape(count, 3), first[-3:]
 
 
+def _settled_base(
+    turns: Array,
+    places: Array,
+    measured: Array,
+    weight: Array,
+    start: tuple[Array, Array, Array],
+    with_markers: bool,
+    iterations: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Rotation, markers and translation by Gauss-Newton, and a root R of the covariance, R R^T, of turn, translation and markers.
+
+    Markers move only `with_markers`.
+    """
+    rotation, at, translation = start
+    count = measured.shape[1] if with_markers else 0
+    for _ in range(iterations):
+        points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
+        arms = points @ rotation.T
+        missing = measured - arms - translation
+        slope = np.zeros((*measured.shape, 6 + 3 * count))
+        slope[..., :3], slope[..., 3:6] = -_cross_matrix(arms), np.eye(3)
+        for m in range(count):
+            slope[:, m, :, 6 + 3 * m : 9 + 3 * m] = rotation @ turns
+        u, s, vt = np.linalg.svd((weight[..., None] * slope).reshape(measured.size, -1), full_matrices=False)
+        if s[-1] < 1e-9 * s[0]:
+            raise ValueError("the poses do not determine the base: markers or poses lie on one line")
+        step = vt.T @ ((u.T @ (weight * missing).ravel()) / s)
+        rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
+        translation = translation + step[3:6]
+        if with_markers:
+            at = at + step[6:].reshape(count, 3)
+        if np.abs(step).max() < 1e-12:
+            return rotation, at, translation, vt.T / s
+    raise ValueError(f"the calibration of the base did not settle in {iterations} steps")
+
+
 def calibrate_base(
     link_rotation: Array,
     link_position: Array,
@@ -458,40 +505,17 @@ def calibrate_base(
     turns, places = np.asarray(link_rotation, dtype=float), np.asarray(link_position, dtype=float)
     measured = np.asarray(measured, dtype=float)
     weight = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), measured.shape)
-    known = None if markers is None else np.asarray(markers, dtype=float)
-    count = measured.shape[1]
-    if known is None:
-        rotation, at, translation = _placed_with_markers(turns, places, measured, std)
+    if markers is None:
+        start = _placed_with_markers(turns, places, measured, std)
     else:
-        at = known
-        points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
-        start = fit_rigid_body(points.reshape(-1, 3), measured.reshape(1, -1, 3), 1.0)
-        rotation, translation = start.rotation[0], start.translation[0]
-
-    for _ in range(iterations):
-        points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
-        arms = points @ rotation.T
-        missing = measured - arms - translation
-        slope = np.zeros((*measured.shape, 6 + (0 if known is not None else 3 * count)))
-        slope[..., :3], slope[..., 3:6] = -_cross_matrix(arms), np.eye(3)
-        for m in range(count if known is None else 0):
-            slope[:, m, :, 6 + 3 * m : 9 + 3 * m] = rotation @ turns
-        weighted = (weight[..., None] * slope).reshape(measured.size, -1)
-        u, s, vt = np.linalg.svd(weighted, full_matrices=False)
-        if s[-1] < 1e-9 * s[0]:
-            raise ValueError("the poses do not determine the base: markers or poses lie on one line")
-        step = vt.T @ ((u.T @ (weight * missing).ravel()) / s)
-        rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
-        translation = translation + step[3:6]
-        if known is None:
-            at = at + step[6:].reshape(count, 3)
-        if np.abs(step).max() < 1e-12:
-            break
-    else:
-        raise ValueError(f"the calibration of the base did not settle in {iterations} steps")
+        known = np.asarray(markers, dtype=float)
+        points = np.einsum("nij,mj->nmi", turns, known) + places[:, None]
+        fit = fit_rigid_body(points.reshape(-1, 3), measured.reshape(1, -1, 3), 1.0)
+        start = fit.rotation[0], known, fit.translation[0]
+    rotation, at, translation, root = _settled_base(turns, places, measured, weight, start, markers is None, iterations)
     points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
     left = weight * (measured - points @ rotation.T - translation)
-    std_of = np.sqrt(((vt.T / s) ** 2).sum(axis=1))
+    std_of = np.sqrt((root**2).sum(axis=1))
     return BaseCalibration(
         rotation,
         translation,
@@ -499,5 +523,5 @@ def calibrate_base(
         std_of[:3],
         std_of[3:6],
         float((left**2).sum()),
-        measured.size - weighted.shape[1],
+        measured.size - len(root),
     )

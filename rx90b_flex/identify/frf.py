@@ -352,7 +352,8 @@ def _estimate(
     places: tuple[Place, ...],
     remarks: list[str],
 ) -> MeasuredResponse:
-    realisations, periods, _, n, experiments = u.shape
+    """The response from spectra of torques and accelerations, each (R, M, F, n, E)."""
+    realisations, periods = u.shape[:2]
     mean_u, mean_y = u.mean(axis=1), y.mean(axis=1)  # (R, F, n, E)
     inverse = np.linalg.pinv(mean_u)  # (R, F, E, n): experiments beyond the joints are averaged by it
     single = mean_y @ inverse
@@ -360,26 +361,17 @@ def _estimate(
     # row j, column k of an error D = E U^+ of independent experiments: E[D_jk D*_j'k'] = C_jj' (U^+^T U^+*)_kk'
     spread = np.mean(inverse.swapaxes(2, 3) @ inverse.conj(), axis=0)
     noise = noise_covariance = None
-    error = y - y.mean(axis=1, keepdims=True) - value @ (u - u.mean(axis=1, keepdims=True))
     if periods > 1:
-        freedom = realisations * (periods - 1) * experiments
-        noise = np.einsum("rmfje,rmfke->fjk", error, error.conj()) / freedom / periods
+        noise = _equation_noise(u, y, value)
         noise_covariance = _kron(noise, spread) / realisations
     else:
         remarks.append("one period: noise cannot be told from distortion")
     if realisations > 1:
-        count = _neighbours(realisations, neighbours, len(hz), n, remarks)
-        covariance, freedom = _over_realisations(single, count)
-        if freedom < n * n:
-            remarks.append(
-                f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
-                "cannot be inverted; record more realisations or let more neighbours count"
-            )
-        on_output = (single - value) @ mean_u  # carried by n combinations of the experiments
-        total = np.einsum("rfje,rfke->fjk", on_output, on_output.conj()) / (n * (realisations - 1))
+        total = _equation_total(single, mean_u)
+        covariance, freedom = _total_covariance(single, neighbours, remarks)
     elif noise is not None and noise_covariance is not None:
         remarks.append("one realisation: the nonlinear distortion is unknown, the covariance holds noise alone")
-        total, covariance, freedom = noise, noise_covariance, float((periods - 1) * experiments)
+        total, covariance, freedom = noise, noise_covariance, float((periods - 1) * u.shape[-1])
     else:
         raise ValueError(
             "one realisation of one period: no covariance can be estimated; record more periods or realisations"
@@ -408,6 +400,33 @@ def _estimate(
         periods=periods,
         remarks=tuple(remarks),
     )
+
+
+def _equation_noise(u: ComplexArray, y: ComplexArray, value: ComplexArray) -> ComplexArray:
+    """Covariance (F, n, n) of ``Y - P U`` from noise, by what periods differ; of one experiment's mean over periods."""
+    realisations, periods, _, _, experiments = u.shape
+    error = y - y.mean(axis=1, keepdims=True) - value @ (u - u.mean(axis=1, keepdims=True))
+    freedom = realisations * (periods - 1) * experiments
+    return np.asarray(np.einsum("rmfje,rmfke->fjk", error, error.conj()) / freedom / periods)
+
+
+def _equation_total(single: ComplexArray, mean_u: ComplexArray) -> ComplexArray:
+    """Covariance (F, n, n) of ``Y - P U`` from noise and distortion, by what realisations (R, F, n, n) differ."""
+    realisations, _, n, _ = single.shape
+    on_output = (single - single.mean(axis=0)) @ mean_u  # carried by n combinations of the experiments
+    return np.asarray(np.einsum("rfje,rfke->fjk", on_output, on_output.conj()) / (n * (realisations - 1)))
+
+
+def _total_covariance(single: ComplexArray, neighbours: int | None, remarks: list[str]) -> tuple[ComplexArray, float]:
+    """As `_over_realisations`, over the lines that are asked for or that it needs; said where it cannot be inverted."""
+    realisations, lines, n, _ = single.shape
+    covariance, freedom = _over_realisations(single, _neighbours(realisations, neighbours, lines, n, remarks))
+    if freedom < n * n:
+        remarks.append(
+            f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
+            "cannot be inverted; record more realisations or let more neighbours count"
+        )
+    return covariance, freedom
 
 
 def _neighbours(realisations: int, neighbours: int | None, lines: int, n: int, remarks: list[str]) -> int:

@@ -234,17 +234,8 @@ def identify_from_motors(
     stages = _Stages(tell)
     remarks: list[str] = []
     groups = group_poses(with_references(campaign, options.references, remarks))
-    poses: list[AtPose] = []
-    for place, group in enumerate(groups):
-        found = _at_pose(
-            f"pose {place + 1}", group, robot, campaign.accelerometers, options, stages, (place / len(groups), len(groups))
-        )  # fmt: skip
-        if found is not None:
-            poses.append(found)
-            remarks += [_of(found.name, remark, len(groups)) for remark in found.measured.remarks]
-    if not poses:
-        first = stages.left_out[0].why
-        raise ValueError(first if len(groups) == 1 else f"{len(groups)} poses, none has a response; the first: {first}")
+    poses = _at_poses(groups, robot, campaign.accelerometers, options, stages)
+    remarks += [_of(at.name, remark, len(groups)) for at in poses for remark in at.measured.remarks]
     if controller is None:
         remarks.append(
             f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop, and a replay is "
@@ -362,6 +353,26 @@ def _begun_with(shown: Array, wave: Array, own: slice) -> tuple[Array, float]:
 
 def _of(pose: str, text: str, poses: int) -> str:
     return text if poses == 1 else f"{pose}: {text}"
+
+
+def _at_poses(
+    groups: Sequence[tuple[Recording, ...]],
+    robot: Robot,
+    sensors: tuple[Accelerometer, ...],
+    options: FrfOptions,
+    stages: _Stages,
+) -> list[AtPose]:
+    """All stages of each pose that has a frequency response; one must."""
+    count = len(groups)
+    tried = [
+        _at_pose(f"pose {place + 1}", group, robot, sensors, options, stages, (place / count, count))
+        for place, group in enumerate(groups)
+    ]
+    poses = [at for at in tried if at is not None]
+    if not poses:
+        first = stages.left_out[0].why
+        raise ValueError(first if count == 1 else f"{count} poses, none has a response; the first: {first}")
+    return poses
 
 
 def _at_pose(

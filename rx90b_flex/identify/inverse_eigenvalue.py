@@ -71,15 +71,9 @@ def drive_parameters(
     w, mu = _frequencies("resonances_hz", resonances_hz), _frequencies("antiresonances_hz", antiresonances_hz)
     if len(w) != len(mu):
         raise ValueError(f"{len(w)} resonances and {len(mu)} antiresonances; expected as many of one as of the other")
-    if (drive_inertia is None) == (rigid_inertia is None):
-        raise ValueError("give drive_inertia or rigid_inertia, one of them")
-    given = drive_inertia if drive_inertia is not None else rigid_inertia
-    if given is None or not np.isfinite(given) or given <= 0:
-        raise ValueError(f"the inertia is {given!r}; expected a positive number in kg m^2")
-    w_std, mu_std = (
-        _deviations("resonances_std_hz", resonances_std_hz, w),
-        _deviations("antiresonances_std_hz", antiresonances_std_hz, mu),
-    )
+    given = _given_inertia(drive_inertia, rigid_inertia)
+    w_std = _deviations("resonances_std_hz", resonances_std_hz, w)
+    mu_std = _deviations("antiresonances_std_hz", antiresonances_std_hz, mu)
     difference = float((w**2).sum() - (mu**2).sum())
     if difference <= 0:
         raise ValueError("the antiresonances lie above the resonances: their squares leave no positive stiffness")
@@ -188,6 +182,16 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
 
 def _spread(derivatives: Array, covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives)), dtype=float)
+
+
+def _given_inertia(drive: float | None, rigid: float | None) -> float:
+    """The one of the two that is given."""
+    if (drive is None) == (rigid is None):
+        raise ValueError("give drive_inertia or rigid_inertia, one of them")
+    given = drive if drive is not None else rigid
+    if given is None or not np.isfinite(given) or given <= 0:
+        raise ValueError(f"the inertia is {given!r}; expected a positive number in kg m^2")
+    return given
 
 
 def _frequencies(name: str, values: ArrayLike) -> Array:

@@ -124,35 +124,20 @@ def consistent_parameters(
     information = np.asarray(information, dtype=float)
     least = np.zeros(0) if lower is None else np.asarray(lower, dtype=float)
     links = np.size(prior) - len(least)
-    _check_problem(estimate, information, prior, links)
-    if not (pull > 0 and margin > 0):
-        raise ValueError(f"pull is {pull!r} and margin {margin!r}; expected positive numbers")
+    _check_problem(estimate, information, prior, links, pull, margin)
     unit = np.maximum(np.abs(prior[links:]), np.abs(estimate[links:]))
     unit[unit == 0] = 1.0
     scaled_prior, from_scaled = _scaled(prior, links, unit)
-
-    # The cost is |root (x - estimate)|^2 + pull |u - u_prior|^2 = |z|^2 + constant, with u = free + spread z: in z
-    # all directions weigh the same, though the information spans many decades. The singular value decomposition keeps
-    # the digits that a Cholesky factor of the sum would lose.
     root = information_root(information)
-    left, values, right = np.linalg.svd(root @ from_scaled, full_matrices=True)
-    padded = np.zeros(len(prior))
-    padded[: len(values)] = values
-    along = np.zeros(len(prior))
-    along[: len(values)] = (left.T @ (root @ (estimate - prior)))[: len(values)]
-    free = scaled_prior + right.T @ (padded / (padded**2 + pull) * along)
-    spread = right.T / np.sqrt(padded**2 + pull)
-
-    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
-    possible = (lowest >= margin).all() and (free[links:] >= least / unit).all()
-    scaled, status = (free, "consistent") if possible else _project(free, spread, margin, least / unit)
+    step, spread = _whitened(root @ from_scaled, root @ (estimate - prior), pull)
+    scaled, status = _nearest(scaled_prior + step, spread, margin, least / unit)
     parameters = from_scaled @ scaled
     parameters[links:] = np.maximum(parameters[links:], least)  # where the solver was a rounding below
     increase = float(np.sum((root @ (parameters - estimate)) ** 2))
     return ConsistentParameters(parameters, increase, len(root), status)
 
 
-def _check_problem(estimate: Array, information: Array, prior: Array, links: int) -> None:
+def _check_problem(estimate: Array, information: Array, prior: Array, links: int, pull: float, margin: float) -> None:
     """Refuse what does not fit together or is not finite."""
     if estimate.shape != prior.shape:
         raise ValueError(f"estimate has shape {estimate.shape}; expected {prior.shape}, as the prior")
@@ -162,6 +147,8 @@ def _check_problem(estimate: Array, information: Array, prior: Array, links: int
         raise ValueError(f"estimate or prior of the last {len(prior) - links} parameters is not finite")
     if information.shape != (len(prior),) * 2 or not np.isfinite(information).all():
         raise ValueError(f"information has shape {information.shape}; expected {(len(prior),) * 2}, all finite")
+    if not (pull > 0 and margin > 0):
+        raise ValueError(f"pull is {pull!r} and margin {margin!r}; expected positive numbers")
 
 
 def _scaled(prior: Array, links: int, unit: Array) -> tuple[Array, Array]:
@@ -175,6 +162,19 @@ def _scaled(prior: Array, links: int, unit: Array) -> tuple[Array, Array]:
     scaled_bodies = [block @ body for block, body in zip(to_scaled, bodies, strict=True)]
     back = linalg.block_diag(*inverses, np.diag(unit))[: len(prior)]
     return np.concatenate([*scaled_bodies, prior[links:] / unit]), back
+
+
+def _whitened(root: Array, target: Array, pull: float) -> tuple[Array, Array]:
+    """Where ``|root u - target|^2 + pull |u|^2`` is smallest, and a matrix S with which it is ``|z|^2`` and a constant.
+
+    Away from there by ``S z``: in z all directions weigh the same, though the information spans many decades. The singular value
+    decomposition keeps the digits that a Cholesky factor of the sum would lose.
+    """
+    left, values, right = np.linalg.svd(root, full_matrices=True)
+    padded, along = np.zeros((2, len(right)))
+    padded[: len(values)] = values
+    along[: len(values)] = (left.T @ target)[: len(values)]
+    return right.T @ (padded / (padded**2 + pull) * along), right.T / np.sqrt(padded**2 + pull)
 
 
 def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]]:
@@ -231,6 +231,15 @@ def _declared(robot: Robot, effect: Effect) -> Effect:
     """The effect as the robot declares it; as it is where it does not."""
     same = [e for e in robot.effects if type(e) is type(effect) and e.place == effect.place]
     return same[0] if same else effect
+
+
+def _nearest(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:
+    """As `_project`; `free` itself, and ``consistent``, where it can be."""
+    links = len(free) - len(least)
+    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
+    if (lowest >= margin).all() and (free[links:] >= least).all():
+        return free, "consistent"
+    return _project(free, spread, margin, least)
 
 
 def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:

@@ -343,18 +343,14 @@ def grey_box_by_replay(
     ValueError
         A friction without value; replays that do not fit the responses; a replay that ends early.
     """
-    replays = (replay,) if isinstance(replay, Replay) else tuple(replay)
     if rounds < 1:
         raise ValueError(f"rounds is {rounds}; expected 1 or more")
-    if len(replays) != len(first.responses):
-        raise ValueError(f"{len(replays)} replays; expected {len(first.responses)}, one a response of the grey box")
     tell = progress or (lambda text, part: None)
-    joints = replays[0].measured.joints
-    # mean of the reference's poses and of viscosities over experiments, from the fit before
-    at = PosesReplayed(replays, tuple(r.pose for r in first.responses), _slopes(first, joints), jobs)
+    at = _poses_replayed(replay, first, jobs)
+    joints = at.measured[0].joints
     declared = _frictions(robot, joints)
     friction = _known_friction(declared)
-    std, grey, fit = np.zeros_like(friction), first, partial(grey_box, robot, options=_options(first, replays))
+    std, grey, fit = np.zeros_like(friction), first, partial(grey_box, robot, options=_options(first, at.replays))
     by_friction: list[ComplexArray] | None = None
     for number in range(rounds):
         tell(f"replay {number + 1} of {rounds}", number / rounds)
@@ -365,28 +361,40 @@ def grey_box_by_replay(
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
                 by_friction = at.friction_derivatives(fitted, friction, together)
-            changes = [by * x for by, x in zip(by_friction, shifts, strict=True)]
-            step, std = at.friction_step(simulated, changes, at.linear(_linear_changes, fitted, shifts))
-            simulated = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
-            friction, std = friction * (1.0 + step), friction * std
+            simulated, friction, std = at.with_friction_step(fitted, friction, simulated, by_friction, shifts)
         less = at.less(simulated, at.linear(linear_response, fitted, shifts))
         tell(f"fit {number + 1} of {rounds}", (number + 0.7) / rounds)
         last, grey = grey, fit([x.response for x in less], start=_start(grey, at.slopes))
         if _settled(last, grey):
             break
-    grey = _with_what_is_left(grey, less, fit)
-    found = _with_friction(grey.robot, joints, friction)
-    delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
+    estimates = _friction_estimates(declared, friction, std)
+    return _refined(_with_what_is_left(grey, less, fit), at, less, estimates, number + 1)
+
+
+def _poses_replayed(replay: Replay | Sequence[Replay], first: GreyBox, jobs: int) -> PosesReplayed:
+    """One replay a response of the fit before, with the means of its poses and, over experiments, of its viscosities."""
+    replays = (replay,) if isinstance(replay, Replay) else tuple(replay)
+    if len(replays) != len(first.responses):
+        raise ValueError(f"{len(replays)} replays; expected {len(first.responses)}, one a response of the grey box")
+    slopes = _slopes(first, replays[0].measured.joints)
+    return PosesReplayed(replays, tuple(r.pose for r in first.responses), slopes, jobs)
+
+
+def _refined(
+    grey: GreyBox, at: PosesReplayed, less: Sequence[Less], friction: tuple[FrictionEstimate, ...], rounds: int
+) -> ReplayedGreyBox:
+    """What the last fit found, with how much of the distortion its replay explained."""
+    found = _with_friction(grey.robot, at.measured[0].joints, np.array([e.value for e in friction]))
     return ReplayedGreyBox(
         grey,
         found,
         tuple(x.doubted for x in less),
-        _friction_estimates(declared, friction, std),
+        friction,
         at.slopes,
         np.array([_spread(x.measured.realisations) for x in less]),
         np.array([_spread(x.rest) for x in less]),
-        np.array([replay.torques_off(found, delay) for replay in replays]),
-        number + 1,
+        np.array([replay.torques_off(found, delay_of(grey)) for replay in at.replays]),
+        rounds,
     )
 
 
@@ -414,8 +422,7 @@ class PosesReplayed:
 
     def shifts(self, grey: GreyBox) -> list[ComplexArray]:
         """What torques logged late multiply the response at each pose by; simulated signals are logged together."""
-        delay = 0.0 if grey.torque_delay is None else grey.torque_delay.value
-        return [late(m.hz, delay) for m in self.measured]
+        return [late(m.hz, delay_of(grey)) for m in self.measured]
 
     def simulated(self, robots: Sequence[Robot]) -> list[list[ComplexArray]]:
         """Realisations' responses of each robot at each pose, (R, F, n, n)."""
@@ -451,6 +458,20 @@ class PosesReplayed:
         each = zip(now, zip(*self.simulated(changed), strict=True), strict=True)
         return [np.array([(other - at) / STEP for other in others]) for at, others in each]
 
+    def with_friction_step(
+        self,
+        robot: Robot,
+        friction: Array,
+        simulated: Sequence[ComplexArray],
+        by_friction: Sequence[ComplexArray],
+        shifts: Sequence[ComplexArray],
+    ) -> tuple[list[ComplexArray], Array, Array]:
+        """What was simulated after `friction_step`; the coefficients then, and their standard deviations."""
+        changes = [by * x for by, x in zip(by_friction, shifts, strict=True)]
+        step, std = self.friction_step(simulated, changes, self.linear(_linear_changes, robot, shifts))
+        after = [s + np.tensordot(step, by, 1) for s, by in zip(simulated, changes, strict=True)]
+        return after, friction * (1.0 + step), friction * std
+
     def friction_step(
         self, simulated: Sequence[ComplexArray], by_friction: Sequence[ComplexArray], linear: Sequence[ComplexArray]
     ) -> tuple[Array, Array]:
@@ -467,6 +488,11 @@ class PosesReplayed:
         covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
         own = slice(len(linear[0]), None)
         return np.clip(step[own], -LARGEST, LARGEST), np.sqrt(np.diag(covariance_of_step)[own])
+
+
+def delay_of(grey: GreyBox) -> float:
+    """Of the torques, s; 0 where the grey box has none."""
+    return 0.0 if grey.torque_delay is None else grey.torque_delay.value
 
 
 def _start(grey: GreyBox, slopes: dict[str, float]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals.static_test import StaticTest
 
 SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
@@ -137,39 +137,20 @@ def fit_static_stiffness(
         raise ValueError(f"response is {response!r}; expected 'deformation' or 'moment'")
     area, weight = hysteresis_area(test)
     test = _without_beginnings(test, skip)
-    given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
-    line, parallel, both = _fits(test, given, noisy)
+    line, parallel, both = _fits(test, response)
     slope = float(parallel.values[0])
-    if not SMALLEST_SLOPE < slope < 1.0 / SMALLEST_SLOPE:
-        raise ValueError(
-            f"static test {test.coordinate!r}: the deformation does not grow with the moment (slope {slope:.3g})"
-        )
-    std = float(parallel.std[0])
-
-    def interval(slope: float, std: float, dof: int) -> tuple[float, float]:
-        reach = float(special.stdtrit(dof, 0.5 + 0.5 * confidence)) * std  # Student's t
-        return _stiffness_interval(slope - reach, slope + reach, response)
-
-    def branch(place: int, rows: Mask) -> StaticLine:
-        gradient, height = float(both.values[place]), float(both.values[2 + place])
-        middle = float(test.moment.mean())
-        at_middle = height if response == "deformation" else float(given.mean() + (middle - height) / gradient)
-        stiffness = 1.0 / gradient if response == "deformation" else gradient
-        reach = interval(gradient, float(both.std[place]), both.dof)
-        return StaticLine(stiffness, reach, middle, at_middle, int(rows.sum()))
-
     # the noise of a deformation, for the loop's own uncertainty
     deformation_std = parallel.noise if response == "deformation" else parallel.noise / slope
     return StaticStiffness(
         coordinate=test.coordinate,
         stiffness=1.0 / slope if response == "deformation" else slope,
-        interval=interval(slope, std, parallel.dof),
+        interval=_stiffness_interval(parallel, 0, confidence, response),
         confidence=confidence,
         response=response,
         noise_std=parallel.noise,
         degrees_of_freedom=parallel.dof,
-        loading=branch(0, test.rising),
-        unloading=branch(1, ~test.rising),
+        loading=_branch(test, both, 0, confidence, response),
+        unloading=_branch(test, both, 1, confidence, response),
         p_value=_f_test(line, both),
         slope_p_value=_f_test(parallel, both),
         hysteresis_area=area,
@@ -177,8 +158,9 @@ def fit_static_stiffness(
     )
 
 
-def _fits(test: StaticTest, given: Array, noisy: Array) -> tuple[_StaticFit, _StaticFit, _StaticFit]:
+def _fits(test: StaticTest, response: Response) -> tuple[_StaticFit, _StaticFit, _StaticFit]:
     """One line through all readings; a height for each direction; a slope for each, too."""
+    given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
     for name, rows in (("up", test.rising), ("down", ~test.rising)):
         if rows.sum() < 3 or np.ptp(given[rows]) == 0.0:
             raise ValueError(
@@ -187,11 +169,29 @@ def _fits(test: StaticTest, given: Array, noisy: Array) -> tuple[_StaticFit, _St
             )
     centre = given - given.mean()
     up, down = test.rising.astype(float), 1.0 - test.rising
+    parallel = _fit(np.stack([centre, up, down], axis=1), noisy)
+    slope = float(parallel.values[0])
+    if not SMALLEST_SLOPE < slope < 1.0 / SMALLEST_SLOPE:
+        raise ValueError(
+            f"static test {test.coordinate!r}: the deformation does not grow with the moment (slope {slope:.3g})"
+        )
     return (
         _fit(np.stack([centre, np.ones(len(test))], axis=1), noisy),
-        _fit(np.stack([centre, up, down], axis=1), noisy),
+        parallel,
         _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy),
     )
+
+
+def _branch(test: StaticTest, both: _StaticFit, place: int, confidence: float, response: Response) -> StaticLine:
+    """One direction's line, of the fit with a slope for each: 0 loading, 1 unloading."""
+    gradient, height = float(both.values[place]), float(both.values[2 + place])
+    middle = float(test.moment.mean())
+    readings = int((~test.rising if place else test.rising).sum())
+    interval = _stiffness_interval(both, place, confidence, response)
+    if response == "deformation":
+        return StaticLine(1.0 / gradient, interval, middle, height, readings)
+    at_middle = float(test.deformation.mean() + (middle - height) / gradient)
+    return StaticLine(gradient, interval, middle, at_middle, readings)
 
 
 def hysteresis_area(test: StaticTest) -> tuple[float, Array]:
@@ -253,7 +253,11 @@ def _f_test(small: _StaticFit, large: _StaticFit) -> float:
     return float(special.fdtrc(more, large.dof, ratio))
 
 
-def _stiffness_interval(low: float, high: float, response: Response) -> tuple[float, float]:
+def _stiffness_interval(fit: _StaticFit, place: int, confidence: float, response: Response) -> tuple[float, float]:
+    """Of the stiffness, N m/rad, that the slope in that place says."""
+    slope, std = float(fit.values[place]), float(fit.std[place])
+    reach = float(special.stdtrit(fit.dof, 0.5 + 0.5 * confidence)) * std  # Student's t
+    low, high = slope - reach, slope + reach
     if response == "moment":
         return max(low, 0.0), high
     # a slope that may be zero or below leaves the stiffness without an upper bound

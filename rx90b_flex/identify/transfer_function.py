@@ -254,31 +254,16 @@ def fit_transfer_functions(
         Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds; resonances to
         start from that are outside them, or of which there are as many as no number of modes.
     """
-    if delays not in ("none", "common", "each"):
-        raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
-    if criterion not in ("mdl", "aic"):
-        raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
+    _check_words(delays, criterion)
     response = _without(response, leave_out_hz)
-    n = len(response.joints)
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
-    rows = 2 * len(response.hz) * n * n
-    layouts = _layouts(response, tried, {"none": 0, "common": 1, "each": n}[delays], start, rows)
+    rows = 2 * response.value.size
+    layouts = _layouts(response, tried, {"none": 0, "common": 1, "each": len(response.joints)}[delays], start, rows)
     bounds = _filled(bounds or Bounds(), response)
     _check_start_hz(start_hz, tried, bounds)
     problem = _TransferFunctionProblem(response, _zero_bounds(bounds, response))
-    sets: tuple[PoleSet, ...] = ()
-    if start is None:
-        sets = starting_poles(problem.data, range(2 * min(tried), 2 * max(tried) + 4, 2), powers)
     price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
-    wholes: list[_Climbed] = []
-    for m in tried:
-        before = next((one for one in wholes if one.layout.modes == m - 1), None)
-        starts = _starts(problem, layouts[m], sets, None if before is None else before.model, bounds, start)
-        if m == len(start_hz):
-            starts.append(_start_at(problem, start_hz, layouts[m], bounds))
-        wholes.append(_of_order(problem, layouts[m], starts, before, bounds, price))
-        if m - min(wholes, key=lambda one: one.score).layout.modes >= 2:
-            break
+    wholes = _whole_fits(problem, layouts, bounds, price, start, start_hz, powers)
     every = _with_fewer_terms(problem, wholes, bounds, price) if start is None else [[one] for one in wholes]
     found = [min(order, key=lambda one: one.score) for order in every]
     best = min(found, key=lambda one: one.score)
@@ -299,6 +284,38 @@ def _layouts(
             "expected modes from 1 on and twice as many numbers as parameters"
         )
     return layouts
+
+
+def _check_words(delays: str, criterion: str) -> None:
+    if delays not in ("none", "common", "each"):
+        raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
+    if criterion not in ("mdl", "aic"):
+        raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
+
+
+def _whole_fits(
+    problem: _TransferFunctionProblem,
+    layouts: dict[int, TermLayout],
+    bounds: Bounds,
+    price: float,
+    start: TransferFunctions | None,
+    start_hz: Sequence[float],
+    powers: Sequence[float],
+) -> list[_Climbed]:
+    """Fits with all terms by number of modes, until two more do not lower the criterion."""
+    sets: tuple[PoleSet, ...] = ()
+    if start is None:
+        sets = starting_poles(problem.data, range(2 * min(layouts), 2 * max(layouts) + 4, 2), powers)
+    wholes: list[_Climbed] = []
+    for m, layout in layouts.items():
+        before = next((one for one in wholes if one.layout.modes == m - 1), None)
+        starts = _starts(problem, layout, sets, None if before is None else before.model, bounds, start)
+        if m == len(start_hz):
+            starts.append(_start_at(problem, start_hz, layout, bounds))
+        wholes.append(_of_order(problem, layout, starts, before, bounds, price))
+        if m - min(wholes, key=lambda one: one.score).layout.modes >= 2:
+            break
+    return wholes
 
 
 @dataclass(frozen=True, eq=False)

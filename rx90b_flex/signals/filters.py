@@ -363,13 +363,7 @@ def noise_cutoff_hz(position: ArrayLike, sample_rate_hz: float, order: int = 4) 
     samples = samples.reshape(len(samples), -1)
     if len(samples) < FEWEST_SAMPLES:
         raise ValueError(f"{len(samples)} samples are too few to tell noise from motion: {FEWEST_SAMPLES} are needed")
-    shortest = min(128, 2 ** int(math.log2(len(samples) / 2)))
-    length = min(max(shortest, 2 ** int(math.log2(len(samples) / 8))), 8192)
-    hz, spectrum = signal.welch(np.diff(samples, 2, axis=0), rate, nperseg=length, detrend=False, axis=0)
-    # bin 0 carries no shape, the last (Nyquist) only half the power
-    hz, spectrum = hz[1:-1], spectrum[1:-1]
-    difference_gain = (2.0 * np.sin(np.pi * hz / rate)) ** 4
-    spectrum = spectrum / difference_gain[:, None]
+    hz, spectrum = _position_spectrum(samples, rate)
     top = spectrum[(hz > 0.25 * rate) & (hz < 0.45 * rate)]
     lower, upper = np.array_split(top, 2)
     floor = np.median(top, axis=0)
@@ -396,6 +390,17 @@ def noise_cutoff_hz(position: ArrayLike, sample_rate_hz: float, order: int = 4) 
     lost = ((1.0 - gain) ** 2 * weight.T) @ (excess / signal_power)
     passed = (gain**2 * weight.T) @ np.tile(floor / signal_power, (len(hz), 1))
     return float(candidates[np.argmin(np.sum(lost + passed, axis=1))])
+
+
+def _position_spectrum(samples: Array, rate: float) -> tuple[Array, Array]:
+    """Frequencies (bins,) between 0 and Nyquist and the density of each column (bins, n), by second differences."""
+    shortest = min(128, 2 ** int(math.log2(len(samples) / 2)))
+    length = min(max(shortest, 2 ** int(math.log2(len(samples) / 8))), 8192)
+    hz, spectrum = signal.welch(np.diff(samples, 2, axis=0), rate, nperseg=length, detrend=False, axis=0)
+    # bin 0 carries no shape, the last (Nyquist) only half the power
+    hz, spectrum = hz[1:-1], spectrum[1:-1]
+    difference_gain = (2.0 * np.sin(np.pi * hz / rate)) ** 4
+    return hz, spectrum / difference_gain[:, None]
 
 
 def periods(x: ArrayLike, period_samples: int) -> Array:

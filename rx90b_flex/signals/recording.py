@@ -349,18 +349,21 @@ def write_campaign(
         target = directory / file
         target.parent.mkdir(parents=True, exist_ok=True)
         save_recording(recording, target)
-        content["recording"].append(
-            {
-                "file": file,
-                "role": recording.role,
-                "period_s": None if recording.period_s is None else float(recording.period_s),
-                "payload": None if recording.payload is None else dataclasses.asdict(recording.payload),
-                "date": None if recording.date is None else datetime.date.fromisoformat(recording.date),
-            }
-        )
+        content["recording"].append(_entry_of(recording, file))
     campaign = directory / "campaign.toml"
     tables.write_whole(campaign, lambda temporary: _write_text(temporary, toml_text(content)))
     return campaign
+
+
+def _entry_of(recording: Recording, file: str) -> dict[str, Any]:
+    """A recording's section of the campaign file."""
+    return {
+        "file": file,
+        "role": recording.role,
+        "period_s": None if recording.period_s is None else float(recording.period_s),
+        "payload": None if recording.payload is None else dataclasses.asdict(recording.payload),
+        "date": None if recording.date is None else datetime.date.fromisoformat(recording.date),
+    }
 
 
 # --- the campaign file -----------------------------------------------------------------------------------------------

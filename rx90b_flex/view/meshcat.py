@@ -28,7 +28,7 @@ from meshcat.animation import Animation, AnimationClip, AnimationTrack
 from meshcat.servers.zmqserver import VIEWER_ROOT
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.linearize import ComplexArray
+from rx90b_flex.linearize import ComplexArray, Modes
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 from rx90b_flex.signals.single import write_file
@@ -292,10 +292,42 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
     if count < 1:
         raise ValueError(f"count is {count}; expected 1 or more")
     q0 = robot.input_matrix @ angles
-    free = robot.with_effects([effect for effect in robot.effects if effect.part != "friction"])
-    linear = free.linearize(q0)
-    mass = robot.mass_matrix(q0)
-    sizes, directions = np.linalg.eigh(mass)
+    modes = _slowest_modes(robot, q0, count)
+    slower = max(modes.frequencies_hz[0] / SLOWEST_MODE_HZ, 1.0)
+    builder = _Builder()
+    points = scene.frame_poses(robot.tree, angles[None], _frames_of(robot))[0, :, :3, 3]
+    patch = _Patch.of(points)
+    width, height = patch.width + 0.15, patch.height + 0.3  # room between them, and above for words
+    shown = len(modes.poles)
+    columns = shown if shown <= 3 else -(-shown // 2) if shown <= 8 else 4
+    # as on shelves across the line of sight, so that none hides another
+    places = [width * (k % columns - 0.5 * (columns - 1)) * RIGHT - height * (k // columns) * UP for k in range(shown)]
+    above = patch.top + 0.1 * UP
+    builder.hide("Grid", "Axes")
+    builder.look_at(np.concatenate([*(points + at for at in places), [above]]))
+    time = np.arange(round(MODE_SECONDS * MODE_FPS) + 1) / MODE_FPS
+    for place, at in enumerate(places):
+        shape, hz = modes.shapes[:, place], float(modes.frequencies_hz[place])
+        # a whole number of swings, so that the loop closes
+        swings = max(round(hz / slower * MODE_SECONDS), 1)
+        swing = np.exp(2j * np.pi * swings * time / MODE_SECONDS)
+        q = q0 + _amplitude(robot, q0, shape) * np.real(swing[:, None] * shape)
+        builder.add_robot(f"mode_{place + 1}", robot, q, angles[None], at, MODE_FPS)
+        text = f"{hz:.1f} Hz, damping {100 * modes.damping_ratios[place]:.1f} %\n{_mostly(robot, shape)}"
+        builder.label(f"mode_{place + 1}", text, above + at, width)
+    degrees = ", ".join(f"{x:g}" for x in np.rad2deg(angles).round(3))
+    notes = (
+        f"Drives at {degrees}°, without friction",
+        f"Slowed down {slower:.3g} times; how far a mode swings is not to scale",
+        "Pale: the robot at rest",
+    )
+    return builder.view(f"Modes of {robot.name}", notes, None)
+
+
+def _slowest_modes(robot: Robot, q0: Array, count: int) -> Modes:
+    """Modes that oscillate about a point without friction, at most so many."""
+    linear = robot.with_effects([effect for effect in robot.effects if effect.part != "friction"]).linearize(q0)
+    sizes, directions = np.linalg.eigh(robot.mass_matrix(q0))
     if sizes[0] <= 1e-12 * sizes[-1]:
         at = robot.coordinates[int(np.abs(directions[:, 0]).argmax())]
         raise ValueError(
@@ -306,36 +338,7 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
         raise ValueError(f"{robot.name}: nothing in it bends; expected a robot with flexible drives or joints")
     modes = linear.modes()
     swinging = np.flatnonzero((modes.frequencies_hz > 0.5 * elastic[0]) & (modes.poles.imag > 0.0))[:count]
-    slower = max(modes.frequencies_hz[swinging[0]] / SLOWEST_MODE_HZ, 1.0)
-    builder = _Builder()
-    points = scene.frame_poses(robot.tree, angles[None], _frames_of(robot))[0, :, :3, 3]
-    patch = _Patch.of(points)
-    width, height = patch.width + 0.15, patch.height + 0.3  # room between them, and above for words
-    columns = len(swinging) if len(swinging) <= 3 else -(-len(swinging) // 2) if len(swinging) <= 8 else 4
-    # as on shelves across the line of sight, so that none hides another
-    places = [
-        width * (k % columns - 0.5 * (columns - 1)) * RIGHT - height * (k // columns) * UP for k in range(len(swinging))
-    ]
-    above = patch.top + 0.1 * UP
-    builder.hide("Grid", "Axes")
-    builder.look_at(np.concatenate([*(points + at for at in places), [above]]))
-    time = np.arange(round(MODE_SECONDS * MODE_FPS) + 1) / MODE_FPS
-    for number, (place, at) in enumerate(zip(swinging, places, strict=True), start=1):
-        shape, hz = modes.shapes[:, place], float(modes.frequencies_hz[place])
-        # a whole number of swings, so that the loop closes
-        swings = max(round(hz / slower * MODE_SECONDS), 1)
-        swing = np.exp(2j * np.pi * swings * time / MODE_SECONDS)
-        q = q0 + _amplitude(robot, q0, shape) * np.real(swing[:, None] * shape)
-        builder.add_robot(f"mode_{number}", robot, q, angles[None], at, MODE_FPS)
-        text = f"{hz:.1f} Hz, damping {100 * modes.damping_ratios[place]:.1f} %\n{_mostly(robot, shape)}"
-        builder.label(f"mode_{number}", text, above + at, width)
-    degrees = ", ".join(f"{x:g}" for x in np.rad2deg(angles).round(3))
-    notes = (
-        f"Drives at {degrees}°, without friction",
-        f"Slowed down {slower:.3g} times; how far a mode swings is not to scale",
-        "Pale: the robot at rest",
-    )
-    return builder.view(f"Modes of {robot.name}", notes, None)
+    return Modes(modes.poles[swinging], modes.shapes[:, swinging])
 
 
 # ---- the parts of these ---------------------------------------------------------------------------------------
