@@ -49,7 +49,10 @@ def declared(request: pytest.FixtureRequest) -> Declared:
         patch.setattr("rx90b_flex.effects.reversal.turnover_range", lambda at: (SHARP, 1.01 * SHARP))
         model = with_possible_values(identify(regression, regression.robot.effects, fit_links=True))
     rigid = regression.robot
-    replays = [ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, thin=False)) for r in campaign.validation]
+    replays = [
+        ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, False, regression.sticking))
+        for r in campaign.validation
+    ]
     held_out = tuple(HeldOut(r.torque, predict(r, model)) for r in replays)
     errors = Errors.of([h.torque for h in held_out], [h.declared for h in held_out])
     return Declared(request.param, campaign, robot, model, held_out, errors)
@@ -57,7 +60,8 @@ def declared(request: pytest.FixtureRequest) -> Declared:
 
 @pytest.fixture(scope="module")
 def explainable(declared: Declared) -> Explainable:
-    validation = Regression.of(declared.robot, declared.campaign.validation, declared.campaign.cutoff_hz)
+    campaign, sticking = declared.campaign, declared.model.regression.sticking
+    validation, _ = Regression.and_whole(declared.robot, campaign.validation, campaign.cutoff_hz, sticking=sticking)
     found = yardstick(declared.model, validation, declared.held_out, declared.errors)
     assert isinstance(found, Explainable)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,12 +15,14 @@ if TYPE_CHECKING:
 
 TURNOVERS = (2e-4, 1e-3, 5e-3, 2e-2)  # rad/s, within which friction may turn over
 RIDGE = 1e-12  # of the columns' size: what a motion does not tell apart
+BLOCKS, MOST = 4, 3  # of the samples: each predicted by the others, and so many of them better
 
 
 def joints_that_stick(regression: Regression) -> tuple[str, ...]:
-    """Joints whose torques are explained better by friction that goes over in sticks than by one that the speed shows all the time.
+    """Joints whose torques are predicted better by friction that goes over in sticks than by one that the speed shows all the time.
 
     Beside it stand the links, viscous friction and drive inertia; with each, friction turns over within the best of some speeds.
+    Most of some blocks are predicted better by the others, and all of them together.
     """
     held = regression if regression.excerpt is None else regression.excerpt[0]
     moving = [j for j in regression.joints if any(_sticks(s.motion, j) for s in held.stretches)]
@@ -28,8 +31,10 @@ def joints_that_stick(regression: Regression) -> tuple[str, ...]:
     for joint in moving:
         place = held.joints.index(joint)
         torque, smooth = held.torque[:, place], _smooth(held, joint)
-        left = [min(_left(torque, smooth, _dry(r, joint, w)) for w in TURNOVERS) for r in (held, shown)]
-        if left[0] < left[1]:
+        in_sticks, by_speed = (
+            min((_left(torque, smooth, _dry(r, joint, w)) for w in TURNOVERS), key=np.sum) for r in (held, shown)
+        )
+        if in_sticks.sum() < by_speed.sum() and (in_sticks < by_speed).sum() >= MOST:
             out.append(joint)
     return tuple(out)
 
@@ -55,10 +60,16 @@ def _dry(regression: Regression, joint: str, turnover: float) -> Array:
     return np.asarray(columns[:, 0, 0])
 
 
-def _left(torque: Array, smooth: Array, dry: Array) -> float:
-    """Squared torque that columns (N, k) and dry friction (N,) leave."""
+def _left(torque: Array, smooth: Array, dry: Array) -> Array:
+    """Squared torque of each block that columns (N, k) and dry friction (N,), fitted to the others, leave."""
     columns = np.column_stack([smooth, dry])
     columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    gram, right = columns.T @ columns, columns.T @ torque
-    theta = np.linalg.solve(gram + RIDGE * np.eye(len(gram)), right)
-    return float(np.sum((torque - columns @ theta) ** 2))
+    blocks = [slice(int(a), int(b)) for a, b in pairwise(np.linspace(0, len(torque), BLOCKS + 1))]
+    grams = np.array([columns[b].T @ columns[b] for b in blocks])
+    rights = np.array([columns[b].T @ torque[b] for b in blocks])
+    out = np.zeros(BLOCKS)
+    for i, block in enumerate(blocks):
+        gram, right = grams.sum(axis=0) - grams[i], rights.sum(axis=0) - rights[i]
+        theta = np.linalg.solve(gram + RIDGE * np.eye(len(gram)), right)
+        out[i] = np.sum((torque[block] - columns[block] @ theta) ** 2)
+    return out
