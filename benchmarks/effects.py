@@ -72,16 +72,16 @@ def effect_of(kind: str, robot: Robot) -> Effect:
         "frame": {"frame": robot.tip_frame},
         "robot or joint": {"joint": robot.joints[1]},
         "robot": {},
-    }[cls.on]
+    }[cls.traits.on]
     return cls(**place, **VALUES[kind])
 
 
 def with_effect(robot: Robot, kind: str) -> Robot:
     """The robot with it in place of what stands there."""
     effect = effect_of(kind, robot)
-    there = (kind, *effect.stands_for())
+    there = (kind, *effect.traits.stands_for)
     kept = [e for e in robot.effects if not (e.type_name() in there and e.place == effect.place)]
-    needed = (*effect.needs, *(["drive_flexibility"] if kind == "backlash" else []))
+    needed = (*effect.traits.needs, *(["drive_flexibility"] if kind == "backlash" else []))
     absent = [n for n in needed if not any(e.type_name() == n and e.place == effect.place for e in kept)]
     return robot.with_effects([*kept, *(effect_of(n, robot) for n in absent), effect])
 

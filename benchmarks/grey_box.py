@@ -72,7 +72,7 @@ def declared_wrong(robot: Robot, drives: float, friction: float, seed: int) -> R
     for e in robot.effects:
         draws = rng.standard_normal(2 if e.type_name() == "joint_flexibility" else len(e.coefficients))
         repeated = np.repeat(draws, len(e.coefficients) // max(len(draws), 1)) if len(draws) else draws
-        effects.append(e.with_coefficients(e.coefficients * np.exp(size.get(e.part, 0.0) * repeated)))
+        effects.append(e.with_coefficients(e.coefficients * np.exp(size.get(e.traits.part, 0.0) * repeated)))
     return robot.with_effects(effects)
 
 

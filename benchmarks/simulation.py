@@ -82,9 +82,9 @@ def bare_mujoco(robot: Robot) -> mujoco.MjModel:
         joint = effect.joints[0]
         if effect.type_name() == "drive_inertia":
             model.joint(joint).armature[:] = effect.coefficients
-        elif effect.virtual:
+        elif effect.traits.virtual:
             stiffness, damping = np.split(effect.coefficients, 2)
-            for kind, k, d in zip(effect.virtual, stiffness, damping, strict=True):
+            for kind, k, d in zip(effect.traits.virtual, stiffness, damping, strict=True):
                 model.joint(f"{joint}_{kind}").stiffness[:] = k
                 model.joint(f"{joint}_{kind}").damping[:] = d
     return model
@@ -134,12 +134,12 @@ def bare_exudyn(robot: Robot, start: np.ndarray) -> tuple[Any, Any]:
             linkMasses=list(tree.mass),
         )
     )
-    bare = robot.with_effects([e for e in robot.effects if e.virtual or e.type_name() == "drive_inertia"])
+    bare = robot.with_effects([e for e in robot.effects if e.traits.virtual or e.type_name() == "drive_inertia"])
     drives = np.zeros(n)
     drives[bare.plant.drives] = [e.coefficients[0] for e in bare.effects if e.type_name() == "drive_inertia"]
     hinges = np.zeros((2, n))
     for e in bare.effects:
-        for kind, k, d in zip(e.virtual, *np.split(e.coefficients, 2), strict=True) if e.virtual else []:
+        for kind, k, d in zip(e.traits.virtual, *np.split(e.coefficients, 2), strict=True) if e.traits.virtual else []:
             hinges[:, bare.layout.index(e.joints[0], kind)] = k, d
     matrices = {
         "massMatrix": np.diag(drives),

@@ -37,8 +37,8 @@ def stiffnesses(robot: Robot) -> dict[str, float]:
     return {
         f"{effect.joints[0]}:{kind}": float(value)
         for effect in robot.effects
-        if effect.virtual and effect.joints
-        for kind, value in zip(effect.virtual, np.split(effect.coefficients, 2)[0], strict=True)
+        if effect.traits.virtual and effect.joints
+        for kind, value in zip(effect.traits.virtual, np.split(effect.coefficients, 2)[0], strict=True)
     }
 
 

@@ -107,10 +107,16 @@ def hideable() -> tuple[str, ...]:
 
 
 def _can_hide(cls: type[Effect], sites: Sites) -> bool:
-    more = cls.needs_load or cls.needs_model or cls.remembers or cls.needs or not cls.repeats_with_motion
+    more = (
+        cls.traits.needs_load
+        or cls.traits.needs_model
+        or cls.traits.remembers
+        or cls.traits.needs
+        or not cls.traits.repeats_with_motion
+    )
     stated = any(p.kind == "given" for p in cls.parameters().values())
-    plain = cls.in_dynamics and not (more or stated or cls.virtual or cls.last_resort)
-    return plain and cls.on in ("joint", "joints") and bool(cls.over_time(sites))
+    plain = cls.traits.in_dynamics and not (more or stated or cls.traits.virtual or cls.traits.last_resort)
+    return plain and cls.traits.on in ("joint", "joints") and bool(cls.over_time(sites))
 
 
 def check_hidden(hidden: str | None) -> None:
@@ -161,13 +167,13 @@ def _hide(
     joint = str(rng.choice(base.joints))
     at = int(rng.integers(len(base.joints) - 1))
     place: dict[str, object] = {"joint": joint}
-    if cls.on == "joints":
+    if cls.traits.on == "joints":
         place = {"joint_pair": (base.joints[at], base.joints[at + 1])}
     effect = cls(**place)
     # declared on every joint: the declared robot lacks it on this one
     declared = [e for e in base.effects if not (e.place == effect.place and e.type_name() == kind)]
     drawn = _with_values(effect, base, declared, motion, rng)
-    kept = [e for e in declared if not (e.place == drawn.place and e.type_name() in drawn.replaces)]
+    kept = [e for e in declared if not (e.place == drawn.place and e.type_name() in drawn.traits.replaces)]
     return base.with_effects(declared), base.with_effects([*kept, drawn]), drawn
 
 

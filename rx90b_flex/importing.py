@@ -147,7 +147,7 @@ def _with_offer(imported: Imported, robot: Robot) -> Imported:
 
     joints = set(imported.recordings[0].joints)
     here = [e for e in robot.effects if joints & set(e.joints)]
-    if set(BASICS) & {name for e in here for name in (e.type_name(), *e.replaces)}:
+    if set(BASICS) & {name for e in here for name in (e.type_name(), *e.traits.replaces)}:
         return imported
     text = f"{robot.name} declares neither friction nor drive inertia on these joints; --basics has them identified"
     return dataclasses.replace(imported, findings=(*imported.findings, ("all files", Finding(text, "sure"))))

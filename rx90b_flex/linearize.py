@@ -284,10 +284,10 @@ def linearize(
     groups["links"] = _terms(moving.on_tree.derivatives())
     gravity = still.on_tree.derivatives()[0][0]
     for effect in effects:
-        if effect.part not in groups:
-            raise ValueError(f"{effect.label}: part is {effect.part!r}; expected one of {', '.join(GROUPS)}")
-        groups[effect.part] += _terms(effect.derivatives(moving))
-        if effect.part == "links":
+        if effect.traits.part not in groups:
+            raise ValueError(f"{effect.label}: part is {effect.traits.part!r}; expected one of {', '.join(GROUPS)}")
+        groups[effect.traits.part] += _terms(effect.derivatives(moving))
+        if effect.traits.part == "links":
             gravity = gravity + effect.derivatives(still)[0][0]
     return Linearization(moving.coordinates.names, joints, input_matrix, **groups, G0=gravity)
 

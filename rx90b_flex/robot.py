@@ -90,9 +90,9 @@ class Robot:
 
     def flexible_places(self) -> tuple[list[str], list[str], bool]:
         """Joints whose drive twists, joints that bend, and whether the base tilts."""
-        torsion = [e.joints[0] for e in self.effects if "torsion" in e.virtual]
-        bending = [e.joints[0] for e in self.effects if "bend_1" in e.virtual and e.joints]
-        base = any("bend_1" in e.virtual and not e.joints for e in self.effects)
+        torsion = [e.joints[0] for e in self.effects if "torsion" in e.traits.virtual]
+        bending = [e.joints[0] for e in self.effects if "bend_1" in e.traits.virtual and e.joints]
+        base = any("bend_1" in e.traits.virtual and not e.joints for e in self.effects)
         return torsion, bending, base
 
     @cached_property
@@ -141,7 +141,7 @@ class Robot:
     @cached_property
     def forces(self) -> tuple[Effect, ...]:
         """The effects that are forces of the robot; the others stand between it and the log."""
-        return tuple(e for e in self.effects if e.in_dynamics)
+        return tuple(e for e in self.effects if e.traits.in_dynamics)
 
     @cached_property
     def plant(self) -> Plant:
@@ -240,7 +240,7 @@ class Robot:
             bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
             return _RobotTreeMotion(self, moved, link_parameters, bodies)
 
-        known = (e for e in effects if e.in_dynamics and e.known)
+        known = (e for e in effects if e.traits.in_dynamics and e.known)
         return dataclasses.replace(motion, tree=tree, effects=tuple(known))
 
     def link_regressor(self, motion: Motion, columns: int = 0) -> Array:
@@ -335,7 +335,7 @@ class Robot:
         mass = np.triu(mass) + np.triu(mass, 1).T
         motion = self.motion(q, np.zeros_like(q), np.zeros_like(q))
         for effect in self.forces:
-            if effect.adds_inertia:
+            if effect.traits.adds_inertia:
                 mass = mass + effect.derivatives(motion)[2][0]
         return mass
 
@@ -368,7 +368,7 @@ class Robot:
         force = self.input_matrix @ torque
         a = np.zeros(self.model.nv)
         mass = self.mass_matrix(q)
-        loaded = [effect for effect in self.forces if effect.needs_load]
+        loaded = [effect for effect in self.forces if effect.traits.needs_load]
         for _ in range(50):
             short = force - self.inverse_dynamics(q, v, a)
             if not loaded:
@@ -408,7 +408,7 @@ class Robot:
 
     def rigid(self) -> Robot:
         """The robot without the effects that add coordinates."""
-        return self.with_effects([e for e in self.effects if not e.virtual])
+        return self.with_effects([e for e in self.effects if not e.traits.virtual])
 
     def over_time(self) -> Robot:
         """The robot as measured motors show it over time: a rigid tree, with what stands there for coordinates that it lacks."""
@@ -695,14 +695,14 @@ def _read_effects(tables: Any, path: Path, joints: Sequence[str], frames: Sequen
         for other in effects:
             if other.place != effect.place:
                 continue
-            if other.type_name() == effect.type_name() and not effect.repeats:
+            if other.type_name() == effect.type_name() and not effect.traits.repeats:
                 raise ValueError(f"{where}: {effect.label} is declared twice")
-            if effect.type_name() in other.replaces or other.type_name() in effect.replaces:
+            if effect.type_name() in other.traits.replaces or other.type_name() in effect.traits.replaces:
                 both = f"{effect.type_name()} and {other.type_name()}"
                 raise ValueError(f"{where}: {both} exclude each other on one joint")
         effects.append(effect)
     for i, effect in enumerate(effects, start=1):
-        for needed in effect.needs:
+        for needed in effect.traits.needs:
             if not any(e.type_name() == needed and e.place == effect.place for e in effects):
                 raise ValueError(f"{path}: effect {i}: {effect.label} needs a {needed} in the same place")
     return effects

@@ -12,7 +12,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot, load_robot
 
 # What stands between robot and log is no part of a robot's dynamics.
-TYPES = tuple(name for name, cls in catalogue().items() if cls.in_dynamics)
+TYPES = tuple(name for name, cls in catalogue().items() if cls.traits.in_dynamics)
 ALL_TYPES = tuple(catalogue())
 ROBOTS = ("rx90b", "example-robot-data:ur10")
 
@@ -30,7 +30,7 @@ def draw_effect(kind: str, robot: Robot, rng: np.random.Generator) -> tuple[Effe
     # a type that no search can try has no places of its own: then any joint
     places = cls.everywhere(sites) or [cls(joint=j) for j in robot.joints]  # type: ignore[call-arg]
     effect = places[rng.integers(len(places))]
-    others = [e for name in cls.needs for e in catalogue()[name].everywhere(sites)]
+    others = [e for name in cls.traits.needs for e in catalogue()[name].everywhere(sites)]
     needed = [e for e in others if e.place == effect.place]
     return (*(_with_values(e, rng) for e in needed), _with_values(effect, rng))
 
@@ -59,7 +59,7 @@ def with_drawn_effects(robot: Robot, kinds: list[str], rng: np.random.Generator)
     effects: list[Effect] = []
     for kind in kinds:
         for new in draw_effect(kind, robot, rng):
-            if new.repeats or not any(type(e) is type(new) and e.place == new.place for e in effects):
+            if new.traits.repeats or not any(type(e) is type(new) and e.place == new.place for e in effects):
                 effects.append(new)
     return robot.with_effects(effects)
 

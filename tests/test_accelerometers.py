@@ -18,7 +18,7 @@ def robot() -> Robot:
     """The 3-DOF robot with viscous friction, so that the truth of the slope is known."""
     declared = load_robot("rx90b_3dof")
     viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(declared.joints, TRUE_SLOPES, strict=True)]
-    return declared.with_effects([*(e for e in declared.effects if e.part != "friction"), *viscous])
+    return declared.with_effects([*(e for e in declared.effects if e.traits.part != "friction"), *viscous])
 
 
 def sensors(true: Robot) -> list[Accelerometer]:
@@ -42,7 +42,7 @@ def declared_wrong(true: Robot) -> Robot:
     """The same robot, its stiffness and damping declared 30 % off."""
     rng = np.random.default_rng(5)
     return true.with_effects([
-        e.with_coefficients(e.coefficients * rng.choice([0.7, 1.3], len(e.coefficients))) if e.part == "flexibility" else e
+        e.with_coefficients(e.coefficients * rng.choice([0.7, 1.3], len(e.coefficients))) if e.traits.part == "flexibility" else e
         for e in true.effects
     ])  # fmt: skip
 

@@ -48,7 +48,7 @@ def test_the_declared_robot_lacks_the_hidden_effect_and_nothing_else(kind):
     assert not any(type(e) is type(effect) and e.place == effect.place for e in d.declared.effects)
     others = {e for e in d.true.effects if e is not effect}
     surplus = [e for e in d.declared.effects if e not in others]
-    assert all(e.type_name() in effect.replaces and e.place == effect.place for e in surplus)
+    assert all(e.type_name() in effect.traits.replaces and e.place == effect.place for e in surplus)
 
 
 def test_with_nothing_hidden_the_declared_robot_is_the_true_one():

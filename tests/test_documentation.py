@@ -85,7 +85,7 @@ def test_names_in_effects_docstrings_are_effect_types() -> None:
 def test_the_gallery_draws_what_an_effect_leaves_in_a_residual(name: str) -> None:
     figure = effect_pictures.draw(catalogue()[name])
     if figure is None:  # it hardens a torsion, and is nothing beside a rigid drive
-        assert catalogue()[name].needs
+        assert catalogue()[name].traits.needs
         return
     lines = [np.asarray(line.get_ydata(), dtype=float) for ax in figure.axes for line in ax.lines]
     assert all(np.isfinite(y).all() for y in lines) and np.ptp(lines[0]) > 0

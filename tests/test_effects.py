@@ -222,5 +222,9 @@ def test_base_tilt_is_the_gravity_of_a_turned_base_up_to_the_square_of_the_angle
 
 def test_effects_that_move_coordinates_or_need_others_say_so():
     types = catalogue()
-    assert [n for n, c in types.items() if c.virtual] == ["base_flexibility", "drive_flexibility", "joint_flexibility"]
-    assert types["stiffness_hardening"].needs == ("drive_flexibility",)
+    assert [n for n, c in types.items() if c.traits.virtual] == [
+        "base_flexibility",
+        "drive_flexibility",
+        "joint_flexibility",
+    ]
+    assert types["stiffness_hardening"].traits.needs == ("drive_flexibility",)

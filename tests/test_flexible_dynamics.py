@@ -42,7 +42,7 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite_in_every_pose(name):
 def test_inverse_dynamics_is_affine_in_the_acceleration_with_the_mass_matrix(source, kinds, seed):
     rng = np.random.default_rng(seed)
     # what follows the size of the load has a corner where that changes sign
-    robot = with_drawn_effects(tree(source), [k for k in kinds if not catalogue()[k].needs_load], rng)
+    robot = with_drawn_effects(tree(source), [k for k in kinds if not catalogue()[k].traits.needs_load], rng)
     q, v, a = draw_state(robot, rng)
     found = robot.inverse_dynamics(q, v, a) - robot.inverse_dynamics(q, v, 0 * a)
     expected = robot.mass_matrix(q) @ a
@@ -56,7 +56,7 @@ def test_forward_dynamics_inverts_inverse_dynamics(kinds, seed):
     drives = [DriveInertia(joint=j, inertia=1.0) for j in tree("rx90b").joints]
     robot = with_drawn_effects(tree("rx90b"), [k for k in [*kinds, "load_friction"] if k != "drive_inertia"], rng)
     # a load friction beyond its load would leave no way to move
-    drawn = [e.with_coefficients(0.1 * e.coefficients) if e.needs_load else e for e in robot.effects]
+    drawn = [e.with_coefficients(0.1 * e.coefficients) if e.traits.needs_load else e for e in robot.effects]
     robot = robot.with_effects([*drives, *drawn])
     q, v, _ = draw_state(robot, rng)
     torque = rng.uniform(-100, 100, len(robot.joints))
@@ -123,7 +123,7 @@ def test_in_joint_angles_friction_acts_on_the_joint_angle_alone():
     dynamics = JointAngleDynamics(robot)
     rates = np.random.default_rng(5).uniform(0.2, 1, 16)
     motion = robot.motion(np.zeros(16), dynamics.to_torsions(rates), np.zeros(16))
-    torque = sum(e.force(motion)[0] for e in robot.effects if e.part == "friction") @ dynamics.transform
+    torque = sum(e.force(motion)[0] for e in robot.effects if e.traits.part == "friction") @ dynamics.transform
     angles = [i for i, name in enumerate(dynamics.coordinates) if name.endswith(":angle")]
     assert np.abs(np.delete(torque, angles)).max() <= 1e-13 * np.abs(torque).max()
     assert (torque[angles] > 0).all()
@@ -171,7 +171,7 @@ def fixed_base_moment(robot: Robot, q: np.ndarray, v: np.ndarray, torque: np.nda
 def test_free_motion_without_friction_and_damping_keeps_the_energy():
     """One second from a bent pose with the flexible coordinates deflected and joint_1 turning."""
     robot = load_robot("rx90b_3dof").restricted(["joint_1", "joint_2"])
-    lossless = [_undamped(e) if e.virtual else e for e in robot.effects if e.part != "friction"]
+    lossless = [_undamped(e) if e.traits.virtual else e for e in robot.effects if e.traits.part != "friction"]
     robot = robot.with_effects(lossless)
     n = robot.model.nv
     q, v = np.zeros(n), np.zeros(n)

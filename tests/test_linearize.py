@@ -51,10 +51,10 @@ def as_table_d1(robot: Robot) -> Robot:
     """The same with damping of 1e-3 s times stiffness, and friction on the joints."""
     effects: list[Effect] = []
     for e in robot.effects:
-        if e.part == "flexibility":
+        if e.traits.part == "flexibility":
             stiffness = np.split(e.coefficients, 2)[0]
             e = e.with_coefficients(np.r_[stiffness, 1e-3 * stiffness])
-        effects.append(dataclasses.replace(e, side="joint") if e.part == "friction" else e)
+        effects.append(dataclasses.replace(e, side="joint") if e.traits.part == "friction" else e)
     return robot.with_effects(effects)
 
 

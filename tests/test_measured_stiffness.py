@@ -200,7 +200,7 @@ def write_poses(folder: Path, robot: Robot, joint: str, count: int) -> None:
     """Markers beside a joint in poses at rest under weight alone, without times."""
     rng = np.random.default_rng(8)
     pose = rng.uniform(-1.2, 1.2, (count, len(robot.joints)))
-    still = robot.with_effects([e for e in robot.effects if e.part != "friction"])
+    still = robot.with_effects([e for e in robot.effects if e.traits.part != "friction"])
     q = carried_motion(still, pose, 0 * pose, 0 * pose).q
     camera = Camera.looking(CAMERA_AT, LOOKING_AT)
     table = {f"q_{j}": pose[:, i] for i, j in enumerate(robot.joints)}
@@ -230,8 +230,8 @@ def test_poses_at_rest_are_enough(tmp_path: Path, command: Command, robot: Robot
     assert (found.status, found.err) == (0, "")
     for entry in json.loads((tmp_path / "out" / "camera.json").read_text())["stiffness"]:
         wanted = next(
-            c for e in robot.effects if e.virtual and e.joints == (joint,)
-            for kind, c in zip(e.virtual, e.coefficients, strict=False) if entry["coordinate"].endswith(kind)
+            c for e in robot.effects if e.traits.virtual and e.joints == (joint,)
+            for kind, c in zip(e.traits.virtual, e.coefficients, strict=False) if entry["coordinate"].endswith(kind)
         )  # fmt: skip
         if entry["coordinate"] == "joint_4:torsion":
             assert entry["value"] is None and "joint_4:torsion: not determined" in found.out

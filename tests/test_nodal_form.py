@@ -204,7 +204,7 @@ def linear_form(node: Node) -> Array:
 @pytest.fixture(scope="module")
 def robot() -> Robot:
     """The flexible four-axis arm with nothing but its links: every stiffness and damping zero."""
-    flexible = [e for e in load_robot("rx90b_4dof").effects if e.virtual]
+    flexible = [e for e in load_robot("rx90b_4dof").effects if e.traits.virtual]
     return load_robot("rx90b_4dof").with_effects([e.with_coefficients(0 * e.coefficients) for e in flexible])
 
 

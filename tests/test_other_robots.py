@@ -141,7 +141,7 @@ def states(robot: Robot, count: int = 4) -> list[tuple[np.ndarray, np.ndarray, n
 def test_flexified_arm_without_deflection_is_the_rigid_arm(name: str, folder: Path) -> None:
     rigid, robot = arm(name, folder), flexible(name, folder)
     assert len(robot.coordinates) == (5 if name == "own_file" else 4 * len(rigid.joints))
-    bare = robot.with_effects([e for e in robot.effects if e.virtual])
+    bare = robot.with_effects([e for e in robot.effects if e.traits.virtual])
     for pose in np.random.default_rng(2).uniform(-1, 1, (3, len(rigid.joints))):
         q = robot.input_matrix @ pose
         zero = np.zeros_like(pose)

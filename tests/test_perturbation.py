@@ -175,7 +175,7 @@ def test_a_whole_period_of_excitation_agrees_with_the_nonlinear_simulation() -> 
 def test_a_frozen_manipulator_answers_alike_at_every_place_of_the_motion() -> None:
     """Links linear and time-invariant (section 6.6.6): the same push has the same answer early and late in the motion."""
     # the spring's law of one angle keeps its nonlinearity, as friction does
-    robot = ROBOT.with_effects([e for e in ROBOT.effects if e.part not in ("friction", "spring")])
+    robot = ROBOT.with_effects([e for e in ROBOT.effects if e.traits.part not in ("friction", "spring")])
     wave = square_wave(robot, [0.0, np.pi / 2, 0.0, 0.0], moving=robot.joints[:3])
     count = 400
     pushes = np.zeros((3, count, 4))

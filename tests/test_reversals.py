@@ -111,7 +111,9 @@ def test_a_gain_is_fitted_again_where_links_were_moved(robot: Robot) -> None:
     half = dataclasses.replace(
         model,
         link_parameters=0.5 * model.link_parameters,
-        effects=tuple(e.with_coefficients(0.5 * e.coefficients) if not e.multiplies else e for e in model.effects),
+        effects=tuple(
+            e.with_coefficients(0.5 * e.coefficients) if not e.traits.multiplies else e for e in model.effects
+        ),
     )
     assert gains_again(half)[first:] == pytest.approx(3.0, rel=1e-2)
 
@@ -158,7 +160,7 @@ def test_friction_that_holds_at_rest_takes_a_sign_s_place_and_adds_no_parameter(
     data = regression(robot, 0.1, deflection)
     model = identify(data, [CoulombFriction(joint=robot.joints[0])], fit_links=False)
     search = Search(model, Sites(robot.joints, robot.tip_frame))
-    trials = [t for t in search.run() if "coulomb_friction" in t.effect.stands_for()]
+    trials = [t for t in search.run() if "coulomb_friction" in t.effect.traits.stands_for]
     held = [t for t in trials if t.accepted]
     if deflection is None:
         assert not held  # a true sign needs no memory

@@ -245,7 +245,7 @@ def test_the_number_of_a_wrong_effect_counts_from_the_first(folder):
     assert f"{path}: effect 3: unknown effect type 'nonsense'" in refusal(path)
 
 
-@pytest.mark.parametrize("name", [n for n, c in catalogue().items() if c.on == "joint"])
+@pytest.mark.parametrize("name", [n for n, c in catalogue().items() if c.traits.on == "joint"])
 def test_every_effect_type_on_a_joint_refuses_a_joint_that_is_not_there(folder, name):
     path = written(folder, HEAD + effect(name, joint='"wrist"'))
     assert f"{path}: effect 1 ({name}): unknown joint 'wrist'" in refusal(path)

@@ -227,7 +227,7 @@ def test_table_d1s_damping_is_another_robots():
     declared = load_robot("rx90b_3dof")
     robot = declared.with_effects([
         e.with_coefficients(np.r_[stiffness := np.split(e.coefficients, 2)[0], 1e-3 * stiffness])
-        if e.part == "flexibility" else e
+        if e.traits.part == "flexibility" else e
         for e in declared.effects
     ])  # fmt: skip
     found, _ = poles_and_zeros(robot)

@@ -86,7 +86,7 @@ def arm() -> ind.Arm:
 def robot_with(folder: Path, *effects: dict[str, object]) -> Robot:
     made = ind.two_joints(folder)
     types = catalogue()
-    places = [(name, e.get("joint")) for e in effects for name in (e["type"], *types[str(e["type"])].replaces)]
+    places = [(name, e.get("joint")) for e in effects for name in (e["type"], *types[str(e["type"])].traits.replaces)]
     declared = [d for d in DECLARED if (d["type"], d["joint"]) not in places]
     return rf.load_robot(ind.write_robot(folder, made, [*declared, *effects], known=True))
 
@@ -231,7 +231,7 @@ def moved(kind: str) -> Moved:
 
 
 def test_every_type_between_robot_and_log_is_here():
-    assert {kind for kind, cls in catalogue().items() if not cls.in_dynamics} <= set(VALUES)
+    assert {kind for kind, cls in catalogue().items() if not cls.traits.in_dynamics} <= set(VALUES)
 
 
 @pytest.mark.parametrize("kind", sorted({*VALUES, *TYPES}))
@@ -253,7 +253,7 @@ def test_a_log_holds_the_torque_that_the_effect_makes_of_the_motion(kind):
         assert np.abs(expected - plain(m.drives)).max() > 20 * TOLERANCE  # the effect shows
 
 
-@pytest.mark.parametrize("kind", [k for k, cls in catalogue().items() if cls.virtual or k in NEEDS_TORSION])
+@pytest.mark.parametrize("kind", [k for k, cls in catalogue().items() if cls.traits.virtual or k in NEEDS_TORSION])
 def test_coordinates_without_a_motor_stay_without_a_force(kind):
     m = moved(kind)
     forces = m.run.robot.inverse_dynamics(m.q, m.v, m.a)[m.inside]

@@ -228,7 +228,7 @@ def test_every_effect_is_held_or_said_to_be_lost(kind: str, tmp_path: Path) -> N
     rng = np.random.default_rng(5)
     bare = tree(UR10)
     effects = draw_effect(kind, bare, rng)
-    twisting = {e.joints[0] for e in effects if "torsion" in e.virtual}
+    twisting = {e.joints[0] for e in effects if "torsion" in e.traits.virtual}
     effects += tuple(
         effect_from_table({"type": "drive_inertia", "joint": j, "inertia": 1.0}, "test", bare.joints) for j in twisting
     )

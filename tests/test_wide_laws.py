@@ -17,10 +17,11 @@ from drawn_effects import TYPES, draw_effect
 from test_simulated_effects import FLEXIBLE, NEEDS_TORSION, VALUES, controller_of, robot_with, sines
 
 from rx90b_flex.effects import catalogue, effect_to_table
-from rx90b_flex.effects.effect import JointEffect, linear
+from rx90b_flex.effects.effect import JointEffect
 from rx90b_flex.effects.friction import FrictionDrift
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.law_effect import SumOfLaws
+from rx90b_flex.effects.parameters import linear
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Simulation, closed_loop, simulate_lanes
 

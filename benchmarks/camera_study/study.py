@@ -114,8 +114,8 @@ def make_scene(robot: Robot, joint: str, *, rate_hz: float = RATE_HZ, camera: Ca
     stiffness = {
         kind: value
         for effect in robot.effects
-        if effect.virtual and effect.joints == (joint,)
-        for kind, value in zip(effect.virtual, np.split(effect.coefficients, 2)[0], strict=True)
+        if effect.traits.virtual and effect.joints == (joint,)
+        for kind, value in zip(effect.traits.virtual, np.split(effect.coefficients, 2)[0], strict=True)
     }
     return Scene(
         joint,

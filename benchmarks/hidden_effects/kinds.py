@@ -146,8 +146,20 @@ ELSEWHERE = {
 def by_its_own_law(cls: type[Effect]) -> Kind | None:
     """How a type is hidden that this study has no law of: by the package's own; None where it is no torque of one joint's motion."""
     stated = any(p.kind == "given" for p in cls.parameters().values())
-    more = cls.needs_load or cls.needs_model or cls.remembers or cls.needs or cls.virtual
-    if cls.on != "joint" or not cls.in_dynamics or stated or more or not cls.over_time(Sites(("joint",), "tip")):
+    more = (
+        cls.traits.needs_load
+        or cls.traits.needs_model
+        or cls.traits.remembers
+        or cls.traits.needs
+        or cls.traits.virtual
+    )
+    if (
+        cls.traits.on != "joint"
+        or not cls.traits.in_dynamics
+        or stated
+        or more
+        or not cls.over_time(Sites(("joint",), "tip"))
+    ):
         return None
     named = {kind: [n for n, p in cls.parameters().items() if p.kind == kind] for kind in ("linear", "shape")}
     starts = {n: p.start for n, p in cls.parameters().items() if p.kind == "shape"}
@@ -167,14 +179,14 @@ ELSEWHERE |= {name: "this study has no law of it" for name, kind in OTHERS.items
 
 def places(kind: Kind, joints: int, rng: np.random.Generator) -> list[tuple[int, ...]]:
     """Where an effect may be hidden, in drawn order."""
-    if kind.on in ("robot", "frame"):
+    if kind.traits.on in ("robot", "frame"):
         return [()]
-    if kind.on in ("pair", "ordered pair"):
-        choose = itertools.combinations if kind.on == "pair" else itertools.permutations
+    if kind.traits.on in ("pair", "ordered pair"):
+        choose = itertools.combinations if kind.traits.on == "pair" else itertools.permutations
         pairs = list(choose(range(joints), 2))
         return [pairs[i] for i in rng.permutation(len(pairs))]
     single: list[tuple[int, ...]] = [(int(j),) for j in rng.permutation(joints)]
-    return [(), *single] if kind.on == "robot or joint" and rng.random() < 0.5 else single
+    return [(), *single] if kind.traits.on == "robot or joint" and rng.random() < 0.5 else single
 
 
 def drawn(name: str, kind: Kind, place: tuple[int, ...], rng: np.random.Generator) -> Hidden:

@@ -69,7 +69,8 @@ def worth_comparing(search: Search, named: Effect, winner: TorqueTrial, rivals: 
         near = not effect.joints or not named.joints or bool(set(effect.joints) & set(named.joints))
         free = (type(effect), effect.place) not in present
         shut_out = any(
-            e.place == effect.place and (effect.type_name() in e.stands_for() or e.type_name() in effect.stands_for())
+            e.place == effect.place
+            and (effect.type_name() in e.traits.stands_for or e.type_name() in effect.traits.stands_for)
             for e in others
         )
         if near and free and not shut_out and rival.gain >= MOST_OF_IT * winner.gain:
@@ -102,7 +103,7 @@ class Comparison:
         """Whether both are lawful, explain much the same, and neither does so better than chance allows."""
         mostly = self.rival.gain >= MOST_OF_IT * self.named.gain
         # a freer form of the same law, which holds it as a special case, is no other explanation
-        other = self.named.effect.type_name() not in self.rival.effect.stands_for()
+        other = self.named.effect.type_name() not in self.rival.effect.traits.stands_for
         return mostly and other and self.rival.accepted and abs(self.behind) <= APART
 
     @property
@@ -155,7 +156,9 @@ class _Beside:
     def restored(self) -> tuple[Effect, ...]:
         """Declared effects that the named one took the place of."""
         declared = self.search.regression.robot.effects
-        return tuple(e for e in declared if e.place == self.named.place and e.type_name() in self.named.stands_for())
+        return tuple(
+            e for e in declared if e.place == self.named.place and e.type_name() in self.named.traits.stands_for
+        )
 
     @property
     def kept(self) -> list[Effect]:
@@ -164,7 +167,7 @@ class _Beside:
 
     def base(self, candidate: Effect | None) -> Base:
         """What the candidate comes to: all of this, less what it replaces itself."""
-        out = tuple(e for e in self.restored if candidate is None or e.type_name() not in candidate.stands_for())
+        out = tuple(e for e in self.restored if candidate is None or e.type_name() not in candidate.traits.stands_for)
         if out not in self._bases:
             self._bases[out] = self.search.base(self.named, out)
         return self._bases[out]
@@ -275,8 +278,10 @@ def swapped(effects: Sequence[Effect], named: Effect, comparison: Comparison, se
     """The model's effects with the rival in the named one's place."""
     rival = comparison.rival.effect
     beside = _Beside(search, named)
-    restored = [e for e in beside.restored if e.type_name() not in rival.stands_for()]
+    restored = [e for e in beside.restored if e.type_name() not in rival.traits.stands_for]
     kept = [
-        e for e in effects if e is not named and not (e.place == rival.place and e.type_name() in rival.stands_for())
+        e
+        for e in effects
+        if e is not named and not (e.place == rival.place and e.type_name() in rival.traits.stands_for)
     ]
     return [*kept, *restored, rival]

@@ -28,6 +28,6 @@ def with_basics(robot: Robot, joints: Sequence[str] | None = None, behind_gears:
     added: list[Effect] = []
     for joint in robot.joints if joints is None else joints:
         here = [e for e in robot.effects if e.joints == (joint,)]
-        have = {e.type_name() for e in here} | {name for e in here for name in e.replaces}
+        have = {e.type_name() for e in here} | {name for e in here for name in e.traits.replaces}
         added += [known[name](joint=joint) for name in (BEHIND_GEARS if behind_gears else BASICS) if name not in have]  # type: ignore[call-arg]
     return robot.with_effects([*robot.effects, *added])

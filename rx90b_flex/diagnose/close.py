@@ -422,7 +422,9 @@ class _Ended:
             after,
             None if floor is None else tuple(float(x) for x in floor),
             self._found(search),
-            verdict_despite(remains.verdict, checked, {j for e in model.effects if e.multiplies for j in e.joints}),
+            verdict_despite(
+                remains.verdict, checked, {j for e in model.effects if e.traits.multiplies for j in e.joints}
+            ),
             Unexplained(after.validation.relative_error, where, left, bands(left)),
             model,
             declared,
@@ -522,7 +524,7 @@ def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
     """Where the rigid band that torques over time are held against ends below what the campaign keeps."""
-    hinges = [e for e in robot.effects if "bend_1" in e.virtual]
+    hinges = [e for e in robot.effects if "bend_1" in e.traits.virtual]
     if not hinges:
         return ()
     if not all(e.known for e in hinges):
@@ -530,8 +532,8 @@ def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
             f"Not all of the {len(hinges)} hinges that {robot.name} declares have a value: those without are left out, for torques "
             "over time are held against a rigid tree, and it is not known from which frequency on they bend.",
         )
-    flexible = [e for e in robot.effects if e.virtual and e.known]
-    loads = [e for e in robot.effects if e.part == "links" and e.known]
+    flexible = [e for e in robot.effects if e.traits.virtual and e.known]
+    loads = [e for e in robot.effects if e.traits.part == "links" and e.known]
     column = {joint: i for i, joint in enumerate(campaign.joints)}
     angles = np.concatenate([r.position for r in campaign.identification]).mean(axis=0)
     pose = np.array([angles[column[j]] if j in column else 0.0 for j in robot.joints])
@@ -563,7 +565,7 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
         f"{e.label} is what the motor's torque is over what the torque sensor of {e.joints[0]} and the links ask for: motor "
         "constant and sensor disagree, and the log does not say which of them is off."
         for e in model.effects
-        if e.multiplies and e.joints[0] in sensors
+        if e.traits.multiplies and e.joints[0] in sensors
     ]
     return tuple(words)
 

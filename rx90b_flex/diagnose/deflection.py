@@ -157,7 +157,7 @@ def _torques(model: Identification, recording: Recording, cutoff_hz: float | Non
     """Torque that the model asks of the drives without friction, and whole, (N, joints, 2), N m."""
     robot = model.regression.robot
     replay = ReplayedTorques(robot, prepare(robot, recording, cutoff_hz, thin=False))
-    smooth = [e for e in model.effects if e.part != "friction" and e.in_dynamics]
+    smooth = [e for e in model.effects if e.traits.part != "friction" and e.traits.in_dynamics]
     return np.stack([replay.predict(x, model.link_parameters) for x in (smooth, model.effects)], axis=2)
 
 
@@ -196,7 +196,7 @@ def _judged(data: gears.GearData, tests: int, present: Sequence[Effect]) -> Gear
     shown = trial.accepted and carried and known
     comparisons = _comparisons(fit, tests) if shown else ()
     parameters = _parameters(fit) if shown else ()
-    declared = [e for e in present if "torsion" in e.virtual and e.joints == (data.joint,)]
+    declared = [e for e in present if "torsion" in e.traits.virtual and e.joints == (data.joint,)]
     effect = None
     if shown and not declared:
         stiffness, damping = (float(p.value or 0.0) for p in parameters)
@@ -324,7 +324,7 @@ def with_gears(robot: Robot, found: Sequence[GearDeflection]) -> Robot:
             effects.append(gear.effect)
             continue
         for i, effect in enumerate(effects):
-            if gear.parameters and "torsion" in effect.virtual and effect.joints == (gear.joint,):
+            if gear.parameters and "torsion" in effect.traits.virtual and effect.joints == (gear.joint,):
                 measured = np.array([p.value for p in gear.parameters], dtype=float)
                 own = effect.coefficients
                 effects[i] = effect.with_coefficients(np.where(np.isnan(own), measured, own))

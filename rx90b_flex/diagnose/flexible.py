@@ -193,9 +193,9 @@ def _additions(robot: Robot, joints: Sequence[str], pose: Array) -> list[Effect]
 def _coefficients(full: Robot, declared: int) -> list[Coefficient]:
     out = []
     for i, effect in enumerate(full.effects):
-        if effect.scaled and (i >= declared or effect.rescaled):
+        if effect.traits.scaled and (i >= declared or effect.traits.rescaled):
             values = effect.known_coefficients()
-            out += [Coefficient(i, k, float(values[k])) for k in sorted(itertools.chain(*effect.scaled))]
+            out += [Coefficient(i, k, float(values[k])) for k in sorted(itertools.chain(*effect.traits.scaled))]
     return out
 
 
@@ -220,7 +220,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
             )
     constant = of(motion.on_tree.derivatives())
     for i, effect in enumerate(full.effects):
-        if i not in varied and effect.in_dynamics and effect.part != "friction":
+        if i not in varied and effect.traits.in_dynamics and effect.traits.part != "friction":
             constant = constant + of(effect.derivatives(motion))
     return Pose(angles, constant, patterns)
 
@@ -235,13 +235,13 @@ def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float
     shared: dict[str, list[int]] = {}
     for e in sorted({e for e, _ in numbers}):
         effect = full.effects[e]
-        groups = tuple(tuple(numbers[e, k] for k in group) for group in effect.scaled)
+        groups = tuple(tuple(numbers[e, k] for k in group) for group in effect.traits.scaled)
         at = tuple(sorted(itertools.chain(*groups)))
         if e >= declared:
             out.append(_addition(structure.robot, effect, groups, sizes, new_std))
-        elif effect.virtual or set(effect.joints) <= set(structure.joints):
+        elif effect.traits.virtual or set(effect.joints) <= set(structure.joints):
             out.append(_factor(effect, _place(effect), tuple(i for i in at if _stiffens(structure, i))))
-            if effect.virtual:
+            if effect.traits.virtual:
                 shared.setdefault(effect.type_name(), []).append(e)
     for several in (s for s in shared.values() if len(s) > 1):
         at = tuple(i for (e, _), i in numbers.items() if e in several and _stiffens(structure, i))
@@ -252,7 +252,7 @@ def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float
 def _stiffens(structure: Structure, number: int) -> bool:
     """Whether a coefficient is not a damping: a softer hinge need not lose less."""
     c = structure.coefficients[number]
-    virtual = structure.full.effects[c.effect].virtual
+    virtual = structure.full.effects[c.effect].traits.virtual
     return not virtual or c.column < len(virtual)
 
 
@@ -265,13 +265,13 @@ def _addition(
 ) -> Change:
     single = len(groups) == 1
     names = tuple(effect.parameters())[:1] if single else effect.coefficient_names[: len(groups)]
-    coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.virtual)
+    coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.traits.virtual)
     starts = np.log(effect.starts_at_rest(sizes))
     alike = Change(
         effect.type_name(), _place(effect), True, names, effect.coefficient_units[: len(groups)],
         starts, _usual(robot, effect.type_name(), starts), std, groups, coordinates,
     )  # fmt: skip
-    if not single or len(effect.virtual) != 2:
+    if not single or len(effect.traits.virtual) != 2:
         return alike
     first = min(groups[0])
     return _unlike(alike, effect.coefficient_names[:2], ((first, first + 2), (first + 1, first + 3)))
@@ -280,12 +280,12 @@ def _addition(
 def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
     starts = np.log(np.array([[0.6], [1.6]]))
     alike = Change(
-        effect.type_name(), place, False, (effect.rescaled,), effect.coefficient_units[:1],
+        effect.type_name(), place, False, (effect.traits.rescaled,), effect.coefficient_units[:1],
         starts, np.zeros(1), FACTOR_STD, (moved,),
     )  # fmt: skip
-    if len(effect.virtual) != 2 or len(moved) != 2:
+    if len(effect.traits.virtual) != 2 or len(moved) != 2:
         return alike
-    return _unlike(alike, (f"{effect.rescaled}_1", f"{effect.rescaled}_2"), ((moved[0],), (moved[1],)))
+    return _unlike(alike, (f"{effect.traits.rescaled}_1", f"{effect.traits.rescaled}_2"), ((moved[0],), (moved[1],)))
 
 
 def _unlike(alike: Change, names: tuple[str, ...], moves: tuple[tuple[int, ...], ...]) -> Change:
@@ -299,7 +299,9 @@ def _unlike(alike: Change, names: tuple[str, ...], moves: tuple[tuple[int, ...],
 
 def _usual(robot: Robot, kind: str, starts: Array) -> Array:
     """Logarithm of the values that a robot declares of an effect type; the middle of the starts where it declares none."""
-    known = [e.coefficients[0] for e in robot.effects if e.type_name() == kind and e.virtual and e.coefficients[0] > 0]
+    known = [
+        e.coefficients[0] for e in robot.effects if e.type_name() == kind and e.traits.virtual and e.coefficients[0] > 0
+    ]
     return np.full(starts.shape[1], np.log(known).mean()) if known else np.asarray(starts.mean(axis=0))
 
 
@@ -377,7 +379,7 @@ class FlexibleLoop(ABC):
         for found in self.found:
             factor = float(np.exp(np.log(found.values) - found.change.usual).mean())
             hinge = found.change.adds and any(
-                e.type_name() == found.change.type and e.virtual for e in self.source.effects
+                e.type_name() == found.change.type and e.traits.virtual for e in self.source.effects
             )
             if hinge and not 1 / UNUSUAL < factor < UNUSUAL:
                 size = f"{1 / factor:.0f} times softer" if factor < 1 else f"{factor:.0f} times stiffer"

@@ -101,7 +101,7 @@ def _is_slow(robot: Robot) -> bool:
     """Whether a simulation steps outside its compiled loop for some of the effects."""
     rest = np.zeros(robot.model.nv)
     motion = robot.motion(rest, rest, rest)
-    return robot.plant.wide is None or any(e.laws(motion) is None for e in robot.effects if not e.in_dynamics)
+    return robot.plant.wide is None or any(e.laws(motion) is None for e in robot.effects if not e.traits.in_dynamics)
 
 
 def _simulated(robot: Robot, controller: CS8, recording: Recording, seconds: float) -> Simulation:

@@ -121,7 +121,7 @@ def _named(effect: Effect) -> dict[str, Any]:
     out: dict[str, Any] = {"type": effect.type_name(), "joint": joints[0] if len(joints) == 1 else None}
     if len(joints) > 1:
         out["joints"] = list(joints)
-    if effect.on == "frame":
+    if effect.traits.on == "frame":
         out["frame"] = effect.place[0]
     return out
 

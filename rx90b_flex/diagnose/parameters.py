@@ -103,7 +103,7 @@ def _status(x: Array, theta: Array, prior: Array) -> list[str]:
 
 def undeclared_basics(look: Look, robot: Robot, moving: Mask) -> tuple[str, ...]:
     """Drive inertia, dry and viscous friction and offsets that no joint declares, and that would explain something."""
-    declared = {e.type_name() for e in robot.effects} | {t for e in robot.effects for t in e.replaces}
+    declared = {e.type_name() for e in robot.effects} | {t for e in robot.effects for t in e.traits.replaces}
     links = 10 * len(robot.bodies)
     whole = look.fit().score
     out = []

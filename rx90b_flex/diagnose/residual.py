@@ -91,9 +91,9 @@ class ReplayedTorques:
         """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
         loaded = self.stretch.loaded(link_parameters)
         seen = self.robot.on_links(self.stretch.motion, loaded, effects)
-        force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.in_dynamics), seen)
+        force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.traits.in_dynamics), seen)
         for effect in effects:
-            if not effect.in_dynamics:
+            if not effect.traits.in_dynamics:
                 force = effect.logged(seen, force)
         return self._filtered(force[:, self._rows])
 

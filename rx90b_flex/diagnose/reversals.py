@@ -37,7 +37,7 @@ def trust(regression: Regression, model: Identification) -> Array:
     """
     motors = regression.motors
     sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(motors)), axis=0)
-    steep = [e for e in model.effects if e.in_dynamics and not (e.virtual or e.needs_model)]
+    steep = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
     seen = motors.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.stretches, motors.stretches, strict=True)
     doubt = np.concatenate([_doubt(s, first.wider, steep) for s, first in pairs])[:, motors.rows]
@@ -57,7 +57,7 @@ def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) 
         return with_forces(np.zeros_like(stretch.motion.v), of, dataclasses.replace(stretch.motion, **changes))
 
     angle, velocity = wider
-    by_angle, steep = ([e for e in effects if e.remembers is known] for known in (True, False))
+    by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
     beside = 0.5 * sum(force(steep, v=v) for v in _between(velocity))
     there, here = force(steep, v=velocity), force(steep)
     unknown = [there - here, beside - there]

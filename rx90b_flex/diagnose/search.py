@@ -52,17 +52,17 @@ BATCH_BYTES = 64e6
 
 def laws(kind: type[Effect]) -> bool:
     """Effects with a law of their own."""
-    return not kind.last_resort
+    return not kind.traits.last_resort
 
 
 def last_resorts(kind: type[Effect]) -> bool:
     """Curves of no known law."""
-    return kind.last_resort
+    return kind.traits.last_resort
 
 
 def beside_motion(kind: type[Effect]) -> bool:
     """Effects that do not repeat where the motion does: the noise between repeats holds them."""
-    return not kind.repeats_with_motion
+    return not kind.traits.repeats_with_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +162,11 @@ class Search:
                 if not len(effect.coefficients):
                     continue  # this motion leaves nothing to place
                 here = [e for e in self.model.effects if e.place == effect.place]
-                if not all(any(e.type_name() == needed for e in here) for needed in cls.needs):
+                if not all(any(e.type_name() == needed for e in here) for needed in cls.traits.needs):
                     continue
                 if any(_shuts_out(e, effect) for e in here):
                     continue
-                replaced = next((e for e in here if e.type_name() in effect.stands_for()), None)
+                replaced = next((e for e in here if e.type_name() in effect.traits.stands_for), None)
                 out.append((self._sharing(effect), replaced))
         return out
 
@@ -213,7 +213,10 @@ class Search:
         rough.sort(key=lambda item: -item.gain)
         trials: list[TorqueTrial] = []
         # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
-        for item in [*rough[:REFINED], *(r for r in rough[REFINED:] if r.effect.multiplies and r.gain > FAMILY_GAIN)]:
+        for item in [
+            *rough[:REFINED],
+            *(r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN),
+        ]:
             if len(trials) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(trials):
                 break  # neither this one nor those behind it can win
             trials.append(self._tried(item, bases[None]))
@@ -227,7 +230,7 @@ class Search:
         kinds: dict[type[Effect], list[_Rough]] = {}
         for item in rough:
             kind = type(item.effect)
-            if kind.on == "joint" and not (kind.repeats or kind.multiplies):
+            if kind.traits.on == "joint" and not (kind.traits.repeats or kind.traits.multiplies):
                 kinds.setdefault(kind, []).append(item)
         sums = {kind: sum(max(item.gain, 0.0) for item in items) for kind, items in kinds.items()}
         liked = sorted(kinds, key=lambda kind: -sums[kind])[:FAMILIES]
@@ -252,7 +255,7 @@ class Search:
         """The trial of what was looked at, by more than a glimpse."""
         closer = self._looked(item, False) if item.glimpsed else item
         found = self.trial(closer.effect, closer.base, present, self.tests)
-        return self._fitted(item.effect) if item.effect.multiplies and found.p_value < WORTH_A_FIT else found
+        return self._fitted(item.effect) if item.effect.traits.multiplies and found.p_value < WORTH_A_FIT else found
 
     def _fitted(self, effect: Effect) -> TorqueTrial:
         """The trial of an effect that scales the model's torque, which a fit without it has bent: about the fit with it."""
@@ -288,7 +291,7 @@ class Search:
 
     def _glimpsed(self, effect: Effect, starts: Array) -> bool:
         """Whether a glimpse comes before a first look: where that has to work many columns out anew in every round."""
-        return len(starts) >= MANY and not (effect.by_clock or of_motion_alone(effect))
+        return len(starts) >= MANY and not (effect.traits.by_clock or of_motion_alone(effect))
 
     def present_without(self, effect: Effect) -> list[Effect]:
         """The model's effects without one, which gives its place back to what it stands in for."""
@@ -296,9 +299,9 @@ class Search:
 
     def restored(self, effect: Effect) -> list[Effect]:
         """What comes back where an effect is taken out, with the shapes that explain most there."""
-        if not (effect.joints and effect.stands_for()):
+        if not (effect.joints and effect.traits.stands_for):
             return []
-        kind = catalogue()[effect.stands_for()[0]]
+        kind = catalogue()[effect.traits.stands_for[0]]
         here = [e for e in kind.everywhere(self.sites) if e.place == effect.place and e not in self.model.effects]
         base = self.base(effect)
         return [self._best(e, base) if len(self.free(e)) else e for e in map(self._sharing, here)]
@@ -371,7 +374,7 @@ class Search:
         A line's frequency shows over the whole time only.
         """
         pieces = self.regression.excerpt or (self.regression.glimpse if glimpsed else None)
-        if pieces is None or effect.by_clock:
+        if pieces is None or effect.traits.by_clock:
             return self.regression, base, 1.0
         regression, samples = pieces
         shared = base.shared, len(samples)
@@ -471,9 +474,9 @@ class Search:
             left, own, score = present.projected(rows, columns)
             also = solve_beside(left, own, score)
         p_value, objection, colour, left_over = self._evidence(effect, known, rows, beside, also)
-        if effect.by_clock and self._follows_motion(base.residual[rows], effect):
+        if effect.traits.by_clock and self._follows_motion(base.residual[rows], effect):
             objection = "its line lies among those of the motion itself"
-        elif effect.by_clock and len(self.regression.spans) < FEWEST_RECORDINGS:
+        elif effect.traits.by_clock and len(self.regression.spans) < FEWEST_RECORDINGS:
             objection = "one recording cannot tell whether its phase holds in another"
         found = effect.with_coefficients(beta)
         if not objection and not found.possible():
@@ -612,7 +615,7 @@ class Search:
             objection = (
                 f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {far:.0f} std of the wrong sign"
             )
-        elif len(shapes) and not effect.coefficients_follow:
+        elif len(shapes) and not effect.traits.coefficients_follow:
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             if not certain > BEYOND**2 * k:
@@ -672,8 +675,8 @@ def _off_a_joint(before: Array, after: Array, gain: float) -> float:
 def _shuts_out(present: Effect, new: Effect) -> bool:
     """Whether an effect of the model leaves no room for another one in its place; a freer form of its own type may replace it."""
     if type(present) is type(new) or present.type_name() == new.type_name():
-        return not new.repeats and (type(present) is type(new) or new.type_name() not in new.replaces)
-    return new.type_name() in present.stands_for()
+        return not new.traits.repeats and (type(present) is type(new) or new.type_name() not in new.traits.replaces)
+    return new.type_name() in present.traits.stands_for
 
 
 @dataclass(frozen=True, eq=False)

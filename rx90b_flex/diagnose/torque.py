@@ -157,7 +157,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def choose(self, trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
         # first the data: of torques with another gain only the ratio shows, and the look at the data says whose it is
-        gains = [t for t in trials if t.effect.multiplies and set(t.effect.joints) <= self.gains]
+        gains = [t for t in trials if t.effect.traits.multiplies and set(t.effect.joints) <= self.gains]
         return choose(gains) or choose(trials)
 
     def joined(self, model: TorqueModel, trial: TorqueTrial) -> TorqueModel:
@@ -226,7 +226,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """
         steps = standing.steps
         older = len(steps) - latest
-        if any(s.trial.effect.last_resort for s in steps[older:]):
+        if any(s.trial.effect.traits.last_resort for s in steps[older:]):
             return None
         search = self.search(standing.model)
         for i, step in enumerate(steps):
@@ -364,7 +364,7 @@ def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:
 
 def _rounded(effect: Effect) -> tuple[int, ...]:
     """Logarithms of the shapes in tenths, where an effect may stand twice in one place."""
-    logs = np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)) if effect.repeats else np.zeros(0)
+    logs = np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)) if effect.traits.repeats else np.zeros(0)
     return tuple(logs.astype(int).tolist())
 
 

@@ -130,7 +130,7 @@ class TorqueTrial(Trial):
         without a gain; their spread says little of it, but every block that has one is an experiment of its own. One that acts
         at rest alone may have a single such block in a recording: then each recording is.
         """
-        if self.effect.last_resort:
+        if self.effect.traits.last_resort:
             return False  # a curve of no known law has nothing but carrying over everywhere to speak for it
         shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
         lost = -float(np.minimum(self.block_gains, 0.0).sum())
@@ -163,7 +163,7 @@ class TorqueTrial(Trial):
             return "parts of the data that were held out disagree on it"
         if self.worst > 1.0:
             return "it raises the error of a recording that was left out"
-        if self.carried < (PHASE_CARRIED if self.effect.by_clock else CARRIED):
+        if self.carried < (PHASE_CARRIED if self.effect.traits.by_clock else CARRIED):
             return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
         return self.objection
 
@@ -219,5 +219,5 @@ def choose(trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
 
 def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:
     """The list of effects with a new one, which takes the place of what it replaces."""
-    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.stands_for())]
+    kept = [e for e in effects if not (e.place == new.place and e.type_name() in new.traits.stands_for)]
     return (*kept, new)

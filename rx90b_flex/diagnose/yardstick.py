@@ -195,7 +195,7 @@ def _signals(regression: Regression, declared: Identification) -> list[_Signals]
 
 def _recording(stretch: Stretch, rows: Indices, effects: Sequence[Effect]) -> _Signals:
     motion = stretch.motion
-    forces = [np.asarray(e.force(motion)[:, rows]) for e in effects if e.in_dynamics]
+    forces = [np.asarray(e.force(motion)[:, rows]) for e in effects if e.traits.in_dynamics]
     return _Signals(
         stretch,
         motion.q[:, rows],

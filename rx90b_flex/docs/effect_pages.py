@@ -101,7 +101,7 @@ def index() -> str:
         for name, cls in catalogue().items():
             if _acts_on(cls) == place:
                 first = " ".join(text_of(cls).what.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
-                lines.append(f"| [`{name}`]({name}.md) | {cls.on} | {first} |")
+                lines.append(f"| [`{name}`]({name}.md) | {cls.traits.on} | {first} |")
         lines.append("")
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", "gallery", *catalogue(), "```", ""])
 
@@ -134,21 +134,21 @@ def write_pages(folder: Path) -> None:
 
 def _acts_on(cls: type[Effect]) -> str:
     """Key of `PLACES`."""
-    if cls.virtual:
+    if cls.traits.virtual:
         return "coordinates"
-    return "forces" if cls.in_dynamics else "signals"
+    return "forces" if cls.traits.in_dynamics else "signals"
 
 
 def _place(cls: type[Effect]) -> str:
     on = {"joint": "a joint", "joints": "two joints", "frame": "a frame", "robot": "the robot"}.get(
-        cls.on, f"the {cls.on}"
+        cls.traits.on, f"the {cls.traits.on}"
     )
     said = [f"On {on}; {PLACES[_acts_on(cls)]}"]
-    if cls.replaces:
-        said.append("stands in for " + " and ".join(f"`{name}`" for name in cls.replaces) + " there")
-    if cls.needs:
-        said.append("beside " + " and ".join(f"`{name}`" for name in cls.needs))
-    if cls.repeats:
+    if cls.traits.replaces:
+        said.append("stands in for " + " and ".join(f"`{name}`" for name in cls.traits.replaces) + " there")
+    if cls.traits.needs:
+        said.append("beside " + " and ".join(f"`{name}`" for name in cls.traits.needs))
+    if cls.traits.repeats:
         said.append("may stand there more than once")
     searched = cls.over_time(ANYWHERE)
     said.append("closing the loop tries it" if searched else "closing the loop on torques does not try it")
@@ -172,7 +172,7 @@ def _bounds(p: Parameter) -> str:
 
 def _table(cls: type[Effect]) -> list[str]:
     """An effect in a robot file, with numbers that only show the form."""
-    lines = ["[[effects]]", f'type = "{cls.type_name()}"', KEYS[cls.on]]
+    lines = ["[[effects]]", f'type = "{cls.type_name()}"', KEYS[cls.traits.on]]
     for name, p in cls.parameters().items():
         number = f"{float(p.start) if isfinite(p.start) else 1.0}"
         value = number if p.size == 1 else "[" + ", ".join([number] * p.size) + "]"

@@ -36,7 +36,7 @@ def draw(cls: type[Effect]) -> Figure | None:
     """The picture of an effect type; None where it shows in neither way."""
     robot, motion = _scene()
     sites = Sites(robot.joints, robot.tip_frame)
-    places = [] if cls.needs else cls.over_time(sites)  # what refines another effect is nothing without it
+    places = [] if cls.traits.needs else cls.over_time(sites)  # what refines another effect is nothing without it
     return _over_time(places[len(places) // 2], robot, motion) if places else _over_frequency(cls)
 
 
@@ -116,7 +116,7 @@ def _with_shape(effect: Effect, motion: Motion) -> Effect:
 def _imitated(effect: Effect, joint: str, motion: Motion, added: Array, row: int) -> Array:
     """What the basic friction of a joint takes up of a torque, (N,)."""
     known = catalogue()
-    others = [n for n in BASIC if n != effect.type_name() and n not in effect.replaces]
+    others = [n for n in BASIC if n != effect.type_name() and n not in effect.traits.replaces]
     columns = np.hstack([known[name](joint=joint).columns(motion)[:, row] for name in others])  # type: ignore[call-arg]
     return np.asarray(columns @ np.linalg.lstsq(columns, added)[0])
 

@@ -16,10 +16,12 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rx90b_flex.effects.effect import Effect, JointEffect, JointForce, Sites, derived, linear
+from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law, Where
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import derived, linear
 from rx90b_flex.effects.ripple import PeriodicEffect
 
 STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
@@ -115,7 +117,7 @@ class _AngleError(LogEffect, PeriodicEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResolverError(_AngleError):
+class ResolverError(_AngleError, needs_model=True):
     """The measured angle is wrong by ``amplitude * sin(order * q + phase)``.
 
     Link, drive and friction move by the true angle, so everything that the model makes of the measured one is wrong.
@@ -135,8 +137,6 @@ class ResolverError(_AngleError):
     Not in Hardeman 2008; eccentricity and imbalance of resolvers, one and two cycles a turn of theirs.
     """
 
-    needs_model: ClassVar[bool] = True
-
     def sensitivity(self, motion: Motion) -> tuple[Array, ...]:
         by_q, by_v, by_a = motion.model_sensitivity(self.joint)
         return -by_q, -by_v, -by_a, np.zeros(len(motion))
@@ -151,7 +151,7 @@ class ResolverError(_AngleError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransmissionError(_AngleError):
+class TransmissionError(_AngleError, behind_gear=True, needs_model=True):
     """The gear's ratio varies: the link turns by ``amplitude * sin(order * q + phase)`` more than the motor says.
 
     Only the links follow the error, not the drive; and the motor feels their torque times the varying ratio.
@@ -171,9 +171,6 @@ class TransmissionError(_AngleError):
     Hardeman 2008, section 7.2, left open there: a gear ratio that depends on the angle.
     """
 
-    behind_gear: ClassVar[bool] = True
-    needs_model: ClassVar[bool] = True
-
     def sensitivity(self, motion: Motion) -> tuple[Array, ...]:
         place = self._place(motion)
         links = (by[:, :, place] for by in motion.on_tree.derivatives())
@@ -184,11 +181,9 @@ class TransmissionError(_AngleError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _VaryingRatio(Effect):
+class _VaryingRatio(Effect, adds_inertia=True, part="links"):
     """A transmission error as a force, to all orders: what the links ask for beyond what they would at the motor's angle."""
 
-    adds_inertia: ClassVar[bool] = True
-    part: ClassVar[str] = "links"  # it moves energy, and dissipates none
     error: TransmissionError
 
     def _moved(self, motion: Motion) -> tuple[Motion, Array]:
@@ -234,7 +229,7 @@ class _VaryingRatio(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(LogEffect, JointEffect):
+class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
     """Lost motion: as the load changes sign the link goes from one end of the gap to the other.
 
     The link's angle is the motor's less ``gap / 2 * tanh(load / scale)``; the load is the torque that the links ask for, the scale
@@ -253,9 +248,6 @@ class Backlash(LogEffect, JointEffect):
     ------
     Not in Hardeman 2008; lost motion between the flanks of teeth, smoothed over a small load.
     """
-
-    behind_gear: ClassVar[bool] = True
-    needs_model: ClassVar[bool] = True
 
     gap: float | None = linear("rad", lower=0.0)
 
@@ -283,7 +275,7 @@ class Backlash(LogEffect, JointEffect):
         return self.columns(at.motion)[:, int(np.flatnonzero(at.port)[0])]
 
     def simulated(self, beside: Sequence[Effect]) -> Effect:
-        springs = [e for e in beside if "torsion" in e.virtual and e.joints == self.joints]
+        springs = [e for e in beside if "torsion" in e.traits.virtual and e.joints == self.joints]
         if not springs:
             raise ValueError(
                 f"{self.label} cannot be simulated without the drive_flexibility of its joint: rigid teeth would meet at no time"
@@ -293,14 +285,13 @@ class Backlash(LogEffect, JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _LostMotion(JointForce):
+class _LostMotion(JointForce, part="flexibility"):
     """Backlash in series with a drive's torsion spring: what it takes from the spring's torque.
 
     The torque F through both follows ``torsion = F / stiffness + gap / 2 * tanh(F / LOAD_SCALE)``, with F against the load.
     """
 
     acts_at: ClassVar[str] = "torsion"
-    part: ClassVar[str] = "flexibility"
 
     gap: float
     stiffness: float

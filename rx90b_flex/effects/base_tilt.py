@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import OTHER, Effect, Sites, linear
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.parameters import OTHER, linear
 
 # A base turned by R = 1 + [angles] sees gravity along R^T (-e_z), to first order -e_z + angle_x (-e_y) + angle_y e_x
 _DIRECTIONS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseTilt(Effect):
+class BaseTilt(Effect, behind_gear=True, on="robot", part="links", needs_model=True):
     """Gravity not along the base's z: the base is turned by small angles about its own x and y.
 
     To first order in the angles (error: half their square, 1e-4 of gravity at 0.8 degrees) the force is
@@ -35,11 +37,6 @@ class BaseTilt(Effect):
     ------
     Not in Hardeman 2008; gravity of the links (equation 3.47) in a turned base, to first order.
     """
-
-    behind_gear: ClassVar[bool] = True
-    on: ClassVar[str] = "robot"
-    part: ClassVar[str] = "links"
-    needs_model: ClassVar[bool] = True  # gravity of the links as they are identified, not as they are declared
 
     angle_x: float | None = linear("rad", rank=OTHER)
     angle_y: float | None = linear("rad", rank=OTHER)

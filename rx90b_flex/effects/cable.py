@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, PairEffect, Sites, linear
+from rx90b_flex.effects.effect import PairEffect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Motion
+from rx90b_flex.effects.parameters import SPRING, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class CableTorque(SumOfLaws, PairEffect):
+class CableTorque(SumOfLaws, PairEffect, behind_gear=True):
     """Torque on joint a from a hose or cable that joint b bends, ``coefficients[0] * q_b + coefficients[1] * q_b^2``.
 
     The reaction is not modelled: the cable is clamped elsewhere.
@@ -32,8 +34,6 @@ class CableTorque(SumOfLaws, PairEffect):
     ------
     Not in Hardeman 2008; torques of cable packages along an arm, the first two terms of a smooth curve.
     """
-
-    behind_gear: ClassVar[bool] = True
 
     bends: tuple[float, float] | None = linear("N m/rad^k", rank=SPRING, size=2, public="coefficients")
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, PairEffect, RestSites, RestSizes, linear
+from rx90b_flex.effects.effect import PairEffect
 from rx90b_flex.effects.friction import CoulombFriction
+from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.parameters import FRICTION, INERTIA, linear
 from rx90b_flex.effects.reversal import SHARP, turnover_range, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCoupling(SumOfLaws, PairEffect):
+class JointCoupling(SumOfLaws, PairEffect, adds_inertia=True, scaled=((0,),), rescaled="coupling_inertia"):
     """Motor b also turns with joint a, as in a wrist whose last motor sits behind the joint before.
 
     The motor's angle is q_a + q_b (joint side of b), so its rotor's inertia, its viscous and its dry friction
@@ -38,10 +40,6 @@ class JointCoupling(SumOfLaws, PairEffect):
     Not in Hardeman 2008; the wrist of the Stäubli TX40, see A. Janot, P.-O. Vandanjon, M. Gautier, IEEE
     Transactions on Control Systems Technology 22(1), 2014.
     """
-
-    adds_inertia: ClassVar[bool] = True
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
-    rescaled: ClassVar[str] = "coupling_inertia"
 
     inertia: float | None = linear("kg m^2", rank=INERTIA)
     viscous: float | None = linear("N m s/rad", rank=FRICTION)

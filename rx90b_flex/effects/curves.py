@@ -11,9 +11,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rx90b_flex.effects.effect import FRICTION, SPRING, JointForce, given, linear
+from rx90b_flex.effects.effect import JointForce
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import FRICTION, SPRING, given, linear
 
 KNOTS = 9  # of a curve that a search places: two for each of its bends
 OUTERMOST = 0.02  # part of the samples beyond the last knot on either side, where the curve goes on level
@@ -75,10 +76,9 @@ def along_curve(x: float, rate: float, parameters: Any, out: Any) -> None:
     out[2] = slope if over_rate > 0.0 else 0.0
 
 
-class _Curve(ManyCoefficients):
+class _Curve(ManyCoefficients, last_resort=True):
     """A natural cubic spline through a torque at each knot, level beyond the last ones."""
 
-    last_resort: ClassVar[bool] = True
     knots_name: ClassVar[str]
 
     def __post_init__(self) -> None:
@@ -161,7 +161,7 @@ class FrictionCurve(_Curve):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AngleCurve(_Curve):
+class AngleCurve(_Curve, part="spring"):
     """A torque of no known form over the joint's own angle: a smooth curve through `torques` at `angles`.
 
     Signature
@@ -177,7 +177,6 @@ class AngleCurve(_Curve):
     Not in Hardeman 2008; a natural cubic spline.
     """
 
-    part: ClassVar[str] = "spring"
     knots_name: ClassVar[str] = "angles"
 
     angles: tuple[float, ...] = given("rad", size=0)

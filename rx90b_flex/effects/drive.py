@@ -7,14 +7,16 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, INERTIA, JointEffect, RestSites, RestSizes, linear
+from rx90b_flex.effects.effect import JointEffect
+from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.parameters import FRICTION, INERTIA, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveInertia(SumOfLaws, JointEffect):
+class DriveInertia(SumOfLaws, JointEffect, adds_inertia=True, part="drives", scaled=((0,),), rescaled="drive_inertia"):
     """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.2, after Spong).
 
     Signature
@@ -35,10 +37,6 @@ class DriveInertia(SumOfLaws, JointEffect):
     """
 
     acts_at: ClassVar[str] = "drive"
-    adds_inertia: ClassVar[bool] = True
-    part: ClassVar[str] = "drives"
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
-    rescaled: ClassVar[str] = "drive_inertia"
 
     inertia: float | None = linear("kg m^2", lower=0.0, rank=INERTIA)
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, linear
 from rx90b_flex.effects.law_effect import LawEffect
+from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveEfficiency(LawEffect, DryFriction):
+class DriveEfficiency(LawEffect, DryFriction, needs_load=True, replaces=("load_friction",)):
     """Gear friction ``|load| * sign(v)`` with one coefficient where power flows to the load and another where it flows back.
 
     ``motoring`` acts where load and velocity have one sign, ``backdriving`` where they differ. It stands in for `load_friction`,
@@ -33,9 +33,6 @@ class DriveEfficiency(LawEffect, DryFriction):
     load and velocity*, IROS 2010: friction that depends on the load and on the direction of power flow.
     """
 
-    needs_load: ClassVar[bool] = True
-    replaces: ClassVar[tuple[str, ...]] = ("load_friction",)
-
     motoring: float | None = linear("-", lower=0.0, rank=FRICTION)
     backdriving: float | None = linear("-", lower=0.0, rank=FRICTION)
     turnover: float | None = turnover_shape()
@@ -52,7 +49,7 @@ class DriveEfficiency(LawEffect, DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadViscousFriction(LawEffect):
+class LoadViscousFriction(LawEffect, needs_load=True):
     """Gear losses that grow with load and speed, ``coefficient * |load| * v``.
 
     Signature
@@ -67,8 +64,6 @@ class LoadViscousFriction(LawEffect):
     ------
     Not in Hardeman 2008; P. Hamon, M. Gautier, P. Garrec, IROS 2010: friction with the product of load and velocity.
     """
-
-    needs_load: ClassVar[bool] = True
 
     coefficient: float | None = linear("s/rad", lower=0.0, rank=FRICTION)
 

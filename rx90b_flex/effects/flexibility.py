@@ -11,19 +11,12 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from rx90b_flex.effects.deflection import Spring, by_links, deflected, softest
-from rx90b_flex.effects.effect import (
-    DAMPING,
-    STIFFNESS,
-    Effect,
-    RestSites,
-    RestSizes,
-    Sites,
-    derived,
-    linear,
-)
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import RestSites, RestSizes, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, Motion
+from rx90b_flex.effects.parameters import DAMPING, STIFFNESS, derived, linear
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
@@ -44,13 +37,11 @@ ABOVE = 6.0  # times the cutoff: where links swing on the stiffest of them
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Flexibility(Effect):
+class _Flexibility(Effect, part="flexibility"):
     """Hinges with a spring and a damper each: ``stiffness_i * eps_i + damping_i * d(eps_i)/dt`` on coordinate i.
 
     A subclass states the hinges in `virtual` and declares stiffnesses, then dampings, one of each a hinge.
     """
-
-    part: ClassVar[str] = "flexibility"
 
     @property
     @abstractmethod
@@ -59,7 +50,7 @@ class _Flexibility(Effect):
 
     def _hinges(self, coordinates: Coordinates) -> Array:
         """One row a hinge that picks its angle out of the coordinates, shape (m, n)."""
-        return np.stack([coordinates.port(self._site, kind) for kind in self.virtual])
+        return np.stack([coordinates.port(self._site, kind) for kind in self.traits.virtual])
 
     def columns(self, motion: Motion) -> Array:
         hinges = self._hinges(motion.coordinates)
@@ -91,7 +82,7 @@ class _Flexibility(Effect):
         low, high = sizes.band_hz
         frequencies = 2 * np.pi * np.array([0.7 * low, np.sqrt(low * high), high, 3.0 * high])
         hinges = self._hinges(sizes.coordinates)
-        return np.outer(frequencies**2, [sizes.inertia(hinges[group[0]]) for group in self.scaled])
+        return np.outer(frequencies**2, [sizes.inertia(hinges[group[0]]) for group in self.traits.scaled])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +105,9 @@ class _FlexibilityOfJoint(_Flexibility):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveFlexibility(_FlexibilityOfJoint):
+class DriveFlexibility(
+    _FlexibilityOfJoint, behind_gear=True, virtual=("torsion",), scaled=((0, 1),), rescaled="drive_stiffness"
+):
     """Torsion of a drive, equation 3.58: ``stiffness * eps1 + damping * d(eps1)/dt`` on the coordinate ``torsion``.
 
     Signature
@@ -132,11 +125,6 @@ class DriveFlexibility(_FlexibilityOfJoint):
     ------
     Hardeman 2008, equations 3.58, 3.68 and 3.70.
     """
-
-    behind_gear: ClassVar[bool] = True
-    virtual: ClassVar[tuple[str, ...]] = ("torsion",)
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 1),)  # the loss of a mode stays what it was
-    rescaled: ClassVar[str] = "drive_stiffness"
 
     stiffness: float | None = linear("N m/rad", lower=0.0, rank=STIFFNESS)
     damping: float | None = linear("N m s/rad", lower=0.0, rank=DAMPING)
@@ -160,14 +148,11 @@ class DriveFlexibility(_FlexibilityOfJoint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OnRigidTree(Effect):
+class _OnRigidTree(
+    Effect, behind_gear=True, needs_load=True, needs_model=True, coefficients_follow=True, part="flexibility"
+):
     """What motors feel of a drive on a rigid tree: one coefficient, which follows from the shape in a fit."""
 
-    behind_gear: ClassVar[bool] = True
-    needs_load: ClassVar[bool] = True
-    needs_model: ClassVar[bool] = True
-    coefficients_follow: ClassVar[bool] = True
-    part: ClassVar[str] = "flexibility"
     in_files: ClassVar[type[Effect]]  # what it stands for
     coefficient: ClassVar[tuple[str, str]]  # name and unit
 
@@ -340,7 +325,7 @@ def _springs_of_model(motion: Motion) -> list[Spring]:
 
 def _through_drives(motion: Motion) -> Array:
     """Torque that links and what springs stand between them ask of the drives, (N, n)."""
-    ours = [e for e in motion.effects if isinstance(e, Effect) and e.part in ("links", "spring")]
+    ours = [e for e in motion.effects if isinstance(e, Effect) and e.traits.part in ("links", "spring")]
     (load,) = motion.once(
         ("load of drives",), lambda: (sum((e.force(motion) for e in ours), np.array(motion.on_tree.load())),)
     )
@@ -348,7 +333,13 @@ def _through_drives(motion: Motion) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointFlexibility(_FlexibilityOfJoint):
+class JointFlexibility(
+    _FlexibilityOfJoint,
+    behind_gear=True,
+    virtual=("bend_1", "bend_2"),
+    scaled=((0, 1, 2, 3),),
+    rescaled="joint_stiffness",
+):
     """Bending of a joint about the two axes across its own, equation 3.60, on ``bend_1`` and ``bend_2``.
 
     Signature
@@ -365,11 +356,6 @@ class JointFlexibility(_FlexibilityOfJoint):
     Hardeman 2008, equations 3.60, 3.68 and 3.70.
     """
 
-    behind_gear: ClassVar[bool] = True
-    virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 1, 2, 3),)  # a round bearing
-    rescaled: ClassVar[str] = "joint_stiffness"
-
     stiffness: tuple[float, float] | None = linear("N m/rad", lower=0.0, size=2, rank=STIFFNESS)
     damping: tuple[float, float] | None = linear("N m s/rad", lower=0.0, size=2, rank=DAMPING)
 
@@ -383,7 +369,14 @@ class JointFlexibility(_FlexibilityOfJoint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseFlexibility(_Flexibility):
+class BaseFlexibility(
+    _Flexibility,
+    behind_gear=True,
+    on="robot",
+    virtual=("bend_1", "bend_2"),
+    scaled=((0, 2), (1, 3)),
+    rescaled="base_stiffness",
+):
     """Floor and mounting (section 7.2): the base tilts about its x and its y, ``base:bend_1`` and ``base:bend_2``.
 
     Signature
@@ -399,12 +392,6 @@ class BaseFlexibility(_Flexibility):
     ------
     Hardeman 2008, section 7.2, left open there.
     """
-
-    behind_gear: ClassVar[bool] = True
-    on: ClassVar[str] = "robot"
-    virtual: ClassVar[tuple[str, ...]] = ("bend_1", "bend_2")
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0, 2), (1, 3))
-    rescaled: ClassVar[str] = "base_stiffness"
 
     stiffness: tuple[float, float] | None = linear("N m/rad", lower=0.0, size=2, rank=STIFFNESS)
     damping: tuple[float, float] | None = linear("N m s/rad", lower=0.0, size=2, rank=DAMPING)
@@ -451,7 +438,7 @@ class _StatedBending(_Stated, _OnRigidTree):
         """As the solver knows them, on the tree with hinges."""
         stiffness = np.array(self.hinges.stiffness)
         damping = DAMPING_TIME * stiffness if self.hinges.damping is None else np.array(self.hinges.damping)
-        kinds = zip(stiffness, damping, type(self.hinges).virtual, strict=True)
+        kinds = zip(stiffness, damping, type(self.hinges).traits.virtual, strict=True)
         return [Spring(self.joint, float(k), float(d / k), kind=kind) for k, d, kind in kinds]
 
     def columns(self, motion: Motion) -> Array:
@@ -462,7 +449,7 @@ class _StatedBending(_Stated, _OnRigidTree):
         load, drives = _through_drives(bent), [bent.coordinates.index(j) for j in motion.coordinates.joints]
         all_of_them = deflected(bent, springs, springs, load)
         there = all_of_them.on(bent, springs)
-        held_by = (e for e in motion.effects if isinstance(e, Effect) and e.part == "spring")
+        held_by = (e for e in motion.effects if isinstance(e, Effect) and e.traits.part == "spring")
         more = sum((e.force(there) - e.force(bent) for e in held_by), all_of_them.beyond)
         out = (all_of_them.torque.sum(axis=0) + more)[:, drives]
         twisting = _springs_of_model(motion)
@@ -498,7 +485,7 @@ class _StatedTilt(_StatedBending):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StiffnessHardening(LawEffect):
+class StiffnessHardening(LawEffect, behind_gear=True, needs=("drive_flexibility",), part="flexibility"):
     """A drive that gets stiffer as it twists, ``cubic * eps1^3``; beside the `drive_flexibility` of the same joint.
 
     Signature
@@ -516,10 +503,7 @@ class StiffnessHardening(LawEffect):
     Not in Hardeman 2008; the cubic term of a hardening gear, as strain-wave gears have it.
     """
 
-    behind_gear: ClassVar[bool] = True
     acts_at: ClassVar[str] = "torsion"
-    needs: ClassVar[tuple[str, ...]] = ("drive_flexibility",)
-    part: ClassVar[str] = "flexibility"
     law_stores: ClassVar[bool] = True
 
     cubic: float | None = linear("N m/rad^3", lower=0.0, rank=STIFFNESS)
@@ -544,13 +528,12 @@ class StiffnessHardening(LawEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _HardeningDeflection(_OnRigidTree):
+class _HardeningDeflection(_OnRigidTree, needs=StiffnessHardening.traits.needs):
     """What motors feel of a drive that gets stiffer as it twists, beyond the same drive without; on a rigid tree.
 
     The coefficient is the cubic stiffness; its column is that difference over it.
     """
 
-    needs: ClassVar[tuple[str, ...]] = StiffnessHardening.needs
     in_files: ClassVar[type[Effect]] = StiffnessHardening
     coefficient: ClassVar[tuple[str, str]] = ("cubic", "N m/rad^3")
 

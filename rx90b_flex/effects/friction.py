@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, Effect, JointEffect, choice, linear, shape
+from rx90b_flex.effects.effect import Effect, JointEffect
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
+from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
 from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
@@ -127,7 +128,7 @@ class AsymmetricFriction(SidedFriction, LawEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction):
+class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction, replaces=("viscous_friction",)):
     """Viscous part of equation 3.53, ``coefficient * sign(v) * |v|^power``, power = 1 - delta_v.
 
     It stands in for `viscous_friction` at the same joint.
@@ -145,8 +146,6 @@ class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction):
     ------
     Hardeman 2008, equation 3.53, where power is 1 - delta_v.
     """
-
-    replaces: ClassVar[tuple[str, ...]] = ("viscous_friction",)
 
     coefficient: float | None = linear("N m (s/rad)^power", lower=0.0, rank=FRICTION)
     power: float | None = shape("-", start=0.7, lower=0.1, upper=3.0)
@@ -234,7 +233,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionDrift(SidedFriction, LawEffect):
+class FrictionDrift(SidedFriction, LawEffect, repeats_with_motion=False):
     """Viscous friction that fades as the joint warms up, ``coefficient * exp(-t / time_constant) * v``.
 
     The time is the file's, from its start.
@@ -254,7 +253,6 @@ class FrictionDrift(SidedFriction, LawEffect):
     Dynamic Systems, Measurement, and Control 134(5), 2012.
     """
 
-    repeats_with_motion: ClassVar[bool] = False
     law_timed: ClassVar[bool] = True
 
     coefficient: float | None = linear("N m s/rad", rank=FRICTION)

@@ -8,9 +8,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, Effect, JointEffect, Sites, given, linear, shape
+from rx90b_flex.effects.effect import Effect, JointEffect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import SPRING, given, linear, shape
 
 FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
 HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
@@ -20,7 +22,7 @@ LARGEST_RATIO = 0.9999  # of such a spring: at 1 its ends may meet
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravitySpring(LawEffect):
+class GravitySpring(LawEffect, behind_gear=True, part="spring"):
     """A spring between two neighbouring links, equations 3.9 and 3.61.
 
     It pulls its ends together with ``stiffness * (l - l_0) + prestress``, so its torque about the joint is
@@ -47,8 +49,6 @@ class GravitySpring(LawEffect):
     Hardeman 2008, equations 3.9 and 3.61.
     """
 
-    behind_gear: ClassVar[bool] = True
-    part: ClassVar[str] = "spring"
     law_stores: ClassVar[bool] = True
 
     stiffness: float | None = linear("N/m", lower=0.0, rank=SPRING)
@@ -115,10 +115,8 @@ class GravitySpring(LawEffect):
         return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in sites.joints]
 
 
-class _SpringOfTwoLevers(JointEffect):
+class _SpringOfTwoLevers(JointEffect, behind_gear=True):
     """A `GravitySpring` of unknown geometry: levers a and b from the axis to its ends, ``l^2 = a^2 + b^2 - 2 a b cos(q - angle)``."""
-
-    behind_gear: ClassVar[bool] = True
 
     @classmethod
     def type_name(cls) -> str:
@@ -154,11 +152,8 @@ class _SpringOfTwoLevers(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SearchedSpring(_SpringOfTwoLevers):
+class _SearchedSpring(_SpringOfTwoLevers, part="spring", replaces=("gravity_spring",)):
     """``(pull + slack / sqrt(1 - ratio cos(q - angle))) sin(q - angle)``, ratio 2ab/(a^2 + b^2): any spring between two levers."""
-
-    part: ClassVar[str] = "spring"
-    replaces: ClassVar[tuple[str, ...]] = ("gravity_spring",)  # one that was found as a sine
 
     pull: float | None = linear("N m", lower=0.0, rank=SPRING)
     slack: float | None = linear("N m", rank=SPRING)
@@ -193,10 +188,8 @@ class _SearchedSpring(_SpringOfTwoLevers):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SineSpring(_SpringOfTwoLevers):
+class _SineSpring(_SpringOfTwoLevers, part="spring"):
     """``sine sin(q) + cosine cos(q)``: a spring that pulls in proportion to its length, as one that balances a weight exactly."""
-
-    part: ClassVar[str] = "spring"
 
     sine: float | None = linear("N m", rank=SPRING)
     cosine: float | None = linear("N m", rank=SPRING)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, linear
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion
+from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, last_direction, turnover_shape
 
 

@@ -113,7 +113,7 @@ class LawEffect(JointForce):
                 parameters=values,
                 stores=self.law_stores,
                 timed=self.law_timed,
-                loaded=self.needs_load,
+                loaded=self.traits.needs_load,
                 remembers=self.law_remembers,
             )
             for values in self.law_parameters(motion)
@@ -128,7 +128,7 @@ class LawEffect(JointForce):
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         own = super().derivatives(motion)
-        if not self.needs_load:
+        if not self.traits.needs_load:
             return own
         at = motion.joint(self.joint, self.port_kind)
         place = int(np.flatnonzero(at.port)[-1])
@@ -142,15 +142,14 @@ class LawEffect(JointForce):
         """Torque and its slopes by angle, rate and load, per unit of each coefficient, (4, k, N): the law of all units at once."""
         units = np.eye(len(self.coefficient_names))
         out = np.zeros((4, len(units), len(at.q)))
-        load = at.load if self.needs_load else 0.0
+        load = at.load if self.traits.needs_load else 0.0
         self.law(at.q, at.v, [*units[:, :, None], *self.law_shape(at.motion), at.time, load], out)
         return out
 
 
-class RememberingLaw(LawEffect):
+class RememberingLaw(LawEffect, remembers=True):
     """One whose law remembers; what it comes to where samples do not follow each other is its columns' to say."""
 
-    remembers: ClassVar[bool] = True
     law_remembers: ClassVar[int] = 1
 
     def memory(self, motion: Motion) -> Array:
@@ -177,7 +176,7 @@ class RememberingLaw(LawEffect):
         written = []
         for values, before in zip(rows, np.split(memory, len(rows), axis=1), strict=True):
             out = np.zeros((ONWARD + self.law_remembers, len(at.q)))
-            load = at.load if self.needs_load else 0.0
+            load = at.load if self.traits.needs_load else 0.0
             self.law(at.q, at.v, [*values, at.time, load, *before.T], out)
             written.append(out)
         return written

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from rx90b_flex.effects.effect import FRICTION, linear
 from rx90b_flex.effects.law_effect import LawEffect
+from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadFriction(LawEffect, DryFriction):
+class LoadFriction(LawEffect, DryFriction, needs_load=True):
     """Gear friction, ``coefficient * |load| * sign(v)``; the load is the torque that the links ask of the joint.
 
     The load comes from the tree as it is known, so the column is linear in the coefficient alone.
@@ -33,8 +33,6 @@ class LoadFriction(LawEffect, DryFriction):
     Not in Hardeman 2008; load dependence of friction in a robot joint: A. C. Bittencourt, S. Gunnarsson, ASME
     Journal of Dynamic Systems, Measurement, and Control 134(5), 2012.
     """
-
-    needs_load: ClassVar[bool] = True
 
     coefficient: float | None = linear("-", lower=0.0, rank=FRICTION)
     turnover: float | None = turnover_shape()

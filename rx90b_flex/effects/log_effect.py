@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
 
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, Motion
 
 
-class LogEffect(Effect):
+class LogEffect(Effect, in_dynamics=False):
     """An effect that is no force of the robot: it changes what controller and log are shown, or what the motors give."""
-
-    in_dynamics: ClassVar[bool] = False
 
     def laws(self, motion: Motion) -> tuple[Law, ...] | None:
         """`shown` and `delivered` as laws at ``shown`` and ``motor``; None: a simulation asks those two at each sample."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
-from rx90b_flex.effects.effect import FRICTION, Effect, derived, linear
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import FRICTION, Parametrized, derived, linear
 from rx90b_flex.effects.presliding import deflection_range, lost_in_noise
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
 
@@ -22,7 +22,7 @@ BEFORE, AFTER = 0.4, 2.5  # of a smooth element's deflection, within which sever
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaxwellSlipFriction(ManyCoefficients, RememberingLaw):
+class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding_friction",)):
     """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
 
     An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its
@@ -42,8 +42,6 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw):
     ------
     Not in Hardeman 2008; F. Al-Bender, V. Lampaert, J. Swevers, IEEE Transactions on Automatic Control 50(11), 2005.
     """
-
-    refines: ClassVar[tuple[str, ...]] = ("presliding_friction",)
 
     torques: tuple[float, ...] | None = linear("N m", lower=0.0, rank=FRICTION, size=0)
     stiffnesses: tuple[float, ...] | None = derived("N m/rad", lower=0.0, size=0)
@@ -102,7 +100,7 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw):
         step = max(1, len(grid) // (self.count + 1))
         return np.array([grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))])
 
-    def starts_in_place_of(self, other: Effect) -> Array:
+    def starts_in_place_of(self, other: Parametrized) -> Array:
         """Elements that break away before and after one smooth element does."""
         around = np.geomspace(BEFORE, AFTER, self.count) if self.count > 1 else np.ones(1)
         return np.stack([other.shape[0] * around**wider for wider in (1.0, 1.5)])

@@ -10,6 +10,8 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90b_flex.effects.traits import Traits
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -121,7 +123,7 @@ class TreeMotion(Protocol):
 class Force(Protocol):
     """What a motion knows of an effect of the present model."""
 
-    needs_load: ClassVar[bool]
+    traits: ClassVar[Traits]
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -235,7 +237,7 @@ class Motion:
                 up, down = (replace(self, **{name: getattr(self, name) + sign * change}) for sign in (1.0, -1.0))
                 for effect in self.effects:
                     elsewhere = effect.joints and joint not in effect.joints
-                    if not effect.needs_load and not elsewhere:
+                    if not effect.traits.needs_load and not elsewhere:
                         out += (effect.force(up) - effect.force(down)) / (2.0 * step[:, None])
             return links
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import INERTIA, FrameEffect, RestSites, RestSizes, linear, shape
+from rx90b_flex.effects.effect import FrameEffect
+from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.parameters import INERTIA, linear, shape
 
 REACH = 0.1  # m; how far from the tip a search first looks for the mass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Payload(FrameEffect):
+class Payload(FrameEffect, behind_gear=True, adds_inertia=True, part="links", scaled=((0,),)):
     """A point mass fixed to a frame.
 
     The force is linear in the mass. About the frame a point mass at c has the first moment ``mass * c`` and the
@@ -35,11 +37,6 @@ class Payload(FrameEffect):
     ------
     Hardeman 2008, equations 3.47 to 3.52 for a point mass.
     """
-
-    behind_gear: ClassVar[bool] = True
-    adds_inertia: ClassVar[bool] = True
-    part: ClassVar[str] = "links"
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
 
     mass: float | None = linear("kg", lower=0.0, rank=INERTIA)
     centre: tuple[float, float, float] | None = shape("m", start=REACH, lower=-2.0, upper=2.0, size=3)

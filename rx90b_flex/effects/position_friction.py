@@ -7,15 +7,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import derived, shape
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import derived, shape
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect
 
 
 @dataclass(frozen=True, kw_only=True)
-class PositionFriction(PeriodicEffect, DryFriction, LawEffect):
+class PositionFriction(PeriodicEffect, DryFriction, LawEffect, repeats=False):
     """Dry friction that changes with the angle, ``amplitude * sin(order * q + phase) * sign(v)``, order cycles a joint turn.
 
     Signature
@@ -33,7 +33,6 @@ class PositionFriction(PeriodicEffect, DryFriction, LawEffect):
     C. Canudas de Wit, Automatica 30(7), 1994.
     """
 
-    repeats: ClassVar[bool] = False
     PEAKS: ClassVar[int] = 4
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=PeriodicEffect.HIGHEST_ORDER)

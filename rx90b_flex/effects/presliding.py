@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import dahl
-from rx90b_flex.effects.effect import FRICTION, Effect, Sites, derived, linear
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import FRICTION, derived, linear
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
 
 LARGEST_DEFLECTION = 0.3  # of a joint's travel: what takes longer to turn over is a spring
@@ -124,11 +126,8 @@ class PreslidingFriction(RememberingLaw):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _InPlaceOfASign(PreslidingFriction):
+class _InPlaceOfASign(PreslidingFriction, replaces=("coulomb_friction",), needs=("coulomb_friction",)):
     """All of a joint's dry friction, which then holds at rest what it last overcame; no parameter more than a sign has."""
-
-    replaces: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
-    needs: ClassVar[tuple[str, ...]] = ("coulomb_friction",)
 
     @classmethod
     def type_name(cls) -> str:

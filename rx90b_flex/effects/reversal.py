@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from rx90b_flex.effects.effect import JointForce, shape
+from rx90b_flex.effects.effect import JointForce
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import shape
 
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
 SHARP = 2.0e-4

@@ -9,9 +9,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import OTHER, JointEffect, derived, shape
+from rx90b_flex.effects.effect import JointEffect
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
+from rx90b_flex.effects.parameters import OTHER, derived, shape
 
 GROUP = 16  # orders of a spectrum over the angle that are worked out together
 
@@ -71,10 +72,9 @@ class SineEffect(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeriodicEffect(SineEffect):
+class PeriodicEffect(SineEffect, repeats=True):
     """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
 
-    repeats: ClassVar[bool] = True
     PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins
     HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
 
@@ -135,7 +135,7 @@ class PeriodicEffect(SineEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GearRipple(PeriodicEffect, LawEffect):
+class GearRipple(PeriodicEffect, LawEffect, part="spring"):
     """Torque periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn.
 
     Signature
@@ -152,7 +152,6 @@ class GearRipple(PeriodicEffect, LawEffect):
     Not in Hardeman 2008; meshing of teeth and cogging of motors.
     """
 
-    part: ClassVar[str] = "spring"
     law_stores: ClassVar[bool] = True
 
     def basis(self, at: JointMotion) -> Array:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import SPRING, JointEffect, RestSites, RestSizes, derived, linear
+from rx90b_flex.effects.effect import JointEffect
+from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.parameters import SPRING, derived, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpring(SumOfLaws, JointEffect):
+class JointSpring(SumOfLaws, JointEffect, behind_gear=True, part="spring", scaled=((0,),)):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
@@ -35,10 +37,6 @@ class JointSpring(SumOfLaws, JointEffect):
     ------
     Not in Hardeman 2008; the linear case of equation 3.61 between two neighbouring links.
     """
-
-    behind_gear: ClassVar[bool] = True
-    part: ClassVar[str] = "spring"
-    scaled: ClassVar[tuple[tuple[int, ...], ...]] = ((0,),)
 
     stiffness: float | None = linear("N m/rad", lower=0.0, rank=SPRING)
     rest_angle: float | None = derived("rad")

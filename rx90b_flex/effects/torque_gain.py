@@ -9,13 +9,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import OTHER, JointEffect, derived
+from rx90b_flex.effects.effect import JointEffect
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
+from rx90b_flex.effects.parameters import OTHER, derived
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueGain(LogEffect, JointEffect):
+class TorqueGain(LogEffect, JointEffect, needs_model=True, multiplies=True):
     """The logged torque is `gain` times the true one: a motor constant, a gear ratio or a unit that is not what the log assumes.
 
     It is linear in ``gain - 1``, whose column is the model's torque; a fit goes on until that torque is the one with the gain in
@@ -37,8 +38,6 @@ class TorqueGain(LogEffect, JointEffect):
     Journal of Dynamic Systems, Measurement, and Control 136(5), 2014.
     """
 
-    needs_model: ClassVar[bool] = True
-    multiplies: ClassVar[bool] = True
     acts_at: ClassVar[str] = "drive"
 
     gain: float | None = derived("-", lower=0.0)

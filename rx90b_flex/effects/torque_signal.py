@@ -10,15 +10,17 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy import interpolate
 
-from rx90b_flex.effects.effect import JointEffect, Sites, derived, linear, shape
+from rx90b_flex.effects.effect import JointEffect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion, with_forces
+from rx90b_flex.effects.parameters import derived, linear, shape
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueDelay(LogEffect):
+class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
     """The logged torque is late: it shows what the motor gave `delay` ago; a negative delay: it is early, or the position is late.
 
     On one joint, or on all joints alike.
@@ -42,8 +44,6 @@ class TorqueDelay(LogEffect):
     Not in Hardeman 2008; current measured, filtered and logged after the position.
     """
 
-    on: ClassVar[str] = "robot or joint"
-    needs_model: ClassVar[bool] = True
     SHORTEST: ClassVar[float] = 1e-4  # s
     SMALLEST_SAMPLES: ClassVar[float] = 0.2  # of the log's clock: less is named where it explains much
     MUCH: ClassVar[float] = 0.025  # of a joint's error, or a twentieth of its square
@@ -74,8 +74,10 @@ class TorqueDelay(LogEffect):
         stuck = None if motion.stuck is None else _late_sticks(motion.stuck, delay / (motion.time[1] - motion.time[0]))
         ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay, stuck=stuck)
         # links ask for smooth torques, which samples hold well enough; of effects each is asked for its own
-        smooth = with_forces(np.array(motion.on_tree.load()), (e for e in motion.effects if e.needs_load), motion)
-        own = [e for e in motion.effects if not e.needs_load]
+        smooth = with_forces(
+            np.array(motion.on_tree.load()), (e for e in motion.effects if e.traits.needs_load), motion
+        )
+        own = [e for e in motion.effects if not e.traits.needs_load]
         out = with_forces(np.zeros_like(motion.q), own, ago) - with_forces(np.zeros_like(motion.q), own, motion)
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
 
@@ -133,7 +135,7 @@ def _late(x: Array, time: Array, delay: float) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotorSaturation(LogEffect, JointEffect):
+class MotorSaturation(LogEffect, JointEffect, needs_model=True):
     """The motor gives ``tau - coefficient * tau^3`` where the log, which knows its current, says tau.
 
     Signature
@@ -150,7 +152,6 @@ class MotorSaturation(LogEffect, JointEffect):
     Not in Hardeman 2008; the first odd term by which a saturating motor falls short of its current.
     """
 
-    needs_model: ClassVar[bool] = True
     acts_at: ClassVar[str] = "drive"
 
     coefficient: float | None = linear("1/(N m)^2", lower=0.0)
@@ -203,7 +204,7 @@ class MotorSaturation(LogEffect, JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineInterference(LogEffect, SineEffect):
+class LineInterference(LogEffect, SineEffect, by_clock=True, repeats_with_motion=False, repeats=True):
     """Mains or another fixed frequency in the torque signal, ``amplitude * sin(2 pi frequency_hz t + phase)``.
 
     The time is the file's, so that recordings of one clock share the phase.
@@ -221,10 +222,7 @@ class LineInterference(LogEffect, SineEffect):
     Not in Hardeman 2008; mains and switching in current sensors.
     """
 
-    by_clock: ClassVar[bool] = True
-    repeats_with_motion: ClassVar[bool] = False
     acts_at: ClassVar[str] = "drive"
-    repeats: ClassVar[bool] = True
     PEAKS: ClassVar[int] = 6
 
     frequency_hz: float | None = shape("Hz", start=50.0, lower=0.2, upper=2.0e4)

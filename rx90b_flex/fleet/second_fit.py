@@ -116,7 +116,7 @@ def same(one: Effect, other: Effect) -> bool:
     """Whether effects of two robots are one: type, place and, of those that may stand twice there, nearly the same shape."""
     if type(one) is not type(other) or one.place != other.place:
         return False
-    if not one.repeats:
+    if not one.traits.repeats:
         return True
     a, b = (np.log(np.maximum(np.abs(e.shape), 1e-9)) for e in (one, other))
     return bool((np.abs(a - b) < ALIKE).all())
@@ -222,7 +222,7 @@ def _fitted(
             continue
         search = Search(model, sites)
         replaced = next(
-            (e for e in model.effects if e.place == effect.place and e.type_name() in effect.replaces), None
+            (e for e in model.effects if e.place == effect.place and e.type_name() in effect.traits.replaces), None
         )
         trial = search.trial(effect, search.base(replaced), search.present, search.tests)
         if trial.accepted:

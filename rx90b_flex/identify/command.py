@@ -216,7 +216,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
             raise ValueError(
                 f"{recording.source or recording.name}: every torque is zero; errors have no size to go by"
             )
-    if declared.inertial_parameters == "known" and not any(not e.virtual for e in declared.effects):
+    if declared.inertial_parameters == "known" and not any(not e.traits.virtual for e in declared.effects):
         raise ValueError(
             f"{campaign.robot_source}: nothing to identify: inertial_parameters is 'known' and no effects are declared"
         )
@@ -263,12 +263,12 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
 
 def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
     """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
-    flexible = [e for e in declared.effects if e.virtual]
+    flexible = [e for e in declared.effects if e.traits.virtual]
     stand_ins = {e.label for e in flexible}  # of the flexible ones, on the rigid tree
     effects = [e for e in _effects(model, theta) if e.label not in stand_ins]
     if not model.links_fitted:
         joints = set(model.regression.joints)
-        resting = [e for e in declared.effects if not e.virtual and not set(e.joints) <= joints]
+        resting = [e for e in declared.effects if not e.traits.virtual and not set(e.joints) <= joints]
         return declared.with_effects([*flexible, *resting, *effects])
     rigid = model.regression.robot
     kept = [e for e in flexible if set(e.joints) <= set(rigid.joints)]

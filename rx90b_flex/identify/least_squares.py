@@ -172,7 +172,7 @@ class Identification:
         at = np.concatenate([self.theta[first : first + k], effect.shape])
         determined = np.concatenate([self.solution.determined[first : first + k], np.ones(len(effect.shape), bool)])
         if (
-            k and not determined[:k].any() and not effect.coefficients_follow
+            k and not determined[:k].any() and not effect.traits.coefficients_follow
         ):  # of a joint that never moves, say: its shape is not told either
             return tuple(Estimate(name, None, None, unit) for name, unit, _ in effect.public_values())
 
@@ -242,13 +242,13 @@ def identify(
     """
     effects = with_starts(effects, regression)
     links = regression.robot.link_parameters if start is None else start.link_parameters
-    circular = any(e.needs_load or e.needs_model for e in effects)
+    circular = any(e.traits.needs_load or e.traits.needs_model for e in effects)
     known = effects if start is None else start.effects
     fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links)
-    if any(e.coefficients_follow and len(e.shape) for e in effects):
+    if any(e.traits.coefficients_follow and len(e.shape) for e in effects):
         fit = _settled(fit, links, regression, start)
         return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
-    multiplied = any(e.multiplies for e in effects)
+    multiplied = any(e.traits.multiplies for e in effects)
     # shapes that an earlier fit of all these effects settled need no order among them
     together = start is not None and {e.label for e in effects} <= {e.label for e in start.effects}
     for i in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
@@ -289,7 +289,7 @@ def _settled(fit: _Fit, links: Array, regression: Regression, start: Identificat
     """
     own = regression.robot.link_parameters
     bent = start is not None and fit.fit_links and start.relative_error > BENT
-    new = [e for e in fit.effects if e.coefficients_follow and len(e.shape)]
+    new = [e for e in fit.effects if e.traits.coefficients_follow and len(e.shape)]
     new = [e for e in new if start is not None and not any(e.label == known.label for known in start.effects)]
     if not (bent and new):
         return _circled(fit, links, regression)
@@ -355,14 +355,14 @@ class _Fit:
         """Gain of each row's log so far, shape (rows,): the rows of all columns are multiplied by it."""
         out = np.ones(len(self.regression.rows))
         for e in self.effects:
-            if e.multiplies and e.known:
+            if e.traits.multiplies and e.known:
                 at = self.regression.joints.index(e.joints[0])
                 out[at] = max(out[at] * (1.0 + e.coefficients[0]), SMALLEST_FACTOR)
         return out
 
     def _scaled(self, effect: Effect) -> Array:
         columns = self.regression.columns(effect)
-        return columns if effect.multiplies or (self.factors == 1.0).all() else columns * self.factors[:, None]
+        return columns if effect.traits.multiplies or (self.factors == 1.0).all() else columns * self.factors[:, None]
 
     @cached_property
     def target(self) -> Array:
@@ -372,7 +372,7 @@ class _Fit:
             torque = torque + self.factors * (self.by_links @ self.about)
         if not self.fit_links:
             torque = torque - self.factors * (self.regression.link_columns @ self.regression.robot.link_parameters)
-        gains = [e for e in self.effects if e.multiplies and e.known]
+        gains = [e for e in self.effects if e.traits.multiplies and e.known]
         if gains:
             torque = np.array(torque)
             for e, (rows, columns) in zip(gains, self.regression.each(gains, once=True), strict=True):
@@ -398,11 +398,11 @@ class _Fit:
         asked = [
             (e, at)
             for e, at in zip(self.effects, self._places, strict=True)
-            if bool(len(e.shape)) == shaped and not e.coefficients_follow
+            if bool(len(e.shape)) == shaped and not e.traits.coefficients_follow
         ]
         parts = []
         for (e, at), (rows, columns) in zip(asked, self.regression.each([e for e, _ in asked]), strict=True):
-            plain = e.multiplies or (self.factors == 1.0).all()
+            plain = e.traits.multiplies or (self.factors == 1.0).all()
             parts.append((at, rows, columns if plain else columns * self.factors[rows, None]))
         return ColumnsByJoint.of(parts, len(self.regression.rows), len(self.regression))
 
@@ -422,7 +422,7 @@ class _Fit:
     @property
     def follows(self) -> Mask:
         """Which coefficients follow from their effect's shape, shape (p,)."""
-        own = [np.full(len(e.coefficients), e.coefficients_follow) for e in self.effects]
+        own = [np.full(len(e.coefficients), e.traits.coefficients_follow) for e in self.effects]
         return np.concatenate([np.zeros(self._offset, bool), *own])
 
     @cached_property
@@ -430,7 +430,7 @@ class _Fit:
         """Torque less that of the coefficients which follow from their effect's shape, shape (joints, N)."""
         torque = self.target
         for e in self.effects:
-            if e.coefficients_follow:
+            if e.traits.coefficients_follow:
                 torque = torque - self._scaled(e) @ e.coefficients
         return np.ascontiguousarray(torque.T)
 
@@ -440,7 +440,7 @@ class _Fit:
         following = [
             (at, np.arange(len(self.regression.rows)), self._scaled(e))
             for e, at in zip(self.effects, self._places, strict=True)
-            if e.coefficients_follow
+            if e.traits.coefficients_follow
         ]
         known = self.fixed.beside(self.varied)
         if not following:
@@ -528,7 +528,7 @@ class _Fit:
         """With other shapes, and the columns that these do not touch."""
         other = dataclasses.replace(self, effects=self.shapes.put(self.effects, shape))
         other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed)
-        if not any(e.coefficients_follow for e in self.effects):
+        if not any(e.traits.coefficients_follow for e in self.effects):
             other.__dict__.update(goal=self.goal, prior=self.prior)
         return other
 
@@ -544,7 +544,9 @@ class _Fit:
                 change = step * (np.arange(len(at)) == i)
                 pair = e.with_shape(at + change), e.with_shape(at - change)
                 pairs += pair
-                asked.append((place, 2.0 * step, [x.coefficients if e.coefficients_follow else theta for x in pair]))
+                asked.append(
+                    (place, 2.0 * step, [x.coefficients if e.traits.coefficients_follow else theta for x in pair])
+                )
         shown = iter(self.regression.each(pairs, once=True))
         parts = []
         for (place, width, (above, below)), (rows, up), (also, down) in zip(asked, shown, shown, strict=True):

@@ -56,7 +56,7 @@ def with_stiffnesses(robot: Robot, found: Mapping[str, float]) -> Robot:
     effects: list[Effect] = []
     placed: set[str] = set()
     for effect in robot.effects:
-        names = [f"{'_'.join(effect.joints) or 'base'}:{kind}" for kind in effect.virtual]
+        names = [f"{'_'.join(effect.joints) or 'base'}:{kind}" for kind in effect.traits.virtual]
         stiffness, damping = np.split(effect.coefficients, 2) if names else (np.zeros(0), np.zeros(0))
         for i, name in enumerate(names):
             if name in found:

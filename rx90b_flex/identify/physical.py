@@ -211,7 +211,7 @@ def gains_again(model: Identification) -> Array:
     motors = model.regression.motors
     seen = motors.with_model(model.link_parameters, model.effects)
     for i, effect in enumerate(model.effects):
-        if effect.multiplies:
+        if effect.traits.multiplies:
             at = motors.joints.index(effect.joints[0])
             said, torque = seen.columns(effect)[:, at, 0], seen.torque[:, at]
             if said @ torque > 0:

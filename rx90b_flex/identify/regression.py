@@ -296,7 +296,7 @@ class Regression:
     """All stretches of one role, with the columns of the links.
 
     The rows of a column are one array a joint of the campaign, then one a torque sensor behind a gear; samples of all stretches
-    follow each other. What acts before the gear leaves nothing in the rows of a sensor (`Effect.behind_gear`): they tell the
+    follow each other. What acts before the gear leaves nothing in the rows of a sensor (`Traits.behind_gear`): they tell the
     links without friction, and the difference to the motor's is friction. A sensor's zero is not known: its rows are less their mean.
 
     Attributes
@@ -432,7 +432,7 @@ class Regression:
     def seen(self, effect: Effect, columns: Array) -> Array:
         """Columns (N, coordinates, k) of an effect in each row; shape (N, rows, k)."""
         out = columns[:, self.rows]
-        if not effect.behind_gear:
+        if not effect.traits.behind_gear:
             out[:, len(self.joints) :] = 0.0
         return out
 
@@ -596,7 +596,7 @@ class Regression:
                 if change is not None:
                     part = self._brought(stretch, change)
                     out[span, : len(self.joints)] += part[:, : len(self.joints)]
-                    if effect.behind_gear:
+                    if effect.traits.behind_gear:
                         out[span, len(self.joints) :] += part[:, len(self.joints) :]
         return self._counted(out, np.arange(len(self.rows)))
 
@@ -699,7 +699,7 @@ def _without_coefficients(effect: Effect) -> Effect:
 
 def of_motion_alone(effect: Effect) -> bool:
     """Whether an effect's columns are the same for every model: those of one angle that no load enters."""
-    return isinstance(effect, JointEffect | PairEffect) and not (effect.needs_load or effect.needs_model)
+    return isinstance(effect, JointEffect | PairEffect) and not (effect.traits.needs_load or effect.traits.needs_model)
 
 
 def period_noise(residual: Array, recording: Recording) -> Array | None:

@@ -401,10 +401,10 @@ def _wrong_models(planned: PathPlan, controller: CS8, correction: Array) -> list
     trajectory = planned.trajectory(correction)
     for part, words in PARTS.items():
         effects = [
-            e.with_coefficients((1.0 - MODEL_ERROR) * e.coefficients) if e.part == part else e
+            e.with_coefficients((1.0 - MODEL_ERROR) * e.coefficients) if e.traits.part == part else e
             for e in planned.robot.effects
         ]
-        if any(e.part == part for e in effects):
+        if any(e.traits.part == part for e in effects):
             out.append(
                 (words, deviation(planned, simulate(planned.robot.with_effects(effects), controller, trajectory)))
             )
@@ -419,8 +419,8 @@ def _contributions(
 ) -> tuple[tuple[Contribution, ...], float]:
     """Each effect switched off in turn, and what is there without any; then what they do only together."""
     effects = planned.robot.effects
-    off = [e for e in effects if e.part != "drives"]
-    cases: list[Sequence[Effect]] = [[e for e in effects if e.part == "drives"]]
+    off = [e for e in effects if e.traits.part != "drives"]
+    cases: list[Sequence[Effect]] = [[e for e in effects if e.traits.part == "drives"]]
     cases += [[e for e in effects if e is not one] for one in off]
     work = (delayed(_run_without)(planned, controller, case) for case in cases)
     runs: list[Deviation | str] = []
@@ -429,7 +429,7 @@ def _contributions(
         runs.append(found)
     total = _components(before)
     sum_of_all, out = np.zeros_like(total), []
-    names = [("links and controller", "links"), *((_name(e), e.part) for e in off)]
+    names = [("links and controller", "links"), *((_name(e), e.traits.part) for e in off)]
     for (name, part), case in zip(names, runs, strict=True):
         if isinstance(case, str) or case.ended is not None:
             why = case if isinstance(case, str) else f"without it the run ends: {case.ended}"
@@ -440,7 +440,11 @@ def _contributions(
         across = np.hypot(own[1], own[2])
         rms, along = float(np.sqrt(np.mean(across**2))), float(np.abs(own[0]).max())
         out.append(Contribution(name, part, float(across.max()), rms, along, case.rms_across))
-    out += [Contribution(_name(e), e.part, why_not="the drive needs it to move") for e in effects if e.part == "drives"]
+    out += [
+        Contribution(_name(e), e.traits.part, why_not="the drive needs it to move")
+        for e in effects
+        if e.traits.part == "drives"
+    ]
     rest = total - sum_of_all
     return tuple(out), float(np.sqrt(np.mean(rest[1] ** 2 + rest[2] ** 2)))
 

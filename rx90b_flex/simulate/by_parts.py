@@ -124,8 +124,8 @@ def _dissipated(effect: Effect, force: Array, motion: Motion, still: Motion) -> 
 
     What it asks for beyond its force at rest (which its `potential` holds) and beyond what goes into kinetic energy.
     """
-    if effect.part in ("links", "drives"):
+    if effect.traits.part in ("links", "drives"):
         return np.zeros(len(motion))
-    if not effect.needs_load:
+    if not effect.traits.needs_load:
         force = effect.force(dataclasses.replace(motion, a=np.zeros_like(motion.a)))
     return np.asarray(np.sum((force - effect.force(still)) * motion.v, axis=1))

@@ -106,7 +106,7 @@ def perturb_lanes(
 
 def _refuse(robot: Robot, trajectories: Sequence[Trajectory]) -> None:
     for effect in robot.effects:
-        if effect.remembers or not effect.in_dynamics:
+        if effect.traits.remembers or not effect.traits.in_dynamics:
             raise ValueError(
                 f"{robot.name}: {effect.label} is beyond the perturbation method; simulate the nonlinear robot, or take it out"
             )

@@ -209,18 +209,18 @@ def _kept(robot: Robot, how: Format) -> tuple[list[Effect], list[Lost]]:
     lost: list[Lost] = []
     gone: set[tuple[str, tuple[str, ...]]] = set()
     for effect in robot.effects:
-        if not effect.in_dynamics:
+        if not effect.traits.in_dynamics:
             lost.append(Lost(effect.label, "stands between the robot and its log, which a simulator does not make"))
-        elif effect.virtual and not how.springs:
+        elif effect.traits.virtual and not how.springs:
             gone.add((effect.type_name(), effect.place))
             lost.append(Lost(effect.label, f"{how.title} has no springs: what bends here is rigid there"))
-        elif "torsion" in effect.virtual and not how.rotors:
+        elif "torsion" in effect.traits.virtual and not how.rotors:
             gone.add((effect.type_name(), effect.place))
             why = f"{how.title} has no rotor inertia, and without one a drive that twists has nothing to turn: rigid there"
             lost.append(Lost(effect.label, why))
         else:
             kept.append(effect)
-    for effect in [e for e in kept if any((needed, e.place) in gone for needed in e.needs)]:
+    for effect in [e for e in kept if any((needed, e.place) in gone for needed in e.traits.needs)]:
         kept.remove(effect)
         lost.append(Lost(effect.label, "belongs to what is rigid there"))
     return kept, lost
@@ -320,9 +320,9 @@ def _add_function(effect: Effect, law: Law, gathered: _Sum, how: Format) -> list
 
 
 def _why_no_law(effect: Effect) -> str:
-    if effect.remembers:
+    if effect.traits.remembers:
         return "depends on the motion before, which no simulator's joint remembers"
-    if effect.needs_load:
+    if effect.traits.needs_load:
         return "depends on the load, which no simulator's joint friction does"
     return "no simulator's joint has a torque of this form"
 

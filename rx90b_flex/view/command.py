@@ -112,7 +112,7 @@ def modes_of(
         bends = with_default_flexibility(robot, torsion, bending, base)
     elif flexible:
         bends = with_default_flexibility(robot)
-    elif not any(e.virtual for e in robot.effects):
+    elif not any(e.traits.virtual for e in robot.effects):
         raise ValueError(
             f"{robot.name}: nothing in it bends; --flexible gives it stated stiffnesses, a robot file its own"
         )

@@ -153,7 +153,7 @@ def _facts(result: Identified) -> Section:
     rows = tuple((r.name, r.role, f"{r.duration_s:.4g}", str(r.samples)) for r in campaign.recordings)
     table = PageTable(("recording", "role", "duration, s", "samples"), rows, numbers=(2, 3))
     cutoff = "no low-pass" if campaign.cutoff_hz is None else f"low-pass at {campaign.cutoff_hz:g} Hz"
-    flexible = sorted({e.type_name() for e in result.source.effects if e.virtual})
+    flexible = sorted({e.type_name() for e in result.source.effects if e.traits.virtual})
     text = [f"{campaign.sample_rate_hz:g} Hz, {cutoff}. Weighted least squares, one weight a joint."]
     if flexible:
         text.append(f"Kept as declared, since motor signals at low frequency do not tell them: {', '.join(flexible)}.")

@@ -19,7 +19,7 @@ from rx90b_flex.diagnose.refused import RefusedLoop
 from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, TorqueTrial
 from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.effect import SMALLEST_PART
+from rx90b_flex.effects.hints import SMALLEST_PART
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 from rx90b_flex.signals.tables import write_whole

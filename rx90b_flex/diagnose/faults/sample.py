@@ -224,5 +224,9 @@ def other_effects(robot: Robot) -> tuple[Effect, ...]:
     return tuple(
         e
         for e in robot.effects
-        if e.type_name() not in BASICS and not e.virtual and not e.needs_model and not e.by_clock and e.in_dynamics
+        if e.type_name() not in BASICS
+        and not e.traits.virtual
+        and not e.traits.needs_model
+        and not e.traits.by_clock
+        and e.traits.in_dynamics
     )
