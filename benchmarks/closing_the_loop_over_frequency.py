@@ -479,7 +479,7 @@ def draw(case: Case) -> Drawn | str:
     kind = {**KINDS, **OUTSIDE}[case.name]
     way = "changed" if kind.changed is not None and case.seed % 2 else "added"
     make = kind.changed if way == "changed" and kind.changed is not None else kind.added
-    for place in places(kind.traits.on, scene.subject.measured, rng):
+    for place in places(kind.on, scene.subject.measured, rng):
         hidden = make(scene, place, rng)
         size = Strength.of(scene, hidden).size(case.strength)
         if size is not None:

@@ -60,7 +60,7 @@ def test_a_size_of_nothing_leaves_what_is_declared(name):
     rng = np.random.default_rng(1)
     scene = study.Scene.draw(rng, "panda")
     kind = study.KINDS[name]
-    hidden = kind.changed(scene, study.places(kind.traits.on, scene.subject.measured, rng)[0], rng)
+    hidden = kind.changed(scene, study.places(kind.on, scene.subject.measured, rng)[0], rng)
     assert list(hidden.values(0.0).values()) == [1.0]
     assert hidden.truth(hidden.values(0.0)) == study.truth_of(hidden.declared)
     assert hidden.truth(hidden.values(0.5)) != study.truth_of(hidden.declared)

@@ -179,14 +179,14 @@ ELSEWHERE |= {name: "this study has no law of it" for name, kind in OTHERS.items
 
 def places(kind: Kind, joints: int, rng: np.random.Generator) -> list[tuple[int, ...]]:
     """Where an effect may be hidden, in drawn order."""
-    if kind.traits.on in ("robot", "frame"):
+    if kind.on in ("robot", "frame"):
         return [()]
-    if kind.traits.on in ("pair", "ordered pair"):
-        choose = itertools.combinations if kind.traits.on == "pair" else itertools.permutations
+    if kind.on in ("pair", "ordered pair"):
+        choose = itertools.combinations if kind.on == "pair" else itertools.permutations
         pairs = list(choose(range(joints), 2))
         return [pairs[i] for i in rng.permutation(len(pairs))]
     single: list[tuple[int, ...]] = [(int(j),) for j in rng.permutation(joints)]
-    return [(), *single] if kind.traits.on == "robot or joint" and rng.random() < 0.5 else single
+    return [(), *single] if kind.on == "robot or joint" and rng.random() < 0.5 else single
 
 
 def drawn(name: str, kind: Kind, place: tuple[int, ...], rng: np.random.Generator) -> Hidden:
