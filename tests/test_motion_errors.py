@@ -14,6 +14,7 @@ from rx90b_flex.diagnose.close import _cautions
 from rx90b_flex.diagnose.motion import LONGEST_SLOW_S, MotionErrors, motion_errors
 from rx90b_flex.diagnose.output import motion_json
 from rx90b_flex.effects import Effect, effect_from_table
+from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.torque_signal import TorqueDelay
 from rx90b_flex.export import save_robot
@@ -87,22 +88,35 @@ def test_without_references_it_is_said_that_no_motion_can_be_compared(result):
     assert motion_json(why) == {"schema": 1, "not_simulated": why}
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Uncompiled(ViscousFriction):
+    def laws(self, motion: object) -> None:
+        return None
+
+
 @pytest.mark.slow
-def test_effects_before_the_log_and_with_a_memory_take_part_in_a_shorter_simulation(result, monkeypatch):
-    more = (TorqueDelay(delay=0.004), PreslidingFriction(joint="joint_1", torque=15.0, deflection=1e-3))
+def test_effects_before_the_log_and_with_a_memory_take_part_and_without_a_law_in_a_shorter_simulation(
+    result, monkeypatch
+):
     declared = result.source
 
-    def identified(to: tuple[Effect, ...]) -> MotionErrors:
+    def identified(*to: Effect) -> MotionErrors:
         found = {id(result.declared): declared, id(result.model): declared.with_effects([*declared.effects, *to])}
         monkeypatch.setattr(motion, "identified_robot", lambda source, model, joints: found[id(model)])
         errors = motion_errors(result)
         assert isinstance(errors, MotionErrors), errors
         return errors
 
-    plain, both = identified(()), identified(more)
-    assert both.seconds == pytest.approx(LONGEST_SLOW_S, abs=0.01) and both.seconds < plain.seconds <= both.of_s
+    more = (TorqueDelay(delay=0.004), PreslidingFriction(joint="joint_1", torque=15.0, deflection=1e-3))
+    plain, both, slow = (
+        identified(),
+        identified(*more),
+        identified(*more, _Uncompiled(joint="joint_3", coefficient=1.0)),
+    )
     np.testing.assert_array_equal(plain.motor_after_mrad, plain.motor_before_mrad)
     # presliding friction holds joint 1 back, which changes its motion and no other's as much
     change = np.abs(both.motor_after_mrad - both.motor_before_mrad)
     assert change[0] > change[1:].max()
-    assert "the first 3 s of" in report_html(result, both)
+    assert plain.seconds == both.seconds <= both.of_s
+    assert slow.seconds == pytest.approx(LONGEST_SLOW_S, abs=0.01) and slow.seconds < both.seconds
+    assert "the first 3 s of" in report_html(result, slow)

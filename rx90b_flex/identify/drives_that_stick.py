@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rx90b_flex.effects.friction import CoulombFriction
+from rx90b_flex.effects.friction import CoulombFriction, StribeckFriction
 from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.reversal import Resolution
 
 if TYPE_CHECKING:
     from rx90b_flex.identify.regression import Regression
 
 TURNOVERS = (2e-4, 1e-3, 5e-3, 2e-2)  # rad/s, within which friction may turn over
+FADES = (0.02, 0.1, 0.5)  # of the joint's speed, over which it may fade
 RIDGE = 1e-12  # of the columns' size: what a motion does not tell apart
 BLOCKS, MOST = 4, 3  # of the samples: each predicted by the others, and so many of them better
 
@@ -21,7 +23,8 @@ BLOCKS, MOST = 4, 3  # of the samples: each predicted by the others, and so many
 def joints_that_stick(regression: Regression) -> tuple[str, ...]:
     """Joints whose torques are predicted better by friction that goes over in sticks than by one that the speed shows all the time.
 
-    Beside it stand the links, viscous friction and drive inertia; with each, friction turns over within the best of some speeds.
+    Either may fade with speed, and turns over within the best of some speeds; beside it stand the links, viscous friction and drive
+    inertia. What friction does at other speeds must not tell how it goes over.
     Most of some blocks are predicted better by the others, and all of them together.
     """
     held = regression if regression.excerpt is None else regression.excerpt[0]
@@ -55,13 +58,17 @@ def _smooth(regression: Regression, joint: str) -> Array:
 
 
 def _dry(regression: Regression, joint: str, turnover: float) -> Array:
-    """Column (N,) of dry friction."""
-    _, columns = regression.compact([CoulombFriction(joint=joint, torque=1.0, turnover=turnover)])
-    return np.asarray(columns[:, 0, 0])
+    """Columns (N, k) of dry friction: some that stays at all speeds, some that fades."""
+    speed = max(Resolution.of(s.motion.joint(joint)).speed for s in regression.stretches)
+    fading = [
+        StribeckFriction(joint=joint, torque=1.0, velocity=part * speed, power=1.0, turnover=turnover) for part in FADES
+    ]
+    _, columns = regression.compact([CoulombFriction(joint=joint, torque=1.0, turnover=turnover), *fading])
+    return np.asarray(columns[:, 0])
 
 
 def _left(torque: Array, smooth: Array, dry: Array) -> Array:
-    """Squared torque of each block that columns (N, k) and dry friction (N,), fitted to the others, leave."""
+    """Squared torque of each block that columns (N, k) and those of dry friction, fitted to the others, leave."""
     columns = np.column_stack([smooth, dry])
     columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     blocks = [slice(int(a), int(b)) for a, b in pairwise(np.linspace(0, len(torque), BLOCKS + 1))]
