@@ -1,99 +1,185 @@
-"""The torsion of one flexible drive along a motion, sample by sample: `effects.deflection` for a single joint."""
+"""The torsions of flexible drives along a motion, sample by sample: what `effects.deflection` repeats most."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, entry
-
-
-@entry
-def oscillator(at_angle: Array, at_rate: Array, inertia: Array, fast: Array, step: float, fastest: float) -> Array:
-    """The oscillator's equations: factors of x[n], x[n - 1], x[n - 2] in row n, and the weights; (4, N).
-
-    Parameters
-    ----------
-    at_angle, at_rate, inertia : array, shape (N,)
-        Stiffness, damping and inertia along the motion.
-    fast : array, shape (N,)
-        Squared frequency, (rad a sample)^2.
-    step : float
-        Time between samples, s; zero where the joint follows the torque at once.
-    fastest : float
-        Frequency, rad a sample, that counts at the most.
-    """
-    samples = len(at_angle)
-    out = np.zeros((4, samples))
-    for i in range(samples):
-        out[0, i] = at_angle[i]
-    if step == 0.0:
-        return out
-    for i in range(1, samples - 1):
-        angle = np.sqrt(min(max(fast[i], 1e-6), fastest**2))
-        turn = 2.0 - 2.0 * np.cos(angle)
-        w = (1.0 - turn / angle**2) / turn
-        mass, rate = inertia[i] / step**2, at_rate[i] / (2.0 * step)
-        out[0, i + 1] = mass + rate + w * at_angle[i]
-        out[1, i + 1] = -2.0 * mass + (1.0 - 2.0 * w) * at_angle[i]
-        out[2, i + 1] = mass - rate + w * at_angle[i]
-        out[3, i + 1] = w
-    return out
+from rx90b_flex.compiled.compile import Array, Integers, entry
 
 
 @entry
 def swing_free(c: Array, step: float, stiffness: float, cubic: float, damping: float, inertia: float) -> Array:
-    """The first two torsions (2,) of the swing-free answer to the cubic of time with coefficients (4,)."""
-    rest = c[0] / stiffness
-    for _ in range(60):  # Newton's method; convex on the side of zero where the linear part alone would end
-        rest -= (stiffness * rest + cubic * rest**3 - c[0]) / (stiffness + 3.0 * cubic * rest**2)
-    stiff = stiffness + 3.0 * cubic * rest**2
-    x3 = c[3] / stiff
-    x2 = (c[2] - 3.0 * damping * x3) / stiff
-    x1 = (c[1] - 2.0 * damping * x2 - 6.0 * inertia * x3) / stiff
-    out = np.empty(2)
-    out[0] = rest - (damping * x1 + 2.0 * inertia * x2) / stiff
-    out[1] = out[0] + step * (x1 + step * (x2 + step * x3))
+    """The first two torsions (2, k) of the swing-free answers to cubics of time with coefficients (4, k)."""
+    out = np.empty((2, c.shape[1]))
+    for i in range(c.shape[1]):
+        rest = c[0, i] / stiffness
+        for _ in range(60):  # Newton's method; convex on the side of zero where the linear part alone would end
+            rest -= (stiffness * rest + cubic * rest**3 - c[0, i]) / (stiffness + 3.0 * cubic * rest**2)
+        stiff = stiffness + 3.0 * cubic * rest**2
+        x3 = c[3, i] / stiff
+        x2 = (c[2, i] - 3.0 * damping * x3) / stiff
+        x1 = (c[1, i] - 2.0 * damping * x2 - 6.0 * inertia * x3) / stiff
+        out[0, i] = rest - (damping * x1 + 2.0 * inertia * x2) / stiff
+        out[1, i] = out[0, i] + step * (x1 + step * (x2 + step * x3))
     return out
 
 
 @entry
-def stepped(equations: Array, swings: bool, begun: Array, force: Array) -> Array:
-    """Torsions (N,) under forces (N,), by the equations of `oscillator` (4, N); where a joint swings, from the first two (2,) on."""
-    now, last, before, weight = equations[0], equations[1], equations[2], equations[3]
-    out = np.empty(len(force))
-    if swings:
-        out[0], out[1] = begun[0], begun[1]
-    for i in range(2 if swings else 0, len(force)):
-        if swings:
-            w = weight[i]
-            right = w * (force[i] + force[i - 2]) + (1.0 - 2.0 * w) * force[i - 1]
-            out[i] = (right - last[i] * out[i - 1] - before[i] * out[i - 2]) / now[i]
-        else:
-            out[i] = force[i] / now[i]
+def oscillators(
+    at_angle: Array, at_rate: Array, by_a: Array, fast: Array, swings: Array, step: float
+) -> tuple[Array, Integers, Array, Array, Array]:
+    """The oscillators' equations: factors of x[n], as LU with its pivots, of x[n - 1] and x[n - 2] in row n, and the weights.
+
+    Parameters
+    ----------
+    at_angle, at_rate, by_a : array, shape (N, m, m)
+        Stiffness, damping and inertia along the motion.
+    fast : array, shape (N, m)
+        Squared frequency, (rad a sample)^2, as far as it counts; above zero.
+    swings : array, shape (m,)
+        1 where a joint swings, 0 where it follows at once.
+    step : float
+        Time between samples, s.
+    """
+    samples, m, _ = at_angle.shape
+    now, pivots = at_angle.copy(), np.zeros((samples, m), dtype=np.int64)
+    last, before, weight = np.zeros((samples, m, m)), np.zeros((samples, m, m)), np.zeros((samples, m))
+    for n in range(samples):
+        for i in range(m):
+            if swings[i] > 0.0 and 0 < n < samples - 1:
+                angle = np.sqrt(fast[n, i])
+                turn = 2.0 - 2.0 * np.cos(angle)
+                w = (1.0 - turn / angle**2) / turn
+                weight[n, i] = w
+                for j in range(m):
+                    mass, rate, k = by_a[n, i, j] / step**2, at_rate[n, i, j] / (2.0 * step), at_angle[n, i, j]
+                    now[n + 1, i, j] = mass + rate + w * k
+                    last[n + 1, i, j] = -2.0 * mass + (1.0 - 2.0 * w) * k
+                    before[n + 1, i, j] = mass - rate + w * k
+    for n in range(samples):
+        for k in range(m):
+            best = k
+            for i in range(k + 1, m):
+                if abs(now[n, i, k]) > abs(now[n, best, k]):
+                    best = i
+            pivots[n, k] = best
+            for j in range(m if best != k else 0):
+                now[n, k, j], now[n, best, j] = now[n, best, j], now[n, k, j]
+            for i in range(k + 1, m):
+                now[n, i, k] /= now[n, k, k]
+                for j in range(k + 1, m):
+                    now[n, i, j] -= now[n, i, k] * now[n, k, j]
+    return now, pivots, last, before, weight
+
+
+@entry
+def stepped(
+    now: Array, pivots: Integers, last: Array, before: Array, weight: Array, swings: Array, begun: Array, force: Array
+) -> Array:
+    """Torsions (N, m, k) under forces (N, m, k), by the equations of `oscillators`.
+
+    Where a joint swings, the right sides of its first two are `begun`, (2, m, k).
+    """
+    samples, m, width = force.shape
+    out = np.empty((samples, m, width))
+    for n in range(samples):
+        for i in range(m):
+            for c in range(width):
+                if swings[i] == 0.0:
+                    out[n, i, c] = force[n, i, c]
+                elif n < 2:
+                    out[n, i, c] = begun[n, i, c]
+                else:
+                    w = weight[n - 1, i]
+                    right = w * (force[n, i, c] + force[n - 2, i, c]) + (1.0 - 2.0 * w) * force[n - 1, i, c]
+                    for j in range(m):
+                        right -= last[n, i, j] * out[n - 1, j, c] + before[n, i, j] * out[n - 2, j, c]
+                    out[n, i, c] = right
+        for i in range(m):  # pivots, then forward and back
+            best = pivots[n, i]
+            for c in range(width if best != i else 0):
+                out[n, i, c], out[n, best, c] = out[n, best, c], out[n, i, c]
+        for i in range(m):
+            for j in range(i):
+                for c in range(width):
+                    out[n, i, c] -= now[n, i, j] * out[n, j, c]
+        for i in range(m - 1, -1, -1):
+            for j in range(i + 1, m):
+                for c in range(width):
+                    out[n, i, c] -= now[n, i, j] * out[n, j, c]
+            for c in range(width):
+                out[n, i, c] /= now[n, i, i]
     return out
 
 
 @entry
 def rates(x: Array, step: float, first: Array, second: Array) -> tuple[Array, Array]:
-    """First and second derivatives by time of uniform samples (N,), central with the given weights, ends continued oddly."""
-    samples, beside = len(x), len(first) // 2
-    v, a = np.zeros(samples), np.zeros(samples)
-    if step == 0.0:
-        return v, a
+    """First and second derivatives by time of uniform samples (N, k), central with the given weights, ends continued oddly."""
+    samples, width = x.shape
+    beside = len(first) // 2
+    v, a = np.zeros((samples, width)), np.zeros((samples, width))
+    flat, of_first, of_second = x.ravel(), v.ravel(), a.ravel()
+    for k in range(len(first)):
+        shift = (beside - k) * width
+        for at in range(beside * width, (samples - beside) * width):
+            of_first[at] += first[k] * flat[at + shift]
+            of_second[at] += second[k] * flat[at + shift]
     for i in range(samples):
-        for k in range(len(first)):
+        for k in range(len(first) if i < beside or i >= samples - beside else 0):
             at = i + beside - k
-            if at < 0:
-                value = 2.0 * x[0] - x[-at]
-            elif at >= samples:
-                value = 2.0 * x[samples - 1] - x[2 * samples - 2 - at]
-            else:
-                value = x[at]
-            v[i] += first[k] * value
-            a[i] += second[k] * value
-        v[i] /= step
-        a[i] /= step**2
+            for c in range(width):
+                if at < 0:
+                    value = 2.0 * x[0, c] - x[-at, c]
+                elif at >= samples:
+                    value = 2.0 * x[samples - 1, c] - x[2 * samples - 2 - at, c]
+                else:
+                    value = x[at, c]
+                v[i, c] += first[k] * value
+                a[i, c] += second[k] * value
+    for at in range(samples * width):
+        of_first[at] /= step
+        of_second[at] /= step**2
     return v, a
+
+
+@entry
+def asked(
+    load: Array, at_angle: Array, at_rate: Array, by_a: Array, cubic: Array, x: Array, v: Array, a: Array
+) -> Array:
+    """What torsions and their rates, (N, m) each, leave of a load (N, m) by derivatives (N, m, m); N m."""
+    out = np.empty_like(load)
+    for n in range(len(load)):
+        for i in range(load.shape[1]):
+            left = load[n, i] + cubic[i] * x[n, i] ** 3
+            for j in range(load.shape[1]):
+                left += at_angle[n, i, j] * x[n, j] + at_rate[n, i, j] * v[n, j] + by_a[n, i, j] * a[n, j]
+            out[n, i] = left
+    return out
+
+
+@entry
+def torques(by_q: Array, by_v: Array, by_a: Array, places: Integers, x: Array, v: Array, a: Array) -> Array:
+    """What the tree's derivatives (N, n, n) make of torsions at some places and of their rates, (N, m) each; (m, N, n)."""
+    samples, n, _ = by_q.shape
+    out = np.empty((len(places), samples, n))
+    for i in range(len(places)):
+        p = places[i]
+        for t in range(samples):
+            for j in range(n):
+                out[i, t, j] = by_q[t, j, p] * x[t, i] + by_v[t, j, p] * v[t, i] + by_a[t, j, p] * a[t, i]
+    return out
+
+
+@entry
+def add_torques(out: Array, by: Array, places: Integers, x: Array) -> None:
+    """Put on what derivatives (N, n, n) make of changes (N, m, k) at some places; onto (N, n, k)."""
+    samples, n, width = out.shape
+    for t in range(samples):
+        for j in range(n):
+            for i in range(len(places)):
+                slope = by[t, j, places[i]]
+                for c in range(width):
+                    out[t, j, c] += slope * x[t, i, c]
 
 
 @entry

@@ -18,13 +18,24 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy import linalg
 from scipy.interpolate import CubicSpline
 
-from rx90b_flex.compiled.torsion import hinges_together, oscillator, rates, stepped, swing_free
+from rx90b_flex.compiled.compile import Integers
+from rx90b_flex.compiled.torsion import (
+    add_torques,
+    asked,
+    hinges_together,
+    oscillators,
+    rates,
+    stepped,
+    swing_free,
+    torques,
+)
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
@@ -104,8 +115,8 @@ def deflected(motion: Motion, springs: Sequence[Spring], springs_of_model: Seque
         found = motion.once(("deflection", *known), lambda: _first_order(motion, springs, load + beyond))
     else:
         found = _first_order(motion, springs, load + beyond)
-    torsion, *torque = found
-    return Deflection(torsion, np.array(torque).reshape(len(springs), *motion.q.shape), beyond)
+    torsion, torque = found
+    return Deflection(torsion, torque, beyond)
 
 
 def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
@@ -116,7 +127,7 @@ def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     places = _places(motion, springs)
     rigid = np.array(motion.on_tree.load())
     for _ in range(LARGE_SWEEPS):
-        torsion, *torque = _first_order(motion, springs, load + out)
+        torsion, torque = _first_order(motion, springs, load + out)
         there = _moved(motion, places, torsion).on_tree.load()
         new = there - rigid - np.sum(torque, axis=0)
         if not np.isfinite(new).all() or np.abs(torsion).max() > LARGEST:
@@ -136,14 +147,13 @@ def by_links(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     places = _places(motion, springs)
     found = deflected(motion, springs, springs, load)
     there = _moved(motion, places, found.torsion).on_tree.link_regressor()
-    by_q, by_v, by_a = (by[:, :, places] for by in motion.on_tree.derivatives())
-    steps = _steps(springs, by_q[:, places], by_v[:, places], by_a[:, places], motion.time)
-    further = steps.solve(-there[:, places])
+    by = motion.on_tree.derivatives()
+    further = _Steps.of(*_with_springs(springs, *_among(by, places)), _step(motion.time)).solve(-there[:, places])
     if not np.isfinite(further).all() or np.abs(further).max() > 1e3 * LARGEST:
         return np.zeros_like(there)  # a swing that grows: values from which a fit turns back
     out = there - motion.on_tree.link_regressor()
-    for by, x in zip((by_q, by_v, by_a), (further, *_rates(further, motion.time)), strict=True):
-        out += by @ x
+    for slope, x in zip(by, (further, *_rates(further, motion.time)), strict=True):
+        add_torques(out, slope, places, x)
     return np.asarray(out)
 
 
@@ -155,16 +165,19 @@ def _moved(motion: Motion, places: Indices, torsion: Array) -> Motion:
     return dataclasses.replace(motion, q=q, v=v, a=a)
 
 
-def _first_order(motion: Motion, springs: Sequence[Spring], load: Array) -> tuple[Array, ...]:
-    """Torsions (N, m), and for each spring the torque (N, n) that the tree's derivatives make of it."""
-    places = _places(motion, springs)
-    by_q, by_v, by_a = (by[:, :, places] for by in motion.on_tree.derivatives())
+def _first_order(motion: Motion, springs: Sequence[Spring], load: Array) -> tuple[Array, Array]:
+    """Torsions (N, m), and the torque that the tree's derivatives make of each, (m, N, n)."""
     if not springs:
-        return (np.zeros((len(motion), 0)),)
-    torsion = _torsion(springs, load[:, places], by_q[:, places], by_v[:, places], by_a[:, places], motion.time)
-    first, second = _rates(torsion, motion.time)
-    each = by_q * torsion[:, None] + by_v * first[:, None] + by_a * second[:, None]
-    return torsion, *np.ascontiguousarray(each.transpose(2, 0, 1))
+        return np.zeros((len(motion), 0)), np.zeros((0, *motion.q.shape))
+    places, by = _places(motion, springs), motion.on_tree.derivatives()
+    torsion = _torsion(springs, load[:, places], *_among(by, places), motion.time)
+    return torsion, torques(*by, places, torsion, *_rates(torsion, motion.time))
+
+
+def _among(by: tuple[Array, Array, Array], places: Indices) -> tuple[Array, Array, Array]:
+    """Derivatives of torques at some places by what is at these, (N, m, m)."""
+    by_q, by_v, by_a = (x[:, places[:, None], places] for x in by)
+    return by_q, by_v, by_a
 
 
 def _places(motion: Motion, springs: Sequence[Spring]) -> Indices:
@@ -173,82 +186,44 @@ def _places(motion: Motion, springs: Sequence[Spring]) -> Indices:
 
 def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, by_a: Array, time: Array) -> Array:
     """Torsions (N, m) under a load (N, m), for derivatives (N, m, m) of the load by angle, velocity and acceleration."""
-    if len(springs) == 1:
-        (s,) = springs
-        along = [np.ascontiguousarray(x) for x in (load[:, 0], by_q[:, 0, 0], by_v[:, 0, 0], by_a[:, 0, 0])]
-        with np.errstate(all="ignore"):  # values from which a fit turns back
-            return _torsion_alone(s, along[0], along[1], along[2], along[3], _step(time))[:, None]
     cubic = np.array([s.cubic for s in springs])
-    at_angle, at_rate = _with_springs(springs, by_q, by_v)
+    at_angle, at_rate, by_a = _with_springs(springs, by_q, by_v, by_a)
     if any(s.kind != "drive" for s in springs):
         return _together(load, at_angle, at_rate, by_a, _step(time))
-    steps = _steps(springs, by_q, by_v, by_a, time)
+    steps = _Steps.of(at_angle, at_rate, by_a, _step(time))
     torsion = steps.solve(-load)
-    begun = steps.begun(-load, cubic) - steps.begun(-load, 0.0 * cubic)
+    wide = -load[:, :, None]
+    begun = steps.begun(wide, cubic) - steps.begun(wide, 0.0 * cubic)
     for _ in range(CORRECTIONS):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
             return np.zeros_like(load)
-        first, second = _rates(torsion, time)
+        left = asked(load, at_angle, at_rate, by_a, cubic, torsion, *_rates(torsion, time))
         if cubic.any():  # Newton's steps
             stiffer = at_angle + 3.0 * (cubic * torsion**2)[:, :, None] * np.eye(len(springs))
             steps = _Steps.of(stiffer, at_rate, by_a, _step(time))
-        asked = load + cubic * torsion**3
-        for by, x in ((at_angle, torsion), (at_rate, first), (by_a, second)):
-            asked = asked + np.einsum("nij,nj->ni", by, x)
-        torsion = torsion + steps.solve(-asked, begun)
+        torsion = torsion + steps.solve(-left, begun)
         begun = np.zeros_like(begun)
     return torsion
-
-
-def _torsion_alone(spring: Spring, load: Array, by_q: Array, by_v: Array, by_a: Array, step: float) -> Array:
-    """Torsion (N,), rad, of one drive under a load (N,), N m; zero where no drive twists like that."""
-    cubic = float(spring.cubic)
-    at_angle, at_rate = by_q + spring.stiffness, by_v + spring.stiffness * spring.lag
-    equations, swings, swing = _steps_alone(at_angle, at_rate, by_a, step)
-    first = float(at_angle[0]), cubic, float(at_rate[0]), max(float(by_a[0]), 0.0)
-    begun = begun_slowly(-load, swing, step, *first)
-    torsion = stepped(equations, swings, begun, -load)
-    for _ in range(CORRECTIONS):
-        if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
-            return np.zeros_like(load)
-        v, a = rates(torsion, step, FIRST, SECOND)
-        asked = load + at_angle * torsion + at_rate * v + by_a * a
-        if cubic != 0.0:  # Newton's steps
-            harder = cubic * torsion * torsion
-            equations, swings, _ = _steps_alone(at_angle + 3.0 * harder, at_rate, by_a, step)
-            asked += harder * torsion
-        torsion = torsion + stepped(equations, swings, np.zeros(2), -asked)
-    return np.asarray(torsion)
-
-
-def _steps_alone(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> tuple[Array, bool, int]:
-    """The equations of `oscillator` (4, N), whether the joint swings at all, and the samples of a swing."""
-    typical = np.median(by_a)
-    inertia = np.maximum(by_a, LEAST_INERTIA * typical) if typical > 0.0 else by_a
-    fast = np.where(inertia > 0.0, at_angle * step**2 / np.where(inertia > 0.0, inertia, 1.0), 0.0)
-    swings = bool(step > 0.0 and typical > 0.0 and np.median(fast) < FASTEST**2)
-    equations = oscillator(at_angle, at_rate, inertia, fast, step if swings else 0.0, FASTEST)
-    return equations, swings, _samples_of_a_swing(fast) if swings else 0
-
-
-def _samples_of_a_swing(fast: Array) -> int:
-    """From its squared frequency, (rad a sample)^2, along a motion (N,)."""
-    return int(2.0 * np.pi / np.sqrt(max(float(np.median(fast)), 1e-6)))
 
 
 def begun_slowly(
     force: Array, samples: int, step: float, stiffness: float, cubic: float, damping: float, inertia: float
 ) -> Array:
-    """The first two torsions (2,) of the swing-free answer to a cubic through the first samples of a force (N,).
+    """The first two torsions (2, k) of the swing-free answers to cubics through the first samples of forces (N, k).
 
     ``inertia x'' + damping x' + stiffness x + cubic x^3`` of a polynomial x is that cubic, to first order beyond rest. What the first
     samples are off by themselves, a log's noise at its end, would else set the link swinging.
     """
     many = max(min(samples, len(force)), min(CUBIC, len(force)))
-    powers = np.vander(step * np.arange(many), CUBIC, increasing=True)
+    return np.asarray(swing_free(_cubic(many, step) @ force[:many], step, stiffness, cubic, damping, inertia))
+
+
+@lru_cache(maxsize=64)
+def _cubic(samples: int, step: float) -> Array:
+    """What makes the coefficients of a cubic of time of so many samples, (4, N)."""
+    powers = np.vander(step * np.arange(samples), CUBIC, increasing=True)
     scale = np.maximum(np.linalg.norm(powers, axis=0), 1e-300)
-    c = np.linalg.lstsq(powers / scale, force[:many])[0] / scale
-    return np.asarray(swing_free(c, step, stiffness, cubic, damping, inertia))
+    return np.asarray(np.linalg.pinv(powers / scale) / scale[:, None])
 
 
 def _together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: float) -> Array:
@@ -280,104 +255,59 @@ def _together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: f
     return np.asarray(swinging(fine, at_angle, at_rate, by_a, step / parts, parts))[before:]
 
 
-def _with_springs(springs: Sequence[Spring], by_q: Array, by_v: Array) -> tuple[Array, Array]:
-    """Derivatives of the torque on the torsions by them and by their rates, springs and dampers included, (N, m, m)."""
+def _with_springs(springs: Sequence[Spring], by_q: Array, by_v: Array, by_a: Array) -> tuple[Array, Array, Array]:
+    """Derivatives of the torque on the torsions by them and their rates, springs and dampers included, (N, m, m)."""
     stiffness = np.array([s.stiffness for s in springs])
-    return by_q + np.diag(stiffness), by_v + np.diag(stiffness * np.array([s.lag for s in springs]))
-
-
-def _steps(springs: Sequence[Spring], by_q: Array, by_v: Array, by_a: Array, time: Array) -> _Steps:
-    at_angle, at_rate = _with_springs(springs, by_q, by_v)
-    return _Steps.of(at_angle, at_rate, by_a, _step(time))
+    return by_q + np.diag(stiffness), by_v + np.diag(stiffness * np.array([s.lag for s in springs])), by_a
 
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The oscillators ``M x'' + D x' + K x = f`` as one banded system, sample after sample, begun as if at rest.
+    """The oscillators ``M x'' + D x' + K x = f``, stepped on sample after sample.
 
     ``M (x+ - 2x + x-)/h^2 + D (x+ - x-)/(2h) + K (w x+ + (1-2w) x + w x-) = w f+ + (1-2w) f + w f-``, with the weight w that gives
     an oscillator of M and K its own frequency; where that lies beyond `FASTEST`, ``K x = f``.
     """
 
-    banded: Array
-    bands: tuple[int, int]
-    weight: Array  # (N, m)
+    equations: tuple[Array, Integers, Array, Array, Array]  # of `oscillators`
     swings: Array  # (m,), 1 where a joint swings, 0 where it follows at once
     swing: tuple[int, ...]  # samples of a swing, (m,)
     start: tuple[tuple[float, float, float, float], ...]  # (m,), seconds a sample, first stiffness, damping and inertia
 
     @staticmethod
     def of(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> _Steps:
-        samples, m, _ = at_angle.shape
-        own = np.arange(m)
+        own = np.arange(at_angle.shape[1])
         inertia = by_a[:, own, own]
         # fitted links need not be possible ones: their inertia may fall below zero for an instant
         typical = np.median(inertia, axis=0)
         inertia = np.where(typical > 0, np.maximum(inertia, LEAST_INERTIA * typical), inertia)
-        by_a = by_a.copy()
+        first, by_a = by_a[0].diagonal(), by_a.copy()
         by_a[:, own, own] = inertia
         fast = at_angle[:, own, own] * step**2 / np.where(inertia > 0, inertia, np.inf)
-        slow = np.median(fast, axis=0) < FASTEST**2
-        swings = (slow & (typical > 0) & (step > 0)).astype(float)
-        weight = _weight(np.clip(fast, 1e-6, None))
-        one = np.zeros_like(at_angle)
-        # rows of unknown n + 1: the oscillator's equation at n, or the static one at n + 1
-        mass, rate = (by_a / step**2, at_rate / (2.0 * step)) if step > 0 else (one, one)
-        w, s = weight[:, :, None], swings[:, None]
-        later = s * (mass + rate + w * at_angle)
-        middle = s * (-2.0 * mass + (1.0 - 2.0 * w) * at_angle)
-        before = s * (mass - rate + w * at_angle)
-        bands = (3 * m - 1, m - 1)
-        banded = np.zeros((sum(bands) + 1, samples * m))
-        own_block = (1.0 - s) * at_angle
-        own_block[:2] = at_angle[:2]  # begun as if at rest
-        own_block[2:] += later[1:-1]
-        for shift, blocks in ((0, own_block), (1, middle), (2, before)):
-            # block of the equations of sample n with the unknowns of sample n - shift
-            start = shift if shift == 0 else 2
-            source = blocks if shift == 0 else blocks[1:-1]
-            for i in range(m):
-                for j in range(m):
-                    row = bands[1] + shift * m + i - j
-                    first = (start - shift) * m + j
-                    banded[row, first : first + m * len(source) : m] = source[:, i, j]
-        swing = tuple(_samples_of_a_swing(x) for x in fast.T)
-        diagonals = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), inertia[0], strict=True)
+        middle = np.median(fast, axis=0)
+        swings = ((middle < FASTEST**2) & (typical > 0) & (step > 0)).astype(float)
+        equations = oscillators(at_angle, at_rate, by_a, np.clip(fast, 1e-6, FASTEST**2), swings, step)
+        swing = tuple(int(2.0 * np.pi / np.sqrt(max(float(x), 1e-6))) for x in middle)
+        diagonals = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), first, strict=True)
         at_start = tuple((step, float(k), float(d), float(max(m, 0.0))) for k, d, m in diagonals)
-        return _Steps(banded, bands, weight, swings, swing, at_start)
+        return _Steps(equations, swings, swing, at_start)
 
     def begun(self, force: Array, cubic: Array) -> Array:
-        """The first two torsions (2, m) of each by itself, under the first forces of (N, m), as `begun_slowly` has them."""
-        out = np.zeros((2, force.shape[1]))
+        """The first two torsions (2, m, k) of each by itself, under the first forces of (N, m, k), as `begun_slowly` has them."""
+        out = np.zeros((2, *force.shape[1:]))
         for j in np.flatnonzero(self.swings):
             step, stiffness, damping, inertia = self.start[j]
-            out[:, j] = begun_slowly(force[:, j], self.swing[j], step, stiffness, float(cubic[j]), damping, inertia)
+            own = np.ascontiguousarray(force[:, j])
+            out[:, j] = begun_slowly(own, self.swing[j], step, stiffness, float(cubic[j]), damping, inertia)
         return out
 
     def solve(self, force: Array, begun: Array | None = None) -> Array:
-        """Deflections (N, m, ...) under forces (N, m, ...); where a joint swings from the first two (2, m) on, or as if at rest."""
-        right = force.reshape(*self.weight.shape, -1).copy()
-        w = self.weight[1:-1, :, None]
-        smooth = w * (right[2:] + right[:-2]) + (1.0 - 2.0 * w) * right[1:-1]
-        right[2:] = np.where(self.swings[:, None] > 0, smooth, right[2:])
-        for k in range(right.shape[2]):
-            own = force.reshape(right.shape)[:, :, k]
-            first = self.begun(own, np.zeros(own.shape[1])) if begun is None else begun
-            stiffness = np.array([x[1] for x in self.start])
-            right[:2, :, k] = np.where(self.swings > 0, stiffness * first, right[:2, :, k])
-        right = right.reshape(-1, right.shape[2])
-        try:
-            out = linalg.solve_banded(self.bands, self.banded, right, check_finite=False)
-        except linalg.LinAlgError:
-            return np.zeros_like(force)
-        return np.asarray(out).reshape(force.shape)
-
-
-def _weight(fast: Array) -> Array:
-    """w of `_Steps` for oscillators whose squared frequency times the squared step is `fast`."""
-    angle = np.sqrt(np.minimum(fast, FASTEST**2))
-    turn = 2.0 - 2.0 * np.cos(angle)
-    return np.asarray((1.0 - turn / angle**2) / turn)
+        """Deflections (N, m) or (N, m, k) under forces; where a joint swings from the first two (2, m, k) on, or swing-free."""
+        wide = np.ascontiguousarray(force.reshape(*force.shape[:2], -1))
+        first = self.begun(wide, np.zeros(wide.shape[1])) if begun is None else begun
+        stiffness = np.array([x[1] for x in self.start])[:, None]
+        out = stepped(*self.equations, self.swings, stiffness * first, wide)
+        return np.asarray(out if np.isfinite(out).all() else np.zeros_like(out)).reshape(force.shape)
 
 
 def _step(time: Array) -> float:
@@ -387,17 +317,12 @@ def _step(time: Array) -> float:
 
 
 def _rates(x: Array, time: Array) -> tuple[Array, Array]:
-    """First and second derivatives by time of uniform samples (N, m); zero where they are not a motion in time."""
-    step, beside = _step(time), len(FIRST) // 2
+    """First and second derivatives by time of uniform samples (N, ...); zero where they are not a motion in time."""
+    step = _step(time)
     if step == 0.0:
         return np.zeros_like(x), np.zeros_like(x)
-    ahead, behind = 2 * x[:1] - x[beside:0:-1], 2 * x[-1:] - x[-2 : -beside - 2 : -1]
-    padded = np.concatenate([ahead, x, behind])
-    first, second = (
-        sum(weight * padded[len(FIRST) - 1 - i : len(FIRST) - 1 - i + len(x)] for i, weight in enumerate(weights))
-        for weights in (FIRST, SECOND)
-    )
-    return np.asarray(first / step), np.asarray(second / step**2)
+    first, second = rates(np.ascontiguousarray(x.reshape(len(x), -1)), step, FIRST, SECOND)
+    return first.reshape(x.shape), second.reshape(x.shape)
 
 
 def softest(by_q: Array, inertia: float) -> float:
