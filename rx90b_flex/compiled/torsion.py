@@ -120,10 +120,15 @@ def rates(x: Array, step: float, first: Array, second: Array) -> tuple[Array, Ar
     v, a = np.zeros((samples, width)), np.zeros((samples, width))
     flat, of_first, of_second = x.ravel(), v.ravel(), a.ravel()
     for k in range(len(first)):
-        shift = (beside - k) * width
-        for at in range(beside * width, (samples - beside) * width):
-            of_first[at] += first[k] * flat[at + shift]
-            of_second[at] += second[k] * flat[at + shift]
+        begin, count = (2 * beside - k) * width, max(samples - 2 * beside, 0) * width
+        there, by_first, by_second = (
+            flat[begin : begin + count],
+            of_first[beside * width :],
+            of_second[beside * width :],
+        )
+        for at in range(count):
+            by_first[at] += first[k] * there[at]
+            by_second[at] += second[k] * there[at]
     for i in range(samples):
         for k in range(len(first) if i < beside or i >= samples - beside else 0):
             at = i + beside - k
