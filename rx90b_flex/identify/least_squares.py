@@ -245,12 +245,12 @@ def identify(
     circular = any(e.traits.needs_load or e.traits.needs_model for e in effects)
     known = effects if start is None else start.effects
     fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links)
-    if any(e.traits.coefficients_follow and len(e.shape) for e in effects):
-        fit = _settled(fit, links, regression, start)
-        return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
-    multiplied = any(e.traits.multiplies for e in effects)
     # shapes that an earlier fit of all these effects settled need no order among them
     together = start is not None and {e.label for e in effects} <= {e.label for e in start.effects}
+    if any(e.traits.coefficients_follow and len(e.shape) for e in effects):
+        fit = _settled(fit, links, regression, start, together)
+        return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
+    multiplied = any(e.traits.multiplies for e in effects)
     for i in range((MULTIPLIED_ROUNDS if multiplied else CIRCULAR_ROUNDS) if circular else 1):
         fit = fit.refined(together=together or i > 0)
         if circular:
@@ -282,7 +282,7 @@ def shared_values(effects: Sequence[Effect]) -> dict[tuple[str, ...], float]:
     return {key: float(x) for key, x in pairs if not np.isnan(x)}
 
 
-def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None) -> _Fit:
+def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None, together: bool) -> _Fit:
     """A fit whose effects see the model that it ends with, links (10 * bodies,) as they see them at first.
 
     Where much was left over, links that were fitted to it are far off: then one that begins with the declared links comes first.
@@ -292,7 +292,7 @@ def _settled(fit: _Fit, links: Array, regression: Regression, start: Identificat
     new = [e for e in fit.effects if e.traits.coefficients_follow and len(e.shape)]
     new = [e for e in new if start is not None and not any(e.label == known.label for known in start.effects)]
     if not (bent and new):
-        return _circled(fit, links, regression)
+        return _circled(fit, links, regression, together)
     other = dataclasses.replace(fit, regression=regression.with_model(own, ()))
     for effect in new:
         starts = effect.shape_starts(other.regression.longest)
@@ -304,12 +304,12 @@ def _settled(fit: _Fit, links: Array, regression: Regression, start: Identificat
     return min(other, _circled(fit, links, regression), key=lambda f: f.misfit)
 
 
-def _circled(fit: _Fit, links: Array, regression: Regression) -> _Fit:
+def _circled(fit: _Fit, links: Array, regression: Regression, together: bool = False) -> _Fit:
     """Fits that see one another's links in turn, as far on the way from one to the next as does not spoil them.
 
     Where effects are large, links are fitted together with what these do as the links change (Gauss and Newton's method).
     """
-    fit = fit.refined()
+    fit = fit.refined(together=together)
     large = fit.fit_links and fit.followed > TWISTS * float(np.linalg.norm(regression.torque))
 
     def seeing(links: Array) -> _Fit:
@@ -317,11 +317,11 @@ def _circled(fit: _Fit, links: Array, regression: Regression) -> _Fit:
         return seen.changing_with(links) if large else seen
 
     if large:
-        fit = seeing(links).refined()
+        fit = seeing(links).refined(together=together)
     for _ in range(MOST_CIRCLES):
         for part in (1.0, 0.5, 0.25, 0.1):
             on_the_way = links + part * (fit.link_parameters - links)
-            further = seeing(on_the_way).refined()
+            further = seeing(on_the_way).refined(together=True)
             if further.misfit < fit.misfit + SAME_MISFIT:
                 break
         else:
@@ -582,13 +582,14 @@ class _Fit:
         own, score, with_columns = np.zeros((shapes, shapes)), np.zeros(shapes), np.zeros((shapes, size))
         for j, weight in enumerate(sigma**-2.0):
             d, s = self._by_shape.columns[j], self._by_shape.places[j]
-            residual = self.goal[j]
+            left = d.T @ self.goal[j]
             for part in (self.fixed, self.varied):
-                x, at = part.columns[j], part.places[j]
-                residual = residual - x @ self.solution.theta[at]
-                np.add.at(with_columns, np.ix_(s, at), weight * d.T @ x)
+                at = part.places[j]
+                products = d.T @ part.columns[j]
+                left -= products @ self.solution.theta[at]
+                np.add.at(with_columns, np.ix_(s, at), weight * products)
             np.add.at(own, np.ix_(s, s), weight * d.T @ d)
-            np.add.at(score, s, weight * d.T @ residual)
+            np.add.at(score, s, weight * left)
         gram = np.einsum("j,jpq->pq", sigma**-2.0, self.normal.total[0])
         inverse = solve_weighted(gram, np.zeros(size), np.zeros(size))[1]
         step = self.shapes.per_step(self.shape)
