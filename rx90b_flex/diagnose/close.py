@@ -388,6 +388,7 @@ class _Ended:
         declared, model = self.declared.identified, standing.model.identified
         before, after = self.declared.errors, standing.model.errors
         floor = residual.data.noise_floor(model, campaign)
+        model.regression.forget(first_looks=True)
         tell("looking at what remains", 0.95)
         held_out = residual.data.held_out.trusting(trust(residual.data.held_out, model))
         of_motors = model.residual[:, : len(campaign.joints)]

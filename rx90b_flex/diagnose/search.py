@@ -47,7 +47,7 @@ BESIDE = 6  # harmonics of a repeating motion on either side of a line that it i
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
-BATCH_BYTES = 64e6
+BATCH_BYTES = 16e6
 
 
 def laws(kind: type[Effect]) -> bool:
@@ -210,6 +210,7 @@ class Search:
             rough.append(self._looked(_Rough(effect, base, starts, lost), self._glimpsed(effect, starts)))
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
+        self.regression.forget_pieces()
         rough.sort(key=lambda item: -item.gain)
         trials: list[TorqueTrial] = []
         # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
@@ -221,8 +222,7 @@ class Search:
                 break  # neither this one nor those behind it can win
             trials.append(self._tried(item, bases[None]))
         trials += self._families(rough, trials, bases[None]) if families else []
-        for stretch in self.regression.stretches:
-            stretch.motion.forget()
+        self.regression.forget()
         return sorted(trials, key=lambda t: -t.gain)
 
     def _families(self, rough: Sequence[_Rough], known: Sequence[TorqueTrial], present: Base) -> list[TorqueTrial]:
@@ -286,7 +286,7 @@ class Search:
         looks = sorted(self._over_shapes(item.effect, item.starts, item.base, glimpsed), key=lambda pair: -pair[0])
         gain, best = looks[0]
         if not glimpsed:
-            self._other_starts[best] = self._apart([e for _, e in looks])[1:]
+            self._other_starts[best] = self._apart(looks)[1:]
         return dataclasses.replace(item, effect=best, gain=gain - item.lost, glimpsed=glimpsed)
 
     def _glimpsed(self, effect: Effect, starts: Array) -> bool:
@@ -394,19 +394,19 @@ class Search:
         return {}
 
     @cached_property
-    def _other_starts(self) -> dict[Effect, list[Effect]]:
-        """Of effects as a first look likes them best, where else a refinement may begin."""
+    def _other_starts(self) -> dict[Effect, list[tuple[float, Effect]]]:
+        """Of effects as a first look likes them best, where else a refinement may begin, and what a first look gains there."""
         return {}
 
-    def _apart(self, looks: Sequence[Effect]) -> list[Effect]:
+    def _apart(self, looks: Sequence[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
         """The first of effects that differ in their shapes by more than a refinement's step; one of a single shape stands for all."""
-        if len(self.free(looks[0])) < 2:
+        if len(self.free(looks[0][1])) < 2:
             return [looks[0]]
-        spread = looks[0].shape_spread(self.longest)
-        out: list[Effect] = []
-        for effect in looks:
-            if all((np.abs(effect.shape - e.shape) > spread).any() for e in out):
-                out.append(effect)
+        spread = looks[0][1].shape_spread(self.longest)
+        out: list[tuple[float, Effect]] = []
+        for gain, effect in looks:
+            if all((np.abs(effect.shape - e.shape) > spread).any() for _, e in out):
+                out.append((gain, effect))
             if len(out) == BEGINNINGS:
                 break
         return out
@@ -416,7 +416,10 @@ class Search:
         free = self.free(effect)
         if not len(free):
             return effect
-        tried = [self._refined_from(e, base, free) for e in (effect, *self._other_starts.get(effect, ()))]
+        tried = [self._refined_from(effect, base, free)]
+        for gain, other in self._other_starts.get(effect, ()):
+            if UNREFINED * gain > AS_GOOD * max(known for known, _ in tried):  # else it cannot win
+                tried.append(self._refined_from(other, base, free))
         # one that ran into an end of its range explains a little more by playing another effect's part
         best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))[1]
         if not self.at_bound(best):

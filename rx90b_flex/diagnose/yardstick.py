@@ -171,12 +171,16 @@ class _Signals:
     """One recording at the rate at which columns are worked out; arrays (N, joints) in the campaign's order."""
 
     stretch: Stretch
+    rows: Indices  # coordinate of each joint
     position: Array
     velocity: Array
     acceleration: Array
     load: Array  # torque through the transmissions, of the declared model's links
     forces: Array  # (N, joints, effects): of the declared effects, one by one
-    links: Array  # (N, joints, 10 * bodies)
+
+    def links(self, joint: int) -> Array:
+        """Regressor of the links in one joint, (N, 10 * bodies); those of all joints together would take most of the memory."""
+        return np.array(self.stretch.motion.on_tree.link_regressor()[:, self.rows[joint]])
 
     @property
     def rate_hz(self) -> float:
@@ -198,12 +202,12 @@ def _recording(stretch: Stretch, rows: Indices, effects: Sequence[Effect]) -> _S
     forces = [np.asarray(e.force(motion)[:, rows]) for e in effects if e.traits.in_dynamics]
     return _Signals(
         stretch,
+        rows,
         motion.q[:, rows],
         motion.v[:, rows],
         motion.a[:, rows],
         motion.on_tree.load()[:, rows],
         np.stack(forces, axis=2) if forces else np.zeros((*motion.q[:, rows].shape, 0)),
-        motion.on_tree.link_regressor()[:, rows],
     )
 
 
@@ -290,7 +294,7 @@ def _families(signals: _Signals, ranges: _Ranges, joint: int) -> dict[str, Array
         out["motion of other joints"] = np.hstack([np.tanh(speed[:, others] / 0.03), speed[:, others], moves])
         out["acceleration of other joints"] = acceleration[:, others]
         out["load of other joints"] = load[:, others]
-        out["links of its own"] = signals.links[:, joint]  # a torque off by a factor, which shared links cannot follow
+        out["links of its own"] = signals.links(joint)  # a torque off by a factor, which shared links cannot follow
     return out
 
 

@@ -15,6 +15,7 @@ from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 from rx90b_flex.effects.parameters import OTHER, derived, shape
 
 GROUP = 16  # orders of a spectrum over the angle that are worked out together
+AT_ONCE = 20_000  # samples whose turns are worked out at a time
 
 
 def sine_and_cosine(amplitude: float | None, phase: float | None) -> Array:
@@ -113,15 +114,18 @@ class PeriodicEffect(SineEffect, repeats=True):
         own: list[Array] = []
         for m, left in residual:
             at = m.joint(self.joint, "drive")
-            heard = np.outer(groups + 0.5 * steps[-1], np.abs(at.v)) < fastest
-            turned = np.exp(-1j * np.outer(groups, at.q)) * heard
-            onward = np.exp(-1j * np.outer(at.q, steps))
-            for i, w in enumerate(self.weights(at)):
-                if i == len(sums):
-                    sums.append(np.zeros((len(groups), len(steps)), dtype=complex))
-                    own.append(np.full((len(groups), 1), 1e-300))
-                sums[i] = sums[i] + turned @ ((w * left)[:, None] * onward)
-                own[i] = own[i] + (heard @ w**2)[:, None]
+            weights = self.weights(at)
+            for some in (slice(i, i + AT_ONCE) for i in range(0, len(left), AT_ONCE)):
+                q, v = at.q[some], at.v[some]
+                heard = np.outer(groups + 0.5 * steps[-1], np.abs(v)) < fastest
+                turned = np.exp(-1j * np.outer(groups, q)) * heard
+                onward = np.exp(-1j * np.outer(q, steps))
+                for i, w in enumerate(weights):
+                    if i == len(sums):
+                        sums.append(np.zeros((len(groups), len(steps)), dtype=complex))
+                        own.append(np.full((len(groups), 1), 1e-300))
+                    sums[i] = sums[i] + turned @ ((w * left)[some, None] * onward)
+                    own[i] = own[i] + (heard @ w[some] ** 2)[:, None]
         return [(np.abs(s) ** 2 / o).ravel()[: len(orders)] for s, o in zip(sums, own, strict=True)]
 
     def shape_spread(self, motion: Motion) -> Array:

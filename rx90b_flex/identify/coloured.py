@@ -13,6 +13,7 @@ from rx90b_flex.effects.motion import Array
 
 LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's colour
 INTERVAL = 0.95  # whose limits 1.96 standard deviations are
+TOGETHER = 16  # columns that are transformed at once: of a long log all would take room
 ROUNDS = (
     3  # of a spectrum with what the fit absorbed put back: what is missing after each is missed by the next as well
 )
@@ -43,14 +44,16 @@ class Spectrum:
         samples = len(columns)
         # room for the correlation on either side, so that the ends do not meet
         size = fft.next_fast_len(2 * samples + len(self.autocovariance), real=True)
-        spectra = fft.rfft(columns, size, axis=0)
+        density = self.density(size)
         # one-sided: every line but the first (and the middle one) stands for two
-        weight = np.full(len(spectra), 2.0)
+        weight = np.full(len(density), 2.0)
         weight[0] = 1.0
         if size % 2 == 0:
             weight[-1] = 1.0
-        weight *= self.density(size) / size
-        return ((spectra.conj() * weight[:, None]).T @ spectra).real
+        spectra = fft.rfft(np.ascontiguousarray(columns.T), size)
+        spectra *= np.sqrt(weight * density / size)
+        parts = spectra.view(float)  # real and imaginary
+        return np.asarray(parts @ parts.T)
 
     def density(self, size: int) -> Array:
         """At the lines of a transform of so many samples, over that of white noise of variance one; (size // 2 + 1,)."""
@@ -141,9 +144,10 @@ def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array
         Lines of all stretches, one stretch after the other, as `residual_spectrum` has them.
     """
     sizes = _sizes(spans, _lags(spans, longest))
-    parts = [
-        (np.abs(fft.rfft(basis[span], size, axis=0)) ** 2).sum(axis=1) for span, size in zip(spans, sizes, strict=True)
-    ]
+    parts = [np.zeros(size // 2 + 1) for size in sizes]
+    for part, span, size in zip(parts, spans, sizes, strict=True):
+        for at in range(0, basis.shape[1], TOGETHER):
+            part += (np.abs(fft.rfft(basis[span, at : at + TOGETHER], size, axis=0)) ** 2).sum(axis=1)
     return np.concatenate(parts)
 
 
