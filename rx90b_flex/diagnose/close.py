@@ -370,6 +370,7 @@ def _closed(
     residual = TorqueResidual(data, campaign, sites, declared_robot.inertial_parameters == "fitted", gains)
     loop = ClosingLoop(residual, tell, MOST_EFFECTS)
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
+    data.regression.forget(first_looks=True)
     return ended.result(seed, checked, (*(c.message for c in constants), *scaled), tell)
 
 
@@ -388,7 +389,6 @@ class _Ended:
         declared, model = self.declared.identified, standing.model.identified
         before, after = self.declared.errors, standing.model.errors
         floor = residual.data.noise_floor(model, campaign)
-        model.regression.forget(first_looks=True)
         tell("looking at what remains", 0.95)
         held_out = residual.data.held_out.trusting(trust(residual.data.held_out, model))
         of_motors = model.residual[:, : len(campaign.joints)]

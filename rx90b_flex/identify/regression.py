@@ -43,14 +43,13 @@ STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the l
 MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
-TOGETHER = 8  # columns of links that go through a filter at once
+TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
 RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
-FILTERED_BYTES = 2e7  # of columns that go through a filter at once,
-FEWEST_TOGETHER = 2  # and so many of the longest log
+FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
@@ -99,13 +98,9 @@ class Stretch:
 
     def brought(self, columns: Array) -> Array:
         """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
-        if self.cutoff_hz is None:
-            return columns[:: self.factor][self.kept]
-        flat, width = columns.reshape(len(columns), -1), _at_once(self)
-        rate = self.rate_hz * self.factor
-        some = (flat[:, at : at + width] for at in range(0, max(flat.shape[1], 1), width))
-        out = [lowpass(x, self.cutoff_hz, rate)[:: self.factor][self.kept] for x in some]
-        return (out[0] if len(out) == 1 else np.concatenate(out, axis=1)).reshape(len(out[0]), *columns.shape[1:])
+        if self.cutoff_hz is not None:
+            columns = lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
+        return columns[:: self.factor][self.kept]
 
     @cached_property
     def wider(self) -> tuple[Array, Array]:
@@ -688,14 +683,9 @@ class _Unfiltered:
         return self.basis.size // len(self.basis)
 
 
-def _at_once(stretch: Stretch) -> int:
-    """Columns that go through a filter together."""
-    return max(FEWEST_TOGETHER, int(FILTERED_BYTES / (8 * len(stretch.motion))))
-
-
 def _through(stretch: Stretch, columns: Sequence[_Unfiltered]) -> list[tuple[Indices, Array]]:
     """Columns behind the low-pass at the fit's samples, many together, as many as memory bears: joints, and (N, rows, k) each."""
-    most = _at_once(stretch)
+    most = max(TOGETHER, int(FILTERED_BYTES / (8 * len(stretch.motion))))
     groups: list[list[_Unfiltered]] = []
     width = most
     for c in columns:
