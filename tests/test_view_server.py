@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import os
 import signal
@@ -42,8 +43,10 @@ def answer(port: int, **headers: str) -> int:
 
 def listening(pid: int) -> set[str]:
     """Addresses on which a process listens, as the kernel lists them."""
-    folder = f"/proc/{pid}/fd"
-    inodes = {os.readlink(f"{folder}/{fd}").removeprefix("socket:[").rstrip("]") for fd in os.listdir(folder)}
+    inodes = set()
+    for entry in os.scandir(f"/proc/{pid}/fd"):
+        with contextlib.suppress(FileNotFoundError):  # what the server closes in between
+            inodes.add(os.readlink(entry.path).removeprefix("socket:[").rstrip("]"))
     found = set()
     for table, loopback in (("tcp", "0100007F"), ("tcp6", "0" * 24 + "01000000")):
         with open(f"/proc/{pid}/net/{table}") as lines:

@@ -174,6 +174,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if not all(_physical(find(new, e)) for e in trial.effects):
             return None, self.fallen(trial, "with everything fitted again it has a value that it cannot have")
         new = self.settled(new)
+        if len(trial.effects) == 1 and self.worth(new, trial).p_value > SIGNIFICANCE:
+            return None, self.fallen(trial, "with everything fitted again next to nothing of it is left")
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
         if ends:
             return None, dataclasses.replace(trial, lawful=False, objection=ends[0])

@@ -189,7 +189,10 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     cubic = np.array([s.cubic for s in springs])
     at_angle, at_rate, by_a = _with_springs(springs, by_q, by_v, by_a)
     if any(s.kind != "drive" for s in springs):
-        return _together(load, at_angle, at_rate, by_a, _step(time))
+        try:
+            return _together(load, at_angle, at_rate, by_a, _step(time))
+        except np.linalg.LinAlgError:  # a swing that grows beyond numbers: values from which a fit turns back
+            return np.zeros_like(load)
     steps = _Steps.of(at_angle, at_rate, by_a, _step(time))
     torsion = steps.solve(-load)
     wide = -load[:, :, None]
