@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
-from rx90b_flex.signals.sticking import held_part, sticks
+from rx90b_flex.signals.sticking import LONGEST_S, held_part, sticks
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def test_a_steady_reversal_is_no_stick(noise: float) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-6])
-def test_a_drive_that_pauses_on_its_way_holds_what_it_held(noise: float) -> None:
+def test_a_drive_that_pauses_on_its_way_holds_less_and_less_and_then_more_and_more(noise: float) -> None:
     q = 0.3 * TIME - 0.15 * np.sin(2.0 * TIME)  # slow at 0.942 rad
     q += noise * np.random.default_rng(3).standard_normal(len(TIME))
     assert sticks(q, RATE) == []
@@ -65,7 +65,10 @@ def test_a_drive_that_pauses_on_its_way_holds_what_it_held(noise: float) -> None
     assert (before, after) == (1.0, 1.0)
     assert abs(begin - rest[0]) < 5 and abs(end - rest[-1]) < 5
     part = held_part(q[:, None], RATE)
-    assert part is not None and (part[begin:end] == 1.0).all()
+    assert part is not None and part[begin] == part[end - 1] == 1.0
+    held, way = part[begin:end, 0], np.abs(np.linspace(-1.0, 1.0, end - begin))
+    assert held.min() == pytest.approx(1.0 - 2.0 * ((end - begin) / RATE / LONGEST_S) ** 2, abs=0.05)
+    assert np.array_equal(np.sign(np.diff(held)), np.sign(np.diff(way)))
 
 
 def test_a_rest_and_a_joint_that_never_moves_are_no_sticks() -> None:

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90b_flex.effects.friction import CoulombFriction, StribeckFriction
 from rx90b_flex.effects.motion import Array, Motion
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 TURNOVERS = (2e-4, 1e-3, 5e-3, 2e-2)  # rad/s, within which friction may turn over
 FADES = (0.02, 0.1, 0.5)  # of the joint's speed, over which it may fade
 RIDGE = 1e-12  # of the columns' size: what a motion does not tell apart
+SHOWN = 0.01  # of a pause, behind the low-pass
 BLOCKS, MOST = 4, 3  # of the samples: each predicted by the others, and so many of them better
 
 
@@ -24,7 +26,7 @@ def joints_that_stick(regression: Regression) -> tuple[str, ...]:
     """Joints whose torques are predicted better by friction that goes over in sticks than by one that the speed shows all the time.
 
     Either may fade with speed, and turns over within the best of some speeds; beside it stand the links, viscous friction and drive
-    inertia. What friction does at other speeds must not tell how it goes over.
+    inertia. What friction does at other speeds must not tell how it goes over, nor what a drive holds while it pauses on its way.
     Most of some blocks are predicted better by the others, and all of them together.
     """
     held = regression if regression.excerpt is None else regression.excerpt[0]
@@ -33,9 +35,10 @@ def joints_that_stick(regression: Regression) -> tuple[str, ...]:
     out = []
     for joint in moving:
         place = held.joints.index(joint)
-        torque, smooth = held.torque[:, place], _smooth(held, joint)
+        told = ~_pauses(held, joint)
+        torque, smooth = held.torque[told, place], _smooth(held, joint)[told]
         in_sticks, by_speed = (
-            min((_left(torque, smooth, _dry(r, joint, w)) for w in TURNOVERS), key=np.sum) for r in (held, shown)
+            min((_left(torque, smooth, _dry(r, joint, w)[told]) for w in TURNOVERS), key=np.sum) for r in (held, shown)
         )
         if in_sticks.sum() < by_speed.sum() and (in_sticks < by_speed).sum() >= MOST:
             out.append(joint)
@@ -44,6 +47,20 @@ def joints_that_stick(regression: Regression) -> tuple[str, ...]:
 
 def _sticks(motion: Motion, joint: str) -> bool:
     return motion.stuck is not None and not np.isnan(motion.stuck[:, motion.coordinates.joints.index(joint)]).all()
+
+
+def _pauses(regression: Regression, joint: str) -> NDArray[np.bool_]:
+    """Rows (N,) that show what a joint's drive holds where it pauses and goes on as it was."""
+    out = []
+    for stretch in regression.stretches:
+        motion, shown = stretch.motion, np.zeros(len(stretch.motion))
+        if motion.stuck is not None:
+            part = motion.stuck[:, motion.coordinates.joints.index(joint)]
+            edges = np.flatnonzero(np.diff(~np.isnan(part), prepend=False, append=False))
+            for begin, end in zip(edges[::2], edges[1::2], strict=True):
+                shown[begin:end] = part[begin] == part[end - 1]
+        out.append(np.abs(stretch.brought(shown)) > SHOWN)
+    return np.concatenate(out)
 
 
 def _smooth(regression: Regression, joint: str) -> Array:

@@ -33,7 +33,8 @@ def held_part(position: Array, sample_rate_hz: float) -> Array | None:
 
     A drive that turns comes to rest and breaks away only when its controller's torque has gone from the friction of the move before
     to that of the next. What it holds in between is no function of the motion: it is taken to go evenly from the one to the other,
-    and to stay where the motion goes on as it was.
+    and where the motion goes on as it was, to less and back, the more so the longer it stands: its controller asks for less, first
+    slowly, then faster, and what stood for `LONGEST_S` would have been about to turn.
 
     Parameters
     ----------
@@ -45,6 +46,9 @@ def held_part(position: Array, sample_rate_hz: float) -> Array | None:
     for j in range(position.shape[1]):
         for begin, end, before, after in sticks(position[:, j], sample_rate_hz):
             out[begin:end, j] = np.linspace(before, after, end - begin)
+            if before == after:
+                away = 2.0 * ((end - begin) / (LONGEST_S * sample_rate_hz)) ** 2
+                out[begin:end, j] *= 1.0 - away * (1.0 - np.abs(np.linspace(-1.0, 1.0, end - begin)))
     return None if np.isnan(out).all() else out
 
 
