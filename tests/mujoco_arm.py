@@ -327,9 +327,11 @@ def write_slow_reference(path: Path, seed: int, period_s: float, speed: float = 
     np.savetxt(path, np.column_stack(columns), delimiter=",", comments="", header=",".join(names))
 
 
-def write_slow_campaign(arm: Arm, declared: Arm, folder: Path, cutoff_hz: float, period_s: float = 16.0) -> Path:
+def write_slow_campaign(
+    arm: Arm, declared: Arm, folder: Path, cutoff_hz: float, period_s: float = 16.0, without: tuple[str, ...] = ()
+) -> Path:
     """Two recordings to identify the arm and one held out, and the file of what its owner declares."""
-    write_robot(declared, folder, guess=0.0)
+    write_robot(declared, folder, without, guess=0.0)
     lines = ['robot = "arm.toml"', f"sample_rate_hz = {LOG_HZ}", f"joints = {list(JOINTS)}", "[signals]"]
     lines += [f"motor_position = {[f'angle_{j}' for j in JOINTS]}", f"torque = {[f'torque_{j}' for j in JOINTS]}"]
     lines += ["[motor]", f"gear_matrix = {np.diag(GEARS).tolist()}", "offset = [0.0, 0.0, 0.0]"]

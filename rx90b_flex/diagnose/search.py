@@ -47,6 +47,7 @@ BESIDE = 6  # harmonics of a repeating motion on either side of a line that it i
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
+FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
 BATCH_BYTES = 16e6
 
 
@@ -499,7 +500,8 @@ class Search:
             *self._left_out(base, present, (b, y, d), len(beta) * colour, gain),
             small=found.too_small(
                 _off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s, self.longest
-            ),
+            )
+            or _too_faint(columns @ beta, self.regression.torque[:, rows]),
         )
 
     def _left_out(
@@ -657,6 +659,12 @@ class _Rough:
 def _sure(trials: Sequence[TorqueTrial]) -> float:
     """What the best of those that may be added gains at the least."""
     return max((t.sure_gain for t in trials if t.accepted), default=0.0)
+
+
+def _too_faint(torque: Array, measured: Array) -> str:
+    """That an effect's torque (N, joints) is less than a torque signal's own errors, in words; empty where it is not."""
+    part = float(np.sqrt((torque**2).mean(axis=0) / np.maximum((measured**2).mean(axis=0), 1e-300)).max())
+    return "" if part >= FAINTEST else f"its torque is {part:.1g} of a joint's, too little for a name"
 
 
 def _off_a_joint(before: Array, after: Array, gain: float) -> float:
