@@ -45,12 +45,12 @@ def recordings(scene: Scene, rate_hz: float, periods: int) -> list[Recording]:
 
 def with_noise(clean: Regression, noise: list[Array]) -> Regression:
     """The same motion, differentiated once, with noise on its torques."""
-    stretches = []
-    for stretch, x in zip(clean.stretches, noise, strict=True):
-        passed = lowpass(x, CUTOFF_HZ, stretch.recording.sample_rate_hz)
-        thinned = passed[:: stretch.factor * stretch.working_factor][stretch.kept]
-        stretches.append(dataclasses.replace(stretch, torque=stretch.torque + thinned))
-    return clean._sharing(dataclasses.replace(clean, stretches=tuple(stretches)))
+    segments = []
+    for segment, x in zip(clean.segments, noise, strict=True):
+        passed = lowpass(x, CUTOFF_HZ, segment.recording.sample_rate_hz)
+        thinned = passed[:: segment.factor * segment.working_factor][segment.kept]
+        segments.append(dataclasses.replace(segment, torque=segment.torque + thinned))
+    return clean._sharing(dataclasses.replace(clean, segments=tuple(segments)))
 
 
 def estimated(model: Identification, scene: Scene) -> dict[str, tuple[float, float, float]]:
@@ -74,8 +74,8 @@ def drawn(scene: Scene, clean: Regression, colour: str, draws: int, seed: int) -
     for k in range(draws):
         rng = np.random.default_rng([seed, k])
         noise = []
-        for stretch in clean.stretches:
-            recording = stretch.recording
+        for segment in clean.segments:
+            recording = segment.recording
             size = (recording.samples, len(scene.joints))
             noise.append(scene.floor * coloured(rng, size, colour, recording.sample_rate_hz))
         model = identify(with_noise(clean, noise), clean.robot.effects, fit_links=True)

@@ -64,10 +64,10 @@ def figaroh_columns(robot: Robot, regression: Regression) -> Array:
     peer = SimpleNamespace(model=robot.tree, data=robot.tree.createData())
     config = {"act_idxv": list(range(n)), "has_friction": True, "has_actuator_inertia": True, "has_joint_offset": True}
     parts = []
-    for stretch in regression.stretches:
-        q, v, a = stretch.motion.q, stretch.motion.v, stretch.motion.a
+    for segment in regression.segments:
+        q, v, a = segment.motion.q, segment.motion.v, segment.motion.a
         full = build_regressor_basic(peer, q, v, a, config).reshape(n, len(q), -1)
-        parts.append(stretch.brought(full.transpose(1, 0, 2)))
+        parts.append(segment.brought(full.transpose(1, 0, 2)))
     columns = np.concatenate(parts)[:, regression.rows]
     return columns.transpose(1, 0, 2).reshape(-1, columns.shape[2])
 
@@ -135,13 +135,13 @@ def main() -> None:
         Regression.of(robot, r, campaign.cutoff_hz) for r in (campaign.identification, campaign.validation)
     )
     print(
-        f"TX40: {len(fitted)} fitted samples and {len(held_out)} held out at {fitted.stretches[0].rate_hz:g} Hz, 6 joints"
+        f"TX40: {len(fitted)} fitted samples and {len(held_out)} held out at {fitted.segments[0].rate_hz:g} Hz, 6 joints"
     )
 
     ours, theirs = [], []
     for _ in range(options.rounds):  # in turn, so that a change of the machine's speed meets both
         regression = Regression(
-            fitted.robot, fitted.joints, tuple(forgetting(s, fitted.robot) for s in fitted.stretches)
+            fitted.robot, fitted.joints, tuple(forgetting(s, fitted.robot) for s in fitted.segments)
         )
         start = time.perf_counter()
         fit = identify(regression, fitted.robot.effects, fit_links=True)
@@ -191,12 +191,12 @@ def main() -> None:
           f"median {np.median(apart):.2f}, {np.mean(apart < 2):.0%} within 2")  # fmt: skip
 
 
-def forgetting(stretch, robot: Robot):  # type: ignore[no-untyped-def]
+def forgetting(segment, robot: Robot):  # type: ignore[no-untyped-def]
     """The same samples without what was worked out from them before."""
     import dataclasses
 
-    m = stretch.motion
-    return dataclasses.replace(stretch, motion=robot.motion(m.q, m.v, m.a, m.time))
+    m = segment.motion
+    return dataclasses.replace(segment, motion=robot.motion(m.q, m.v, m.a, m.time))
 
 
 if __name__ == "__main__":

@@ -15,12 +15,12 @@ from rx90b_flex.compiled.packed import Packed, accelerations, link_columns, link
 from rx90b_flex.compiled.scratch import scratch_size
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
-from rx90b_flex.compiled.wide import FORCE, LINKS, MOTOR, ROWS, SHOWN, Wide, pack_wide
+from rx90b_flex.compiled.wide import FORCE, LINKS, MOTOR, ROWS, MEASURED, Wide, pack_wide
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law import BY_LOAD, LOAD, ONWARD, REMEMBERED, Law
 from rx90b_flex.effects.motion import Array, Motion
 
-KINDS = {"force": FORCE, "links": LINKS, "shown": SHOWN, "motor": MOTOR}
+KINDS = {"force": FORCE, "links": LINKS, "measured": MEASURED, "motor": MOTOR}
 
 
 def tree_of(model: pin.Model) -> Tree:
@@ -145,7 +145,7 @@ def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide:
             at = np.flatnonzero(combination)
             place[which, m, : len(at)], weight[which, m, : len(at)] = at, combination[at]
         acts = int(np.flatnonzero(law.port)[-1])
-        drive = int(np.flatnonzero(drives == acts)[0]) if law.at in ("shown", "motor") else -1
+        drive = int(np.flatnonzero(drives == acts)[0]) if law.at in ("measured", "motor") else -1
         loaded = acts if law.loaded else -1
         leans = law.loaded or not np.array_equal(*both)
         whole[:, m] = KINDS[law.at], _address(law), law.stores, len(law.parameters), loaded, law.remembers, drive, leans

@@ -35,11 +35,11 @@ def simulated(robot: rf.Robot, seed: int, noise: Noise, role: str = "identificat
 def left(robot: rf.Robot, recording: Recording) -> Array:
     """Logged torque less what the declared values say on the log's motion, (N, joints)."""
     regression = Regression.of(robot, [recording], CUTOFF_HZ)
-    (stretch,) = regression.stretches
-    motion = dataclasses.replace(stretch.motion, effects=regression.robot.forces)
+    (segment,) = regression.segments
+    motion = dataclasses.replace(segment.motion, effects=regression.robot.forces)
     said = motion.on_tree.load() + sum(e.force(motion) for e in regression.robot.effects)
-    return (stretch.torque - stretch.brought(said[:, regression.rows]))[
-        int(MIDDLE.start * len(stretch)) : int(MIDDLE.stop * len(stretch))
+    return (segment.torque - segment.brought(said[:, regression.rows]))[
+        int(MIDDLE.start * len(segment)) : int(MIDDLE.stop * len(segment))
     ]
 
 

@@ -298,9 +298,9 @@ def scatters(arm: ind.Arm, robot: Robot) -> dict[str, Scatter]:
 
 def _with_noise(clean: Regression, noise: np.ndarray) -> Regression:
     """The same motion, differentiated once, with noise on its torque."""
-    (stretch,) = clean.stretches
-    other = dataclasses.replace(stretch, torque=stretch.torque + noise[stretch.kept])
-    regression = dataclasses.replace(clean, stretches=(other,))
+    (segment,) = clean.segments
+    other = dataclasses.replace(segment, torque=segment.torque + noise[segment.kept])
+    regression = dataclasses.replace(clean, segments=(other,))
     regression.__dict__["link_columns"] = clean.link_columns  # worked out once: they do not hold the torque
     return regression
 

@@ -69,7 +69,7 @@ def test_an_excerpt_of_a_long_log_has_the_columns_of_the_whole(campaign: Path) -
     part, samples = whole.excerpt
     assert len(samples) < 0.5 * len(whole)
     np.testing.assert_array_equal(part.torque, whole.torque[samples])
-    phases = np.unique(np.round(samples / whole.stretches[0].rate_hz % 15.0))
+    phases = np.unique(np.round(samples / whole.segments[0].rate_hz % 15.0))
     assert len(phases) > 14  # of the 15 s after which all repeats
     for effect in (CoulombFriction(joint="shoulder"), StribeckFriction(joint="elbow", velocity=0.1, power=1.0)):
         known = whole.columns(effect)[samples]
@@ -79,9 +79,9 @@ def test_an_excerpt_of_a_long_log_has_the_columns_of_the_whole(campaign: Path) -
 def test_links_of_a_long_log_have_the_columns_of_the_whole_though_made_in_pieces(campaign: Path) -> None:
     data = load_campaign(campaign)
     made = Regression.of(rf.load_robot(data.robot_source), data.identification, data.cutoff_hz)
-    (stretch,) = made.stretches
-    assert len(stretch.motion) > 50_000
-    whole = stretch.brought(stretch.motion.on_tree.link_regressor())
+    (segment,) = made.segments
+    assert len(segment.motion) > 50_000
+    whole = segment.brought(segment.motion.on_tree.link_regressor())
     np.testing.assert_allclose(made.link_columns, whole[:, made.rows], rtol=0.0, atol=1e-10 * np.abs(whole).max())
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rx90b_flex.diagnose.reversals import trust
+from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Sites
@@ -73,16 +73,16 @@ def trusted(
 ) -> tuple[Regression, np.ndarray]:
     data = regression(robot, noise)
     model = identify(data, [kind(joint=robot.joints[0]) for kind in kinds], fit_links=False)
-    return data, trust(data, model)
+    return data, row_weights(data, model)
 
 
 def test_rows_are_doubted_at_reversals_of_a_joint_with_dry_friction_and_nowhere_else(robot: Robot) -> None:
     data, known = trusted(robot, 0.01, CoulombFriction)
-    (stretch,) = data.stretches
+    (segment,) = data.segments
     # it starts to stick, or breaks away, where the sine passes 0.95; positions that end at 40 Hz show that 25 ms early or late
-    wave = np.sin(2 * np.pi * HARMONIC_HZ * stretch.time)
+    wave = np.sin(2 * np.pi * HARMONIC_HZ * segment.time)
     edges = np.flatnonzero(np.diff(np.abs(wave) > 0.95))
-    apart_s = np.abs(stretch.time[:, None] - stretch.time[edges]).min(axis=1)
+    apart_s = np.abs(segment.time[:, None] - segment.time[edges]).min(axis=1)
     far = (apart_s > 0.15) & (np.abs(wave) < 0.95)
     assert (known[edges, 0] < 0.2).all()
     assert (known[far, 0] > 0.9).all()
@@ -102,8 +102,8 @@ def test_a_model_without_a_step_doubts_no_row(robot: Robot) -> None:
 def test_a_gain_is_fitted_again_where_links_were_moved(robot: Robot) -> None:
     """A log of twice the torque: the gain is two with the true links, and four with half of them."""
     data = regression(robot, 0.0)
-    (stretch,) = data.stretches
-    twice = dataclasses.replace(data, stretches=(dataclasses.replace(stretch, torque=2.0 * stretch.torque),))
+    (segment,) = data.segments
+    twice = dataclasses.replace(data, segments=(dataclasses.replace(segment, torque=2.0 * segment.torque),))
     effects = [CoulombFriction(joint=robot.joints[0]), *(TorqueGain(joint=j) for j in robot.joints)]
     model = identify(twice, effects, fit_links=False)
     first = len(model.theta) - 2

@@ -234,9 +234,9 @@ def reference_tip(trajectory: Trajectory, controller: CS8) -> Array:
     return np.array(out)
 
 
-@pytest.mark.parametrize("stretch", [(0.0, 0.06), (0.98, 1.04)], ids=["start", "reversal"])
-def test_tip_agrees_with_radau_to_a_micrometre(stretch: tuple[float, float]) -> None:
-    part, controller = line().part(*stretch), load_cs8().ideal()
+@pytest.mark.parametrize("segment", [(0.0, 0.06), (0.98, 1.04)], ids=["start", "reversal"])
+def test_tip_agrees_with_radau_to_a_micrometre(segment: tuple[float, float]) -> None:
+    part, controller = line().part(*segment), load_cs8().ideal()
     run = simulate(robot(), controller, part)
     assert largest(run.tip[:, :3, 3] - reference_tip(part, controller)) < 1e-6
 

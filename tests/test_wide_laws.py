@@ -184,7 +184,7 @@ def test_a_linear_part_beside_a_law_that_reads_time_is_not_lost():
     [
         ({"reads": np.array([0.0, 1.0]), "damping": 1.0, "function": constant}, "no linear part"),
         ({"timed": True}, "has a function"),
-        ({"at": "shown", "function": constant, "timed": True}, "depends on one coordinate alone"),
+        ({"at": "measured", "function": constant, "timed": True}, "depends on one coordinate alone"),
         ({"at": "motor", "function": constant, "port": np.array([1.0, 1.0])}, "depends on one coordinate alone"),
     ],
 )

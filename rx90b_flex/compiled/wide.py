@@ -24,7 +24,7 @@ from rx90b_flex.compiled.vectors import WIDTH, as_vectors
 
 KIND, ADDRESS, STORES, SLOT, LOADED, REMEMBERS, DRIVE, LEANS = range(8)  # rows of `whole`
 ROWS = 8
-FORCE, LINKS, SHOWN, MOTOR = range(4)  # kinds
+FORCE, LINKS, MEASURED, MOTOR = range(4)  # kinds
 ON, BY = 0, 1  # combination that a law acts on, and the one that it reads
 LINKS_LOAD, BY_X, BY_RATE, BY_LOAD, SHARE = range(5)  # of `slopes`
 Q, V, A, RATIO = range(4)  # of `links`
@@ -315,7 +315,7 @@ def show(wide: Wide, lanes: Lanes, lane: int, noise: Array) -> None:
     """Add what the resolvers show beyond a lane's angles and speeds to `noise` (2, joints, lanes)."""
     count = wide.integers[0]
     for m in range(count):
-        if wide.integers[SIZES + KIND * count + m] == SHOWN:
+        if wide.integers[SIZES + KIND * count + m] == MEASURED:
             i, j = wide.integers[SIZES + ROWS * count + m * wide.integers[1]], wide.integers[SIZES + DRIVE * count + m]
             more, slope = _at_once(wide, m, lanes.q[lane, i], lanes.v[lane, i])
             noise[0, j, lane] += more

@@ -247,7 +247,7 @@ class _Fitted:
         links = [motion.on_tree.link_regressor()[:, rows]] if model.links_fitted else []
         columns = [*links, *(of(e) for e in (*beside.kept, *beside.restored, *_with_slopes(rival)))]
         # as many samples as the data's rate would give
-        weight = model.solution.sigma**-2.0 * search.regression.stretches[0].rate_hz / RATE_HZ
+        weight = model.solution.sigma**-2.0 * search.regression.segments[0].rate_hz / RATE_HZ
         return _Fitted.of(_joined(columns, rival), of(named) @ named.known_coefficients(), weight)
 
     def plus(self, other: _Fitted) -> _Fitted:

@@ -24,7 +24,7 @@ from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
 from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
-from rx90b_flex.diagnose.reversals import trust
+from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find, predict
 from rx90b_flex.diagnose.trial import TorqueTrial
@@ -390,7 +390,7 @@ class _Ended:
         before, after = self.declared.errors, standing.model.errors
         floor = residual.data.noise_floor(model, campaign)
         tell("looking at what remains", 0.95)
-        held_out = residual.data.held_out.trusting(trust(residual.data.held_out, model))
+        held_out = residual.data.held_out.weighted(row_weights(residual.data.held_out, model))
         of_motors = model.residual[:, : len(campaign.joints)]
         left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
         where = dependences(left, seed)
@@ -400,7 +400,7 @@ class _Ended:
         predictions = self._predictions(shown, with_possible_values(model))
         tell("asking how much can be explained at all", 0.97)
         compared_with = [HeldOut(p.torque, p.before) for p in predictions]
-        explainable = yardstick(shown, held_out.trusting(None), compared_with, after.validation)
+        explainable = yardstick(shown, held_out.weighted(None), compared_with, after.validation)
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         remains = Remains(

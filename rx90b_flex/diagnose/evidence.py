@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.effects.motion import Array, Indices, Mask
-from rx90b_flex.identify.regression import Regression, Stretch
+from rx90b_flex.identify.regression import Regression, Segment
 
 BINS = 12
 SHUFFLES = 200
@@ -163,14 +163,14 @@ def bands(data: Sequence[tuple[Regression, Array]]) -> tuple[Band, ...]:
     data : sequence of (Regression, array of shape (N, joints))
     """
     joints = data[0][0].joints
-    stretches = [s for regression, _ in data for s in regression.stretches]
+    segments = [s for regression, _ in data for s in regression.segments]
     residuals = [left[span] for regression, left in data for span in regression.spans]
-    top = min(s.cutoff_hz or s.rate_hz / 2 for s in stretches)
+    top = min(s.cutoff_hz or s.rate_hz / 2 for s in segments)
     edges = np.linspace(0.0, top, BANDS + 1)
     repeated, noise, whole = (np.zeros((BANDS, len(joints))) for _ in range(3))
     above, below = np.zeros(BANDS), np.zeros(BANDS)  # degrees of freedom
-    for stretch, left in zip(stretches, residuals, strict=True):
-        samples = _period_samples(stretch)
+    for segment, left in zip(segments, residuals, strict=True):
+        samples = _period_samples(segment)
         if samples is None:
             continue
         # a fit leaves out both ends, so the last period is seldom whole
@@ -181,7 +181,7 @@ def bands(data: Sequence[tuple[Regression, Array]]) -> tuple[Band, ...]:
         parts = np.stack([left[k * samples : k * samples + long] for k in range(count)])
         spectra = np.fft.rfft(parts * np.hanning(long)[:, None], axis=1)
         mean = spectra.mean(axis=0)
-        band = np.digitize(np.fft.rfftfreq(long, 1 / stretch.rate_hz), edges) - 1
+        band = np.digitize(np.fft.rfftfreq(long, 1 / segment.rate_hz), edges) - 1
         for b in range(BANDS):
             at = (band == b) & (np.arange(len(band)) > 0)
             repeated[b] += count * (np.abs(mean[at]) ** 2).sum(axis=0)
@@ -202,11 +202,11 @@ def bands(data: Sequence[tuple[Regression, Array]]) -> tuple[Band, ...]:
     return tuple(sorted(out, key=lambda b: -b.score))
 
 
-def _period_samples(stretch: Stretch) -> int | None:
+def _period_samples(segment: Segment) -> int | None:
     """Samples of the fit in a period; None where it does not repeat, or not on a whole number of them."""
-    if stretch.recording.period_s is None:
+    if segment.recording.period_s is None:
         return None
-    samples = stretch.recording.period_s * stretch.rate_hz
+    samples = segment.recording.period_s * segment.rate_hz
     return round(samples) if abs(samples - round(samples)) < 1e-6 * samples else None
 
 
@@ -261,7 +261,7 @@ def _dependences(
 
 def at_rest(regression: Regression) -> Mask:
     """Samples of the fit at which no joint moves, shape (N,), bool."""
-    speed = [np.abs(s.motion.v[:: s.factor][s.kept]) for s in regression.stretches]
+    speed = [np.abs(s.motion.v[:: s.factor][s.kept]) for s in regression.segments]
     fastest = np.max([v.max(axis=0) for v in speed], axis=0)
     return np.concatenate([(v <= REST * np.maximum(fastest, 1e-12)).all(axis=1) for v in speed])
 
@@ -279,9 +279,9 @@ def signals(regression: Regression) -> Sequence[tuple[str, Array]]:
     for joint in regression.joints:
         column = regression.robot.layout.index(joint)
         for name in ("position", "velocity", "acceleration"):
-            values = [getattr(s.motion, name[0] if name[0] != "p" else "q") for s in regression.stretches]
-            thinned = [v[:: s.factor][s.kept][:, column] for v, s in zip(values, regression.stretches, strict=True)]
+            values = [getattr(s.motion, name[0] if name[0] != "p" else "q") for s in regression.segments]
+            thinned = [v[:: s.factor][s.kept][:, column] for v, s in zip(values, regression.segments, strict=True)]
             out.append((f"{joint} {name}", np.concatenate(thinned)))
-    time = [s.motion.time[:: s.factor][s.kept] for s in regression.stretches]
+    time = [s.motion.time[:: s.factor][s.kept] for s in regression.segments]
     out.append(("time", np.concatenate(time)))
     return out

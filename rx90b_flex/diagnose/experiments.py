@@ -35,11 +35,11 @@ class _Moves:
     @cached_property
     def places(self) -> Array:
         """Of all joints in the data, rad."""
-        return np.concatenate([s.sampled.q for s in self.search.regression.stretches])
+        return np.concatenate([s.sampled.q for s in self.search.regression.segments])
 
     @cached_property
     def fastest(self) -> float:
-        speeds = [s.sampled.v for s in self.search.regression.stretches]
+        speeds = [s.sampled.v for s in self.search.regression.segments]
         return float(np.abs(np.concatenate(speeds)[:, self.column]).max())
 
     @cached_property
@@ -79,7 +79,7 @@ def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
 
     Positions and speeds stay within those of the data, but for the last, which says so.
     """
-    moves, stretches = _Moves(search, joint), search.regression.stretches
+    moves, segments = _Moves(search, joint), search.regression.segments
     slow, medium = SLOW * moves.fastest, MEDIUM * moves.fastest
     yield (
         f"Turn {joint} slowly, at {slow:.2g} rad/s, to and fro with the other joints at rest",
@@ -103,8 +103,8 @@ def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
         "joints at rest: speed stays, acceleration changes",
         moves.motion(swing, at=TIME[: len(hz)]),
     )
-    load = np.concatenate([np.abs(s.motion.on_tree.load()[:, moves.column]) for s in stretches])
-    placed = np.concatenate([s.motion.q for s in stretches])
+    load = np.concatenate([np.abs(s.motion.on_tree.load()[:, moves.column]) for s in segments])
+    placed = np.concatenate([s.motion.q for s in segments])
     poses = np.where((TIME < SECONDS / 2)[:, None], placed[load.argmin()], placed[load.argmax()])
     yield (
         f"Run {joint} to and fro at {medium:.2g} rad/s twice, once with the other joints where it carries the least and once "

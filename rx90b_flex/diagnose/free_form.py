@@ -23,7 +23,7 @@ from rx90b_flex.effects.motion import Array, Indices
 PENALTIES = np.geomspace(1e-5, 1.0, 6)  # of a ridge, over the samples fitted, for columns of variance one
 LEAST_GAIN = 0.01  # of the squared residual; what gains less by another family of columns is left out
 SURE = 0.5  # standard errors that are taken off a gain, so that of many families none enters by luck
-SPREAD = 12  # stretches of equal length whose gains tell the standard error
+SPREAD = 12  # segments of equal length whose gains tell the standard error
 CONSTANT = 1e-6  # standard deviation over largest value, below which a column is constant
 TREES = 60  # boosted at the most
 LEAVES = 8

@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, with_forces
-from rx90b_flex.identify.regression import Stretch, period_noise
+from rx90b_flex.identify.regression import Segment, period_noise
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass
 
@@ -57,40 +57,40 @@ class ReplayedTorques:
     ----------
     robot : Robot
         Rigid, with the recording's joints.
-    stretch : Stretch
+    segment : Segment
         The recording, differentiated at its own rate.
     """
 
     robot: Robot
-    stretch: Stretch
+    segment: Segment
 
     @property
     def recording(self) -> Recording:
         """The recording that is replayed."""
-        return self.stretch.recording
+        return self.segment.recording
 
     @property
     def torque(self) -> Array:
         """Measured torque after the low-pass, shape (N, joints), N m."""
-        return self.stretch.torque
+        return self.segment.torque
 
     @property
     def velocity(self) -> Array:
         """Velocity of the recording's joints, shape (N, joints), rad/s."""
-        return self.stretch.motion.v[:, self._rows]
+        return self.segment.motion.v[:, self._rows]
 
     @cached_property
     def _rows(self) -> Array:
         return np.array([self.robot.layout.index(j) for j in self.recording.joints])
 
     def _filtered(self, torque: Array) -> Array:
-        cutoff = self.stretch.cutoff_hz
+        cutoff = self.segment.cutoff_hz
         return torque if cutoff is None else lowpass(torque, cutoff, self.recording.sample_rate_hz)
 
     def predict(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
         """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
-        loaded = self.stretch.loaded(link_parameters)
-        seen = self.robot.on_links(self.stretch.motion, loaded, effects)
+        loaded = self.segment.loaded(link_parameters)
+        seen = self.robot.on_links(self.segment.motion, loaded, effects)
         force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.traits.in_dynamics), seen)
         for effect in effects:
             if not effect.traits.in_dynamics:

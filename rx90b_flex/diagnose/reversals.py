@@ -19,13 +19,13 @@ from scipy import interpolate, ndimage
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import Regression, Stretch
+from rx90b_flex.identify.regression import Regression, Segment
 from rx90b_flex.signals import lowpass
 
 MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
 
 
-def trust(regression: Regression, model: Identification) -> Array:
+def row_weights(regression: Regression, model: Identification) -> Array:
     """Factor of each row, ``1 / sqrt(1 + (doubt / sigma)^2)``, shape (N, joints).
 
     Parameters
@@ -39,41 +39,41 @@ def trust(regression: Regression, model: Identification) -> Array:
     sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(motors)), axis=0)
     steep = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
     seen = motors.with_model(model.link_parameters, model.effects)
-    pairs = zip(seen.stretches, motors.stretches, strict=True)
+    pairs = zip(seen.segments, motors.segments, strict=True)
     doubt = np.concatenate([_doubt(s, first.wider, steep) for s, first in pairs])[:, motors.rows]
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
-def _doubt(stretch: Stretch, wider: tuple[Array, Array], effects: list[Effect]) -> Array:
+def _doubt(segment: Segment, wider: tuple[Array, Array], effects: list[Effect]) -> Array:
     """What the torque may be off for want of the motion; after the low-pass, (N, n), N m.
 
     `wider` is another guess at angle and velocity.
     """
-    if stretch.cutoff_hz is None:
-        return np.zeros((len(stretch), stretch.motion.q.shape[1]))
-    rate = stretch.rate_hz * stretch.factor
+    if segment.cutoff_hz is None:
+        return np.zeros((len(segment), segment.motion.q.shape[1]))
+    rate = segment.rate_hz * segment.factor
 
     def force(of: list[Effect], **changes: Any) -> Array:
-        return with_forces(np.zeros_like(stretch.motion.v), of, dataclasses.replace(stretch.motion, **changes))
+        return with_forces(np.zeros_like(segment.motion.v), of, dataclasses.replace(segment.motion, **changes))
 
     angle, velocity = wider
     by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
     beside = 0.5 * sum(force(steep, v=v) for v in _between(velocity))
     there, here = force(steep, v=velocity), force(steep)
     unknown = [there - here, beside - there]
-    if stretch.motion.stuck is not None:
+    if segment.motion.stuck is not None:
         # while a drive sticks its friction is any torque between both directions' own
-        stuck = np.where(np.isnan(stretch.motion.stuck), np.nan, 1.0)
+        stuck = np.where(np.isnan(segment.motion.stuck), np.nan, 1.0)
         unknown.append(0.5 * (force(steep, stuck=stuck) - force(steep, stuck=-stuck)))
-    size = sum(np.abs(lowpass(off, stretch.cutoff_hz, rate)) for off in unknown)
+    size = sum(np.abs(lowpass(off, segment.cutoff_hz, rate)) for off in unknown)
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
-    width = 2 * round(0.5 / stretch.cutoff_hz * rate) + 1
+    width = 2 * round(0.5 / segment.cutoff_hz * rate) + 1
     envelope = ndimage.maximum_filter1d(size, width, axis=0, mode="nearest")
     if by_angle:
-        noisy = force(by_angle, q=stretch.motion.q + _as_noise(angle - stretch.motion.q, stretch)) - force(by_angle)
-        around = ndimage.uniform_filter1d(lowpass(noisy, stretch.cutoff_hz, rate) ** 2, width, axis=0, mode="nearest")
+        noisy = force(by_angle, q=segment.motion.q + _as_noise(angle - segment.motion.q, segment)) - force(by_angle)
+        around = ndimage.uniform_filter1d(lowpass(noisy, segment.cutoff_hz, rate) ** 2, width, axis=0, mode="nearest")
         envelope = np.hypot(envelope, np.sqrt(np.maximum(around, 0.0)))  # a running sum may end below zero
-    return np.asarray(envelope[:: stretch.factor][stretch.kept])
+    return np.asarray(envelope[:: segment.factor][segment.kept])
 
 
 def _between(x: Array) -> tuple[Array, Array]:
@@ -86,8 +86,8 @@ def _between(x: Array) -> tuple[Array, Array]:
     return before, after
 
 
-def _as_noise(off: Array, stretch: Stretch) -> Array:
+def _as_noise(off: Array, segment: Segment) -> Array:
     """An angle's part in another octave, (N_working, joints), rad, made as small as the noise of the log; the rest is motion."""
-    noise = stretch.motion.angle_noise
+    noise = segment.motion.angle_noise
     size = np.sqrt(np.mean(off**2, axis=0))
     return off if noise is None else off * np.minimum(1.0, noise / np.maximum(size, 1e-300))

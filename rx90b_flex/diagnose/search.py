@@ -322,7 +322,7 @@ class Search:
     @property
     def sample_s(self) -> float:
         """Time between two samples of the log, s."""
-        return 1.0 / self.regression.stretches[0].recording.sample_rate_hz
+        return 1.0 / self.regression.segments[0].recording.sample_rate_hz
 
     @property
     def longest(self) -> Motion:
@@ -332,7 +332,7 @@ class Search:
     @cached_property
     def longest_lag(self) -> int:
         """Longest correlation of a residual that tests allow for, samples."""
-        return int(CORRELATION_S * self.regression.stretches[0].rate_hz)
+        return int(CORRELATION_S * self.regression.segments[0].rate_hz)
 
     @cached_property
     def tests(self) -> int:
@@ -345,9 +345,9 @@ class Search:
             return np.zeros((1, 0))
         joint = self.regression.joints.index(effect.joints[0]) if effect.joints else 0
         left = self.present.residual[joint]
-        stretches = self.regression.stretches
-        beside = [(s.sampled, left[span]) for s, span in zip(stretches, self.regression.spans, strict=True)]
-        starts = effect.starts_beside(self.longest, beside, stretches[0].cutoff_hz)
+        segments = self.regression.segments
+        beside = [(s.sampled, left[span]) for s, span in zip(segments, self.regression.spans, strict=True)]
+        starts = effect.starts_beside(self.longest, beside, segments[0].cutoff_hz)
         if replaced is not None:
             low, high = effect.shape_range(self.longest)
             starts = np.concatenate([starts, np.clip(effect.starts_in_place_of(replaced), low, high)])
@@ -359,7 +359,7 @@ class Search:
         shaped = [self._shaped(effect, s) if len(s) else effect for s in starts]
         k = len(effect.coefficients)
         regression, base, times = self._looked_at(effect, base, glimpsed)
-        per_effect = 8.0 * k * sum(len(s.motion) for s in regression.stretches)
+        per_effect = 8.0 * k * sum(len(s.motion) for s in regression.segments)
         batch = max(1, int(BATCH_BYTES / per_effect))
         for at in range(0, len(shaped), batch):
             part = shaped[at : at + batch]
@@ -525,14 +525,14 @@ class Search:
         Near the motion's own frequencies no data of that motion can tell one from the other.
         """
         (hz,) = effect.shape
-        for stretch, span in zip(self.regression.stretches, self.regression.spans, strict=True):
-            if stretch.recording.period_s is None:
+        for segment, span in zip(self.regression.segments, self.regression.spans, strict=True):
+            if segment.recording.period_s is None:
                 continue
             left = residual[:, span]
-            harmonics = round(hz * stretch.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
-            harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * stretch.recording.period_s))]
-            lines = np.append(harmonics / stretch.recording.period_s, hz)
-            turned = np.exp(-2j * np.pi * np.outer(stretch.time, lines)) * np.hanning(len(stretch.time))[:, None]
+            harmonics = round(hz * segment.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
+            harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * segment.recording.period_s))]
+            lines = np.append(harmonics / segment.recording.period_s, hz)
+            turned = np.exp(-2j * np.pi * np.outer(segment.time, lines)) * np.hanning(len(segment.time))[:, None]
             power = (np.abs(left @ turned) ** 2).sum(axis=0)
             if power[-1] < STANDS_OUT * np.median(power[:-1]):
                 return True

@@ -26,10 +26,10 @@ def spring_words(model: Identification, joint: str) -> str:
     place, column = regression.joints.index(joint), regression.robot.layout.index(joint)
     torque = regression.torque[:, place]
     down = np.array([0.0, 0.0, -1.0])
-    weight = np.concatenate([s.sampled.on_tree.gravity_torque(down)[:, column] for s in regression.stretches])
+    weight = np.concatenate([s.sampled.on_tree.gravity_torque(down)[:, column] for s in regression.segments])
     if np.abs(weight).max() < WEIGHTY * np.sqrt((torque**2).mean()):
         return ""
-    angle = np.concatenate([s.sampled.q[:, column] for s in regression.stretches])
+    angle = np.concatenate([s.sampled.q[:, column] for s in regression.segments])
     span = float(np.ptp(angle))
     curve = np.zeros((len(angle), len(regression.rows), DEGREE))
     shape = legendre.legvander(2.0 * (angle - angle.min()) / max(span, 1e-12) - 1.0, DEGREE)[:, 1:]
@@ -40,7 +40,7 @@ def spring_words(model: Identification, joint: str) -> str:
     inverse = np.linalg.pinv(left, rcond=UNIQUE, hermitian=True)
     theta = inverse @ np.einsum("j,njk,nj->k", weights, apart, model.residual)
     # the colour of what is left with the spring in the model: without, a spring would pass for noise
-    longest = int(CORRELATION_S * regression.stretches[0].rate_hz)
+    longest = int(CORRELATION_S * regression.segments[0].rate_hz)
     rest = model.residual - apart @ theta
     spectra = [residual_spectrum(r, regression.spans, np.zeros(1), longest) for r in rest.T]
     covariance = widening(spectra) * inverse @ scatter(apart, weights, spectra, regression.spans) @ inverse

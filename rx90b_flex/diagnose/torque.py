@@ -14,7 +14,7 @@ from rx90b_flex.diagnose.carried import rise
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
-from rx90b_flex.diagnose.reversals import trust
+from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.effects import Effect, Sites
@@ -30,8 +30,8 @@ AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look fo
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
-TRUST_ROUNDS = 2  # fits after which the trust in rows near reversals is kept until the next effect
-SAME_TRUST = 0.05  # a change of factors below this is not worth a fit
+WEIGHT_ROUNDS = 2  # fits after which the weights of rows near reversals are kept until the next effect
+SAME_WEIGHTS = 0.05  # a change of factors below this is not worth a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def declared(self) -> TorqueModel:
         regression = self.data.regression
         model = identify(regression, regression.robot.effects, fit_links=self.fit_links)
-        return TorqueModel(trusting(regression, model), self.data)
+        return TorqueModel(reweighted(regression, model), self.data)
 
     def signature(self, model: TorqueModel, trial: TorqueTrial | None = None) -> Hashable:
         """Types and places; of effects that may stand twice in one place, the shapes too, to a tenth."""
@@ -164,7 +164,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return self._identified(_with(model, trial.effects), model, trial.effects)
 
     def settled(self, model: TorqueModel) -> TorqueModel:
-        return TorqueModel(trusting(self.data.regression, model.identified), self.data)
+        return TorqueModel(reweighted(self.data.regression, model.identified), self.data)
 
     def refit(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel | None, TorqueTrial]:
         new = self.joined(model, trial)
@@ -336,7 +336,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
         A declared effect that goes beyond what it can be beside `new` ones is not there: the shapes are fitted again without it.
         """
-        regression = self.data.regression.trusting(start.identified.regression.trust)
+        regression = self.data.regression.weighted(start.identified.regression.row_weights)
 
         def fitted(effects: Sequence[Effect], start: TorqueModel) -> TorqueModel:
             model = identify(regression, effects, fit_links=self.fit_links, start=start.identified)
@@ -370,14 +370,14 @@ def _rounded(effect: Effect) -> tuple[int, ...]:
     return tuple(logs.astype(int).tolist())
 
 
-def trusting(regression: Regression, model: Identification) -> Identification:
-    """The same model fitted with the trust that it has in each row, which its smaller residual may change once more."""
-    for _ in range(TRUST_ROUNDS):
-        known = trust(regression, model)
-        before = model.regression.trust
-        if np.abs(known - (1.0 if before is None else before)).max() < SAME_TRUST:
+def reweighted(regression: Regression, model: Identification) -> Identification:
+    """The same model fitted with the weights that it gives each row, which its smaller residual may change once more."""
+    for _ in range(WEIGHT_ROUNDS):
+        known = row_weights(regression, model)
+        before = model.regression.row_weights
+        if np.abs(known - (1.0 if before is None else before)).max() < SAME_WEIGHTS:
             break
-        model = identify(regression.trusting(known), model.effects, fit_links=model.links_fitted, start=model)
+        model = identify(regression.weighted(known), model.effects, fit_links=model.links_fitted, start=model)
     return model
 
 

@@ -20,7 +20,7 @@ from rx90b_flex.diagnose.residual import Errors
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import Regression, Stretch
+from rx90b_flex.identify.regression import Regression, Segment
 from rx90b_flex.signals import lowpass
 
 FEWEST_SAMPLES = 200  # of a fit: with less, parts of it are too short to hold out
@@ -99,7 +99,7 @@ def yardstick(
     -------
     Explainable, or a sentence that says why nothing is known.
     """
-    fitted = declared.regression.motors.trusting(None).beginning(LONGEST)
+    fitted = declared.regression.motors.weighted(None).beginning(LONGEST)
     if len(fitted) < FEWEST_SAMPLES:
         return (
             f"Too little data for a free-form model: {len(fitted)} samples behind the low-pass; "
@@ -108,7 +108,7 @@ def yardstick(
     whole = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
     validation = validation.beginning(LONGEST)
     held_out = [
-        r.beginning(len(s.motion) * s.working_factor) for r, s in zip(held_out, validation.stretches, strict=True)
+        r.beginning(len(s.motion) * s.working_factor) for r, s in zip(held_out, validation.segments, strict=True)
     ]
     residual = declared.residual_on(fitted)
     here, there = (_signals(r, declared) for r in (fitted, validation))
@@ -146,7 +146,7 @@ def _share(before: Errors, after: Errors, free: Errors) -> float:
 
 def _layouts(regression: Regression) -> list[Indices]:
     """The part of each sample that is held out with it."""
-    lengths, samples = [len(s) for s in regression.stretches], len(regression)
+    lengths, samples = [len(s) for s in regression.segments], len(regression)
     if max(lengths) <= LARGEST_PART * samples:
         return [np.repeat(np.arange(len(lengths)), lengths)]
     return [np.arange(samples) * parts // samples for parts in PARTS]
@@ -154,11 +154,11 @@ def _layouts(regression: Regression) -> list[Indices]:
 
 def _at_own_rate(said: Array, validation: Regression, held_out: Sequence[HeldOut]) -> list[Array]:
     """Values (M, joints) at the rate at which columns are worked out, brought to each recording's samples."""
-    ends = np.cumsum([len(s.motion) for s in validation.stretches])[:-1]
+    ends = np.cumsum([len(s.motion) for s in validation.segments])[:-1]
     out = []
-    for values, stretch, recording in zip(np.split(said, ends), validation.stretches, held_out, strict=True):
+    for values, segment, recording in zip(np.split(said, ends), validation.segments, held_out, strict=True):
         # behind the low-pass neighbouring samples lie on a smooth curve
-        sample = np.minimum(np.arange(len(recording.torque)) / stretch.working_factor, len(values) - 1)
+        sample = np.minimum(np.arange(len(recording.torque)) / segment.working_factor, len(values) - 1)
         out.append(np.asarray(interpolate.CubicSpline(np.arange(len(values)), values)(sample)))
     return out
 
@@ -170,7 +170,7 @@ def _at_own_rate(said: Array, validation: Regression, held_out: Sequence[HeldOut
 class _Signals:
     """One recording at the rate at which columns are worked out; arrays (N, joints) in the campaign's order."""
 
-    stretch: Stretch
+    segment: Segment
     rows: Indices  # coordinate of each joint
     position: Array
     velocity: Array
@@ -180,28 +180,28 @@ class _Signals:
 
     def links(self, joint: int) -> Array:
         """Regressor of the links in one joint, (N, 10 * bodies); those of all joints together would take most of the memory."""
-        return np.array(self.stretch.motion.on_tree.link_regressor()[:, self.rows[joint]])
+        return np.array(self.segment.motion.on_tree.link_regressor()[:, self.rows[joint]])
 
     @property
     def rate_hz(self) -> float:
-        return self.stretch.rate_hz * self.stretch.factor
+        return self.segment.rate_hz * self.segment.factor
 
     def filtered(self, columns: Array) -> Array:
         """Behind the low-pass, every sample."""
-        cutoff = self.stretch.cutoff_hz
+        cutoff = self.segment.cutoff_hz
         return columns if cutoff is None else lowpass(columns, cutoff, self.rate_hz)
 
 
 def _signals(regression: Regression, declared: Identification) -> list[_Signals]:
     seen = regression.with_model(declared.link_parameters, declared.effects)
-    return [_recording(s, seen.rows, declared.effects) for s in seen.stretches]
+    return [_recording(s, seen.rows, declared.effects) for s in seen.segments]
 
 
-def _recording(stretch: Stretch, rows: Indices, effects: Sequence[Effect]) -> _Signals:
-    motion = stretch.motion
+def _recording(segment: Segment, rows: Indices, effects: Sequence[Effect]) -> _Signals:
+    motion = segment.motion
     forces = [np.asarray(e.force(motion)[:, rows]) for e in effects if e.traits.in_dynamics]
     return _Signals(
-        stretch,
+        segment,
         rows,
         motion.q[:, rows],
         motion.v[:, rows],
@@ -254,13 +254,13 @@ def _form(
     other = [_families(r, ranges, joint) for r in there]
     families = {
         name: (
-            np.concatenate([r.stretch.brought(f[name]) for r, f in zip(here, fitted, strict=True)]),
+            np.concatenate([r.segment.brought(f[name]) for r, f in zip(here, fitted, strict=True)]),
             np.concatenate([r.filtered(f[name]) for r, f in zip(there, other, strict=True)]),
         )
         for name in fitted[0]
     }
     trees = (
-        np.concatenate([r.stretch.brought(_plain_signals(r, ranges, joint)) for r in here]),
+        np.concatenate([r.segment.brought(_plain_signals(r, ranges, joint)) for r in here]),
         np.concatenate([r.filtered(_plain_signals(r, ranges, joint)) for r in there]),
     )
     return best_form(families, trees, residual, layouts)

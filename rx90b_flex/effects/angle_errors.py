@@ -142,9 +142,9 @@ class ResolverError(_AngleError, needs_model=True):
         return -by_q, -by_v, -by_a, np.zeros(len(motion))
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
-        return self._law_at(motion, "shown")
+        return self._law_at(motion, "measured")
 
-    def shown(self, motion: Motion) -> tuple[Array, Array]:
+    def measurement_error(self, motion: Motion) -> tuple[Array, Array]:
         port = motion.coordinates.port(self.joint, "drive")
         error, slope, _ = self.error(motion.q @ port)
         return np.outer(error, port), np.outer(slope * (motion.v @ port), port)

@@ -11,7 +11,7 @@ import numpy as np
 from rx90b_flex.effects.motion import Array
 
 LawFunction = Callable[[Any, Any, Any, Any], None]
-Where = Literal["force", "links", "shown", "motor"]
+Where = Literal["force", "links", "measured", "motor"]
 
 # What a function finds behind its own parameters where its law asks for it, and what it writes behind torque and slopes.
 TIME, LOAD, BEFORE, REMEMBERED = range(4)
@@ -50,7 +50,7 @@ class Law:
         must leave them.
     at : str
         What the function is: ``force``, a torque; ``links``, the angle by which the links are ahead of the port's coordinate, with
-        its first two derivatives by it; ``shown``, what a resolver shows beyond its drive's angle, with its slope; ``motor``, what
+        its first two derivatives by it; ``measured``, what a resolver shows beyond its drive's angle, with its slope; ``motor``, what
         the motor at the port gives beyond the torque x that it is asked for.
     """
 

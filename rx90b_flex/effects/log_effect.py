@@ -13,28 +13,28 @@ class LogEffect(Effect, in_dynamics=False):
     """An effect that is no force of the robot: it changes what controller and log are shown, or what the motors give."""
 
     def laws(self, motion: Motion) -> tuple[Law, ...] | None:
-        """`shown` and `delivered` as laws at ``shown`` and ``motor``; None: a simulation asks those two at each sample."""
+        """`measurement_error` and `motor_torque` as laws at ``measured`` and ``motor``; None: they are asked at each sample."""
         of = type(self)
-        asked = of.shown is not LogEffect.shown or of.delivered is not LogEffect.delivered
+        asked = of.measurement_error is not LogEffect.measurement_error or of.motor_torque is not LogEffect.motor_torque
         return None if asked else ()
 
-    def shown(self, motion: Motion) -> tuple[Array, Array] | None:
+    def measurement_error(self, motion: Motion) -> tuple[Array, Array] | None:
         """What controller and log are shown beyond the angles and their rates, each (N, n); None: nothing."""
         return None
 
-    def delivered(self, joints: Sequence[str], torque: Array) -> Array:
+    def motor_torque(self, joints: Sequence[str], torque: Array) -> Array:
         """Torques that the motors give where the controller and the log say `torque` (N, joints)."""
         return torque
 
-    def ordered(self, joints: Sequence[str], torque: Array) -> Array:
-        """The inverse of `delivered`."""
+    def commanded_torque(self, joints: Sequence[str], torque: Array) -> Array:
+        """The inverse of `motor_torque`."""
         return torque
 
-    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+    def logged_torque(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
         """Log of the torque (N, joints, lanes) at uniform times (N,); the first `history_s` of it is there to look back on."""
         return torque
 
     @property
     def history_s(self) -> float:
-        """How far `noted` looks back, s."""
+        """How far `logged_torque` looks back, s."""
         return 0.0

@@ -1,4 +1,4 @@
-"""What an effect is shown: the coordinates of a robot and a stretch of its motion."""
+"""What an effect is shown: the coordinates of a robot and a segment of its motion."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Coordinates:
 
 
 class TreeMotion(Protocol):
-    """What the rigid-body tree can tell an effect about a stretch of motion."""
+    """What the rigid-body tree can tell an effect about a segment of motion."""
 
     def link_regressor(self) -> Array:
         """Regressor of the links; shape (N, n, 10 * bodies)."""

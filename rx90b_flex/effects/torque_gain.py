@@ -77,5 +77,5 @@ class TorqueGain(LogEffect, JointEffect, needs_model=True, multiplies=True):
         port = motion.coordinates.port(self.joint, "drive")
         return torque * (1.0 + self.known_coefficients()[0] * port)
 
-    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+    def logged_torque(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
         return np.asarray(torque * self._gains(joints)[:, None])

@@ -100,7 +100,7 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
             )
         return self._delay
 
-    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+    def logged_torque(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
         late = interpolate.make_interp_spline(time, torque, k=1)(np.clip(time - self._delay, time[0], time[-1]))
         own = [self.joint in (None, joint) for joint in joints]
         return np.where(np.array(own)[:, None], late, torque)
@@ -192,12 +192,12 @@ class MotorSaturation(LogEffect, JointEffect, needs_model=True):
         port = motion.coordinates.port(self.joint, "drive")
         return (Law(port, function=self.law, parameters=self.known_coefficients(), at="motor"),)
 
-    def delivered(self, joints: Sequence[str], torque: Array) -> Array:
+    def motor_torque(self, joints: Sequence[str], torque: Array) -> Array:
         (c,) = self.known_coefficients()
         own = np.array([joint == self.joint for joint in joints])
         return np.where(own, torque - c * torque * torque * torque, torque)
 
-    def ordered(self, joints: Sequence[str], torque: Array) -> Array:
+    def commanded_torque(self, joints: Sequence[str], torque: Array) -> Array:
         self.known_coefficients()
         own = np.array([joint == self.joint for joint in joints])
         return np.where(own, self._asked(torque), torque)
@@ -234,7 +234,7 @@ class LineInterference(LogEffect, SineEffect, by_clock=True, repeats_with_motion
         angle = 2.0 * np.pi * frequency * at.time
         return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
-    def noted(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
+    def logged_torque(self, joints: Sequence[str], time: Array, torque: Array) -> Array:
         (frequency,), (sine, cosine) = self.known_shape(), self.known_coefficients()
         angle = 2.0 * np.pi * frequency * time
         own = np.array([joint == self.joint for joint in joints])

@@ -21,7 +21,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.base import DETERMINED, Base
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.torque import trusting
+from rx90b_flex.diagnose.torque import reweighted
 from rx90b_flex.diagnose.trial import added
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array, Indices
@@ -210,13 +210,13 @@ def _fitted(
     effects: tuple[Effect, ...] = regression.robot.effects
     for effect in common:
         effects = added(effects, next((f for f in found if same(f, effect)), effect))
-    model = trusting(regression, identify(regression, effects, fit_links=fit_links))
+    model = reweighted(regression, identify(regression, effects, fit_links=fit_links))
     for effect in common:  # what the make has, this robot may lack
         here = _in(model, effect)
         search = Search(model, sites)
         if here is not None and not any(same(f, effect) for f in found) and not search.without(here).accepted:
             kept = search.present_without(here)
-            model = trusting(regression, identify(regression, kept, fit_links=fit_links, start=model))
+            model = reweighted(regression, identify(regression, kept, fit_links=fit_links, start=model))
     for effect in found:
         if _in(model, effect) is not None:
             continue
@@ -227,7 +227,7 @@ def _fitted(
         trial = search.trial(effect, search.base(replaced), search.present, search.tests)
         if trial.accepted:
             effects = added(model.effects, trial.effect)
-            model = trusting(regression, identify(regression, effects, fit_links=fit_links, start=model))
+            model = reweighted(regression, identify(regression, effects, fit_links=fit_links, start=model))
     return model
 
 

@@ -80,7 +80,7 @@ def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, 
     ----------
     residual : array, shape (N,)
     spans : sequence of slice
-        Stretches that do not follow each other in time.
+        Segments that do not follow each other in time.
     absorbed : array, shape (lines,)
         What the fit took out of the noise (`absorbed_by_fit`); zeros where nothing was fitted.
     longest : int
@@ -101,7 +101,7 @@ def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, 
 
 
 def _smoothed(powers: Sequence[Array], sizes: Sequence[int], lags: int, total: int) -> Spectrum:
-    """From the squared transforms of several stretches, of `total` samples together."""
+    """From the squared transforms of several segments, of `total` samples together."""
     count = lags + LARGEST_ORDER
     raw = np.zeros(count)
     for power, size in zip(powers, sizes, strict=True):
@@ -121,7 +121,7 @@ def _lags(spans: Sequence[slice], longest: int) -> int:
 
 
 def _sizes(spans: Sequence[slice], lags: int) -> list[int]:
-    """Of the transforms of each stretch: room for the correlation, so that the ends do not meet."""
+    """Of the transforms of each segment: room for the correlation, so that the ends do not meet."""
     return [fft.next_fast_len(max(s.stop - s.start + lags + LARGEST_ORDER, 2 * lags), real=True) for s in spans]
 
 
@@ -141,7 +141,7 @@ def absorbed_by_fit(basis: Array, spans: Sequence[slice], longest: int) -> Array
     Returns
     -------
     array, shape (lines,)
-        Lines of all stretches, one stretch after the other, as `residual_spectrum` has them.
+        Lines of all segments, one segment after the other, as `residual_spectrum` has them.
     """
     sizes = _sizes(spans, _lags(spans, longest))
     parts = [np.zeros(size // 2 + 1) for size in sizes]

@@ -23,7 +23,7 @@ from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
-from rx90b_flex.identify.regression import Regression, Stretch, prepare
+from rx90b_flex.identify.regression import Regression, Segment, prepare
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated, sensors_to_use, wrong_sensors
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot
@@ -356,17 +356,17 @@ def _units(model: Identification) -> list[str]:
 # ---- errors -----------------------------------------------------------------------------------------------------
 
 
-def _predictions(robot: Robot, rigid: Robot, logs: Sequence[Stretch]) -> tuple[IdentifiedPrediction, ...]:
+def _predictions(robot: Robot, rigid: Robot, logs: Sequence[Segment]) -> tuple[IdentifiedPrediction, ...]:
     """What the exported robot says of recordings, at their own rate."""
     own = robot.over_time().restricted(rigid.joints)
     out = []
-    for stretch in logs:
-        rows = np.array([own.layout.index(j) for j in stretch.recording.joints])
-        motion = own.on_links(stretch.motion, stretch.loaded(own.link_parameters), effects=own.forces)
+    for segment in logs:
+        rows = np.array([own.layout.index(j) for j in segment.recording.joints])
+        motion = own.on_links(segment.motion, segment.loaded(own.link_parameters), effects=own.forces)
         force = np.array(motion.on_tree.load())
         for effect in own.effects:
             force = force + effect.force(motion)
-        out.append(IdentifiedPrediction(stretch.recording, stretch.torque, stretch.brought(force[:, rows])))
+        out.append(IdentifiedPrediction(segment.recording, segment.torque, segment.brought(force[:, rows])))
     return tuple(out)
 
 

@@ -30,7 +30,7 @@ def joints_that_stick(regression: Regression) -> tuple[str, ...]:
     Most of some blocks are predicted better by the others, and all of them together.
     """
     held = regression if regression.excerpt is None else regression.excerpt[0]
-    moving = [j for j in regression.joints if any(_sticks(s.motion, j) for s in held.stretches)]
+    moving = [j for j in regression.joints if any(_sticks(s.motion, j) for s in held.segments)]
     shown = held.with_sticking(())
     out = []
     for joint in moving:
@@ -52,14 +52,14 @@ def _sticks(motion: Motion, joint: str) -> bool:
 def _pauses(regression: Regression, joint: str) -> NDArray[np.bool_]:
     """Rows (N,) that show what a joint's drive holds where it pauses and goes on as it was."""
     out = []
-    for stretch in regression.stretches:
-        motion, shown = stretch.motion, np.zeros(len(stretch.motion))
+    for segment in regression.segments:
+        motion, shown = segment.motion, np.zeros(len(segment.motion))
         if motion.stuck is not None:
             part = motion.stuck[:, motion.coordinates.joints.index(joint)]
             edges = np.flatnonzero(np.diff(~np.isnan(part), prepend=False, append=False))
             for begin, end in zip(edges[::2], edges[1::2], strict=True):
                 shown[begin:end] = part[begin] == part[end - 1]
-        out.append(np.abs(stretch.brought(shown)) > SHOWN)
+        out.append(np.abs(segment.brought(shown)) > SHOWN)
     return np.concatenate(out)
 
 
@@ -69,14 +69,14 @@ def _smooth(regression: Regression, joint: str) -> Array:
     links = regression.link_columns[:, place]
     own = [
         s.brought(np.stack([s.motion.v[:, at], s.motion.a[:, at], np.ones(len(s.motion))], axis=1))
-        for s in regression.stretches
+        for s in regression.segments
     ]
     return np.hstack([links[:, links.any(axis=0)], np.concatenate(own)])
 
 
 def _dry(regression: Regression, joint: str, turnover: float) -> Array:
     """Columns (N, k) of dry friction: some that stays at all speeds, some that fades."""
-    speed = max(Resolution.of(s.motion.joint(joint)).speed for s in regression.stretches)
+    speed = max(Resolution.of(s.motion.joint(joint)).speed for s in regression.segments)
     fading = [
         StribeckFriction(joint=joint, torque=1.0, velocity=part * speed, power=1.0, turnover=turnover) for part in FADES
     ]

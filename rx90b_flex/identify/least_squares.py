@@ -101,7 +101,7 @@ class Identification:
     def absorbed(self) -> list[Array]:
         """What the fit took out of each joint's noise (`absorbed_by_fit`)."""
         regression, weight = self.regression, self.solution.sigma**-2.0
-        longest = int(CORRELATION_S * regression.stretches[0].rate_hz)
+        longest = int(CORRELATION_S * regression.segments[0].rate_hz)
         return absorbed_each(self.derivatives, len(self.theta) + len(self.shapes), weight, regression.spans, longest)
 
     @property
@@ -120,7 +120,7 @@ class Identification:
     @property
     def in_tree(self) -> tuple[Effect, ...]:
         """The effects as a robot file has them."""
-        motion = self.regression.stretches[0].motion
+        motion = self.regression.segments[0].motion
         return tuple(e.in_tree(motion) for e in self.effects)
 
     @property
@@ -604,7 +604,7 @@ class _Fit:
         # what follows from a shape has neither a part in the noise nor a covariance of its own
         free = np.flatnonzero(~np.concatenate([self.follows, np.zeros(len(self.shape), dtype=bool)]))
         estimated = derivatives if len(free) == size else derivatives.kept(free, size)
-        longest = int(CORRELATION_S * regression.stretches[0].rate_hz)
+        longest = int(CORRELATION_S * regression.segments[0].rate_hz)
         absorbed = absorbed_each(estimated, len(free), solution.sigma**-2.0, spans, longest)
         spectra = tuple(
             residual_spectrum(r, spans, a, longest)

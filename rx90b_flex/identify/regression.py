@@ -57,7 +57,7 @@ FEWEST_KEPT, KEPT_BYTES = 16, 4e7  # of a long log fewer: so many, or what takes
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """One recording, ready to be fitted.
 
     Attributes
@@ -114,11 +114,11 @@ class Stretch:
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
-    def sticking(self, joints: Sequence[str]) -> Stretch:
+    def sticking(self, joints: Sequence[str]) -> Segment:
         """The same, with friction held in sticks of no other joints."""
         return dataclasses.replace(self, motion=self.motion.sticking(joints))
 
-    def thinned(self) -> Stretch:
+    def thinned(self) -> Segment:
         """Of one that has all its samples those that a fit needs, away from the ends."""
         rate, cutoff = self.rate_hz, self.cutoff_hz
         working, factor, edge = 1, 1, 4
@@ -150,11 +150,11 @@ class Stretch:
         """The motion at the fit's samples."""
         return self.motion.part(np.arange(len(self.motion))[:: self.factor][self.kept])
 
-    def beginning(self, part: float) -> Stretch:
+    def beginning(self, part: float) -> Segment:
         """A part of this one from its first sample on."""
         return self._piece(slice(0, max(1, int(part * len(self)))), self._run_in)
 
-    def pieces(self, part: float) -> list[tuple[Stretch, int]]:
+    def pieces(self, part: float) -> list[tuple[Segment, int]]:
         """A part of this one in pieces, each with its first sample; where the motion repeats, at different phases of it."""
         length = int(part * len(self) / PIECES)
         period = self.recording.period_s or np.inf
@@ -163,7 +163,7 @@ class Stretch:
         starts = (min(int((k % repeats + k / PIECES) * whole), len(self) - length) for k in range(PIECES))
         return [(self._piece(slice(at, at + length), self._run_in), at) for at in starts]
 
-    def split(self, samples: int) -> list[Stretch]:
+    def split(self, samples: int) -> list[Segment]:
         """Pieces of so many working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
         if len(self.motion) <= samples:
             return [self]
@@ -176,7 +176,7 @@ class Stretch:
     def _run_in(self) -> int:
         return max(self.kept.start, int(np.ceil(RUN_IN_S * self.rate_hz)))
 
-    def _piece(self, samples: slice, beside: int) -> Stretch:
+    def _piece(self, samples: slice, beside: int) -> Segment:
         """Some of its samples, with the motion of so many more on either side that their columns need."""
         first, last = self.kept.start + samples.start, self.kept.start + samples.stop
         begin, end = max(0, first - beside), last + beside
@@ -199,7 +199,7 @@ def prepare(
     cutoff_hz: float | None,
     thin: bool = True,
     sticking: Sequence[str] = (),
-) -> Stretch:
+) -> Segment:
     """Differentiate, low-pass and thin out one recording.
 
     Parameters
@@ -210,7 +210,7 @@ def prepare(
     cutoff_hz : float or None
         Zero-phase low-pass of every signal; None fits the torque as it was logged.
     thin : bool
-        Keep only the samples that a fit needs (`Stretch.thinned`); otherwise all of them.
+        Keep only the samples that a fit needs (`Segment.thinned`); otherwise all of them.
     sticking : sequence of str
         Joints whose dry friction is held where their drives stand still between two moves (`Motion.stuck`).
 
@@ -245,7 +245,7 @@ def prepare(
     )
     carried = None if recording.payload is None else carried_parameters(robot, recording.payload)
     samples = slice(0, _enough(recording, cutoff_hz, len(torque), 0))
-    whole = Stretch(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
+    whole = Segment(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
     return whole.thinned() if thin else whole
 
 
@@ -293,9 +293,9 @@ def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> f
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """All stretches of one role, with the columns of the links.
+    """All segments of one role, with the columns of the links.
 
-    The rows of a column are one array a joint of the campaign, then one a torque sensor behind a gear; samples of all stretches
+    The rows of a column are one array a joint of the campaign, then one a torque sensor behind a gear; samples of all segments
     follow each other. What acts before the gear leaves nothing in the rows of a sensor (`Traits.behind_gear`): they tell the
     links without friction, and the difference to the motor's is friction. A sensor's zero is not known: its rows are less their mean.
 
@@ -304,8 +304,8 @@ class Regression:
     robot : Robot
         Rigid.
     joints : tuple of str
-    stretches : tuple of Stretch
-    trust : array, shape (N, joints), or None
+    segments : tuple of Segment
+    row_weights : array, shape (N, joints), or None
         Factors between 0 and 1 of all rows of joints, torque and columns alike; None leaves them as they are.
     sensors : tuple of str
         Joints whose torque sensors are fitted beside the motors.
@@ -315,8 +315,8 @@ class Regression:
 
     robot: Robot
     joints: tuple[str, ...]
-    stretches: tuple[Stretch, ...]
-    trust: Array | None = None
+    segments: tuple[Segment, ...]
+    row_weights: Array | None = None
     sensors: tuple[str, ...] = ()
     sticking: tuple[str, ...] = ()
 
@@ -334,7 +334,7 @@ class Regression:
         cutoff_hz: float | None,
         sensors: Sequence[str] = (),
         sticking: Sequence[str] | None = None,
-    ) -> tuple[Regression, tuple[Stretch, ...]]:
+    ) -> tuple[Regression, tuple[Segment, ...]]:
         """As `of`, and the recordings with all their samples, to be predicted: each prepared once.
 
         With `sticking`, of other recordings' regression, it is not asked of these which joints' drives stick.
@@ -349,12 +349,12 @@ class Regression:
         sensors: Sequence[str],
         sticking: Sequence[str] | None,
         thin: bool,
-    ) -> tuple[Regression, tuple[Stretch, ...]]:
+    ) -> tuple[Regression, tuple[Segment, ...]]:
         joints = recordings[0].joints
         rigid, asked = robot.over_time().restricted(joints), joints if sticking is None else tuple(sticking)
         whole = tuple(prepare(rigid, r, cutoff_hz, thin, asked) for r in recordings)
-        stretches = whole if thin else tuple(s.thinned() for s in whole)
-        made = Regression(rigid, joints, stretches, None, tuple(sensors), asked)
+        segments = whole if thin else tuple(s.thinned() for s in whole)
+        made = Regression(rigid, joints, segments, None, tuple(sensors), asked)
         if sticking is not None:
             return made, whole
         found = joints_that_stick(made)
@@ -362,7 +362,7 @@ class Regression:
 
     def with_sticking(self, joints: tuple[str, ...]) -> Regression:
         """The same, with friction held in sticks of these joints alone."""
-        other = dataclasses.replace(self, stretches=tuple(s.sticking(joints) for s in self.stretches), sticking=joints)
+        other = dataclasses.replace(self, segments=tuple(s.sticking(joints) for s in self.segments), sticking=joints)
         if "_untouched_links" in self.__dict__:
             other.__dict__["_untouched_links"] = self._untouched_links
         return other
@@ -373,20 +373,20 @@ class Regression:
         return dataclasses.replace(self, sensors=()) if self.sensors else self
 
     def __len__(self) -> int:
-        return sum(len(s) for s in self.stretches)
+        return sum(len(s) for s in self.segments)
 
     @property
     def longest(self) -> Motion:
         """Motion of the longest recording, from which starts and ranges of shapes are taken."""
-        return max((s.motion for s in self.stretches), key=len)
+        return max((s.motion for s in self.segments), key=len)
 
     @cached_property
     def torque(self) -> Array:
         """Measured torque less what known payloads take, shape (N, rows), N m."""
-        torque = np.concatenate([np.hstack([s.torque, self._sensed(s)]) for s in self.stretches])
-        for span, stretch in zip(self.spans, self.stretches, strict=True):
-            if stretch.carried is not None:
-                torque[span] -= self._untouched_links[span] @ stretch.carried
+        torque = np.concatenate([np.hstack([s.torque, self._sensed(s)]) for s in self.segments])
+        for span, segment in zip(self.spans, self.segments, strict=True):
+            if segment.carried is not None:
+                torque[span] -= self._untouched_links[span] @ segment.carried
         return self._counted(torque[:, :, None], np.arange(len(self.rows)))[:, :, 0]
 
     def _counted(self, columns: Array, rows: Indices) -> Array:
@@ -400,29 +400,29 @@ class Regression:
             out[there, i] -= out[there, i].mean(axis=0)
         return out
 
-    def _sensed(self, stretch: Stretch) -> Array:
+    def _sensed(self, segment: Segment) -> Array:
         """Of the sensors that are fitted, (N, sensors), N m; zero where a recording has none."""
-        if stretch.sensed is None:
-            return np.zeros((len(stretch), len(self.sensors)))
-        return stretch.sensed[:, [self.joints.index(j) for j in self.sensors]]
+        if segment.sensed is None:
+            return np.zeros((len(segment), len(self.sensors)))
+        return segment.sensed[:, [self.joints.index(j) for j in self.sensors]]
 
     @cached_property
     def _factors(self) -> Array | None:
-        """Of all rows, (N, rows): `trust`, and nothing of the sensors that a recording does not have."""
+        """Of all rows, (N, rows): `row_weights`, and nothing of the sensors that a recording does not have."""
         if not self.sensors:
-            return self.trust
-        there = [self._sensed(s).any(axis=0) * np.ones((len(s), 1)) for s in self.stretches]
-        trust = np.ones((len(self), len(self.joints))) if self.trust is None else self.trust
-        return np.hstack([trust, np.concatenate(there)])
+            return self.row_weights
+        there = [self._sensed(s).any(axis=0) * np.ones((len(s), 1)) for s in self.segments]
+        row_weights = np.ones((len(self), len(self.joints))) if self.row_weights is None else self.row_weights
+        return np.hstack([row_weights, np.concatenate(there)])
 
     @cached_property
     def share(self) -> Array:
         """Part of each row's samples that is left, shape (rows,)."""
         return np.ones(len(self.rows)) if self._factors is None else np.asarray((self._factors**2).mean(axis=0))
 
-    def trusting(self, trust: Array | None) -> Regression:
+    def weighted(self, row_weights: Array | None) -> Regression:
         """The same regression with other factors of its rows."""
-        return self._sharing(dataclasses.replace(self, trust=trust))
+        return self._sharing(dataclasses.replace(self, row_weights=row_weights))
 
     @cached_property
     def rows(self) -> Indices:
@@ -438,15 +438,15 @@ class Regression:
 
     def beginning(self, samples: int) -> Regression:
         """The beginnings of all recordings, so many working samples at the most; of a short log all of it."""
-        part = samples / sum(len(s.motion) for s in self.stretches)
+        part = samples / sum(len(s.motion) for s in self.segments)
         if part >= 1.0:
             return self
-        return dataclasses.replace(self, stretches=tuple(s.beginning(part) for s in self.stretches), trust=None)
+        return dataclasses.replace(self, segments=tuple(s.beginning(part) for s in self.segments), row_weights=None)
 
     @cached_property
     def excerpt(self) -> tuple[Regression, Indices] | None:
         """Pieces of a long log, which show what is there in less time, and which samples these are; None where it is short."""
-        working = sum(len(s.motion) for s in self.stretches)
+        working = sum(len(s.motion) for s in self.segments)
         found = self._pieces(max(LOOKED_AT, LOOKED_AT_PART * working) / working)
         if found is not None:
             found[0].__dict__["_first_looks"] = self._first_looks_of_excerpt
@@ -455,12 +455,12 @@ class Regression:
     @cached_property
     def glimpse(self) -> tuple[Regression, Indices] | None:
         """Fewer and shorter ones, which tell shapes and effects apart that show all the time; None where they are no less work."""
-        return self._pieces(GLIMPSE / sum(len(s.motion) for s in self.stretches))
+        return self._pieces(GLIMPSE / sum(len(s.motion) for s in self.segments))
 
     def forget(self, first_looks: bool = False) -> None:
         """Give back what effects worked out of the motion; also what a search's next round would ask for."""
-        for stretch in self.stretches:
-            stretch.motion.forget()
+        for segment in self.segments:
+            segment.motion.forget()
         self.forget_pieces()
         if first_looks:
             self._first_looks.clear()
@@ -477,11 +477,11 @@ class Regression:
         if part > 0.5:
             return None
         pairs = [
-            (p, span.start + at) for s, span in zip(self.stretches, self.spans, strict=True) for p, at in s.pieces(part)
+            (p, span.start + at) for s, span in zip(self.segments, self.spans, strict=True) for p, at in s.pieces(part)
         ]
         samples = np.concatenate([at + np.arange(len(p)) for p, at in pairs])
-        trust = None if self.trust is None else self.trust[samples]
-        return dataclasses.replace(self, stretches=tuple(p for p, _ in pairs), trust=trust), samples
+        row_weights = None if self.row_weights is None else self.row_weights[samples]
+        return dataclasses.replace(self, segments=tuple(p for p, _ in pairs), row_weights=row_weights), samples
 
     def columns(self, effect: Effect) -> Array:
         """Columns of an effect, shape (N, rows, k)."""
@@ -499,7 +499,7 @@ class Regression:
         return rows, self._counted(columns, rows)
 
     def _untouched(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        """As `compact`, before `trust`."""
+        """As `compact`, before `row_weights`."""
         if leading and all(of_motion_alone(e) for e in effects):
             return self._remembered(effects)
         if not leading and len(effects) == 1 and of_motion_alone(effects[0]):
@@ -524,13 +524,13 @@ class Regression:
 
     def _made_each(self, effects: Sequence[Effect]) -> list[tuple[Indices, Array]]:
         """As `_made`, for each by itself."""
-        parts = [_through(s, [self._unfiltered(s, e) for e in effects]) for s in self.stretches]
-        return [self._over_stretches(of_one) for of_one in zip(*parts, strict=True)]
+        parts = [_through(s, [self._unfiltered(s, e) for e in effects]) for s in self.segments]
+        return [self._over_segments(of_one) for of_one in zip(*parts, strict=True)]
 
-    def _unfiltered(self, stretch: Stretch, effect: Effect) -> _Unfiltered:
-        factors = effect.factors(stretch.motion)
+    def _unfiltered(self, segment: Segment, effect: Effect) -> _Unfiltered:
+        factors = effect.factors(segment.motion)
         if factors is None:
-            columns = self.seen(effect, effect.columns(stretch.motion))
+            columns = self.seen(effect, effect.columns(segment.motion))
             touched = np.flatnonzero(columns.any(axis=(0, 2)))
             return _Unfiltered(touched, None, columns[:, touched])
         weight = self.seen(effect, factors[0][None, :, None])[0, :, 0]
@@ -538,10 +538,10 @@ class Regression:
         return _Unfiltered(touched, weight[touched], factors[1])
 
     def _made(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        return self._over_stretches([self._factored(s, effects, leading) for s in self.stretches])
+        return self._over_segments([self._factored(s, effects, leading) for s in self.segments])
 
-    def _over_stretches(self, parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:
-        """Joints (rows,) and columns (N, rows, k) from those of each stretch."""
+    def _over_segments(self, parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:
+        """Joints (rows,) and columns (N, rows, k) from those of each segment."""
         first = parts[0][0]
         if all(np.array_equal(r, first) for r, _ in parts):
             return first, parts[0][1] if len(parts) == 1 else np.concatenate([x for _, x in parts])
@@ -591,25 +591,25 @@ class Regression:
             del known[next(iter(known))]
         known[key] = found
 
-    def _factored(self, stretch: Stretch, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        factors = [e.leading(stretch.motion) if leading else e.factors(stretch.motion) for e in effects]
+    def _factored(self, segment: Segment, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
+        factors = [e.leading(segment.motion) if leading else e.factors(segment.motion) for e in effects]
         if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
             port = self.seen(effects[0], factors[0][0][None, :, None])[0, :, 0]  # type: ignore[index]
             rows = np.flatnonzero(port)
-            basis = stretch.brought(np.concatenate([f[1] for f in factors if f is not None], axis=1))
+            basis = segment.brought(np.concatenate([f[1] for f in factors if f is not None], axis=1))
             return rows, port[rows][None, :, None] * basis[:, None, :]
-        columns = self.seen(effects[0], np.concatenate([e.columns(stretch.motion) for e in effects], axis=2))
+        columns = self.seen(effects[0], np.concatenate([e.columns(segment.motion) for e in effects], axis=2))
         rows = np.flatnonzero(columns.any(axis=(0, 2)))
-        return rows, stretch.brought(columns[:, rows])
+        return rows, segment.brought(columns[:, rows])
 
     def by_links(self, effects: Sequence[Effect]) -> Array:
         """Change of the effects' torque per change of the links' parameters, shape (N, rows, 10 * bodies)."""
         out = np.zeros((len(self), len(self.rows), len(self.robot.link_parameters)))
-        for span, stretch in zip(self.spans, self.stretches, strict=True):
+        for span, segment in zip(self.spans, self.segments, strict=True):
             for effect in effects:
-                change = effect.by_links(stretch.motion)
+                change = effect.by_links(segment.motion)
                 if change is not None:
-                    part = self._brought(stretch, change)
+                    part = self._brought(segment, change)
                     out[span, : len(self.joints)] += part[:, : len(self.joints)]
                     if effect.traits.behind_gear:
                         out[span, len(self.joints) :] += part[:, len(self.joints) :]
@@ -622,16 +622,16 @@ class Regression:
 
     @cached_property
     def _untouched_links(self) -> Array:
-        pieces = (p for s in self.stretches for p in s.split(AT_ONCE))
+        pieces = (p for s in self.segments for p in s.split(AT_ONCE))
         return np.concatenate([self._brought(p, p.motion.on_tree.link_regressor()) for p in pieces])
 
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
         """The same regression, in which effects see a model: the tree with these link parameters and these effects."""
-        stretches = tuple(
+        segments = tuple(
             dataclasses.replace(s, motion=self.robot.on_links(s.motion, s.loaded(link_parameters), effects=effects))
-            for s in self.stretches
+            for s in self.segments
         )
-        return self._sharing(dataclasses.replace(self, stretches=stretches))
+        return self._sharing(dataclasses.replace(self, segments=segments))
 
     def _sharing(self, other: Regression) -> Regression:
         """Another regression on the same motion, with the columns that depend on motion alone."""
@@ -641,29 +641,29 @@ class Regression:
             other.__dict__["_untouched_links"] = self._untouched_links
         return other
 
-    def _brought(self, stretch: Stretch, columns: Array) -> Array:
-        out = np.zeros((len(stretch), len(self.rows), columns.shape[2]))
+    def _brought(self, segment: Segment, columns: Array) -> Array:
+        out = np.zeros((len(segment), len(self.rows), columns.shape[2]))
         for j, row in enumerate(self.rows):
             # most columns are zero in most rows: only the others are worth a filter
             used = np.flatnonzero(columns[:, row].any(axis=0))
             for some in np.split(used, range(TOGETHER, len(used), TOGETHER)):
-                out[:, j, some] = stretch.brought(columns[:, row, some])
+                out[:, j, some] = segment.brought(columns[:, row, some])
         return out
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """Samples of each stretch."""
-        ends = np.cumsum([0, *(len(s) for s in self.stretches)])
+        """Samples of each segment."""
+        ends = np.cumsum([0, *(len(s) for s in self.segments)])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     def blocks(self, at_least: int = 8, correlation_s: float = 0.5) -> tuple[slice, ...]:
         """Contiguous blocks for held-out tests: about `at_least` or more in all, each longer than the correlation."""
-        total = sum(len(s) / s.rate_hz for s in self.stretches)
+        total = sum(len(s) / s.rate_hz for s in self.segments)
         length = max(total / at_least, 2 * correlation_s)
         out: list[slice] = []
-        for span, stretch in zip(self.spans, self.stretches, strict=True):
+        for span, segment in zip(self.spans, self.segments, strict=True):
             samples = span.stop - span.start
-            parts = max(1, round(samples / stretch.rate_hz / length))
+            parts = max(1, round(samples / segment.rate_hz / length))
             edges = np.linspace(span.start, span.stop, parts + 1).astype(int)
             out += [slice(int(a), int(b)) for a, b in pairwise(edges)]
         return tuple(out)
@@ -683,9 +683,9 @@ class _Unfiltered:
         return self.basis.size // len(self.basis)
 
 
-def _through(stretch: Stretch, columns: Sequence[_Unfiltered]) -> list[tuple[Indices, Array]]:
+def _through(segment: Segment, columns: Sequence[_Unfiltered]) -> list[tuple[Indices, Array]]:
     """Columns behind the low-pass at the fit's samples, many together, as many as memory bears: joints, and (N, rows, k) each."""
-    most = max(TOGETHER, int(FILTERED_BYTES / (8 * len(stretch.motion))))
+    most = max(TOGETHER, int(FILTERED_BYTES / (8 * len(segment.motion))))
     groups: list[list[_Unfiltered]] = []
     width = most
     for c in columns:
@@ -696,7 +696,7 @@ def _through(stretch: Stretch, columns: Sequence[_Unfiltered]) -> list[tuple[Ind
         groups[-1].append(c)
     out: list[tuple[Indices, Array]] = []
     for group in groups:
-        together = stretch.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
+        together = segment.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
         ends = np.cumsum([c.width for c in group])
         for c, end in zip(group, ends, strict=True):
             x = together[:, end - c.width : end]

@@ -132,7 +132,7 @@ class _Bilinear:
 
     def solved(self) -> tuple[Array, Solution, Array, Array]:
         """Gains, the last linear solution, its columns and the residual."""
-        logged = np.concatenate([s.torque for s in self.regression.stretches])
+        logged = np.concatenate([s.torque for s in self.regression.segments])
         known = logged - self.regression.torque  # what stated payloads take
         if not self.model.links_fitted:
             known = known + self.regression.link_columns @ self.model.link_parameters
@@ -176,7 +176,7 @@ class _Bilinear:
     def covariance(self, solution: Solution, columns: Array, rest: Array) -> Array:
         """Of theta and gains, allowing for coloured residuals."""
         spans = self.regression.spans
-        longest = int(CORRELATION_S * self.regression.stretches[0].rate_hz)
+        longest = int(CORRELATION_S * self.regression.segments[0].rate_hz)
         by_joint = ColumnsByJoint.of_dense(np.arange(columns.shape[2]), columns)
         absorbed = absorbed_each(by_joint, columns.shape[2], solution.sigma**-2.0, spans, longest)
         spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(rest.T, absorbed, strict=True)]

@@ -137,7 +137,7 @@ class Deviation:
         return self.ended is None and bool(self.within(tolerance_mm).all())
 
     def failing(self, tolerance_mm: float) -> list[tuple[int, int, float]]:
-        """Stretches that fail: first and last millimetre (as 0 to 1 for the first) and the largest deviation there."""
+        """Segments that fail: first and last millimetre (as 0 to 1 for the first) and the largest deviation there."""
         bad = np.concatenate([[False], ~self.within(tolerance_mm), [False]]).astype(int)
         begins, ends = np.flatnonzero(np.diff(bad) == 1), np.flatnonzero(np.diff(bad) == -1)
         return [(int(a), int(b), float(self.by_mm[a:b].max())) for a, b in zip(begins, ends, strict=True)]

@@ -301,7 +301,7 @@ class _Arm:
 
 
 def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """First and last sample of the first stretch that is wrong."""
+    """First and last sample of the first segment that is wrong."""
     if not wrong.any():
         return None
     begin = int(np.argmax(wrong))

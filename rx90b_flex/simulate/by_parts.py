@@ -19,10 +19,10 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.cs8 import drive_places
 
 
-def shown(robot: Robot, between: Sequence[LogEffect], q: Array, v: Array) -> tuple[Array, Array]:
+def measurement_errors(robot: Robot, between: Sequence[LogEffect], q: Array, v: Array) -> tuple[Array, Array]:
     """What the resolvers show beyond the drives' angles and speeds, each (lanes, joints)."""
     motion, drives = robot.motion(q, v, np.zeros_like(q)), drive_places(robot)
-    errors = [e.shown(motion) for e in between]
+    errors = [e.measurement_error(motion) for e in between]
     zero = np.zeros((len(q), len(drives)))
     return (
         sum((e[0][:, drives] for e in errors if e is not None), zero),
@@ -40,7 +40,7 @@ class ByParts:
         self.late_q, self.late_v = np.zeros_like(lanes.q), np.zeros_like(lanes.q)
         rest = robot.motion(lanes.q, lanes.v, lanes.a)
         self.memories = {e: e.memory(rest) for e in self.plant.others if isinstance(e, RememberingLaw)}
-        self.shows = any(e.shown(rest) is not None for e in between)
+        self.shows = any(e.measurement_error(rest) is not None for e in between)
 
     def advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
         """All running lanes by that many samples."""
@@ -49,12 +49,12 @@ class ByParts:
         h = loop.period / loop.substeps
         for k in range(samples):
             if self.shows:
-                inputs.noise[k] += np.stack([x.T for x in shown(self.robot, self.between, lanes.q, lanes.v)])
+                inputs.noise[k] += np.stack([x.T for x in measurement_errors(self.robot, self.between, lanes.q, lanes.v)])
             control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
             for effect in self.between:
-                torque[:, loop.drive] = effect.delivered(self.robot.joints, torque[:, loop.drive])
+                torque[:, loop.drive] = effect.motor_torque(self.robot.joints, torque[:, loop.drive])
             for part in range(loop.substeps):
                 kept, known = tuple(x.copy() for x in lanes), dict(self.memories)
                 time = (inputs.first + k) * loop.period + part * h

@@ -38,7 +38,7 @@ from rx90b_flex.plant import Plant, wide_of
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
-from rx90b_flex.simulate.by_parts import ByParts, shown
+from rx90b_flex.simulate.by_parts import ByParts, measurement_errors
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.decimation import Decimator
 from rx90b_flex.simulate.filters import at_rest
@@ -451,15 +451,15 @@ class _Runner:
         rest = job.robot.motion(self.lanes.q, self.lanes.v, self.lanes.a)
         laws = self._laws(rest)
         of_robot = [law for law in laws or () if law.at in ("force", "links")]
-        of_motors = [law for law in laws or () if law.at in ("shown", "motor")]
+        of_motors = [law for law in laws or () if law.at in ("measured", "motor")]
         self.wide = wide_of(of_robot, self.plant.drives, self.lanes.q) if of_robot else None
         self.between = wide_of(of_motors, self.plant.drives, self.lanes.q)
         self.parts = None if laws is not None else ByParts(job.robot, job.between, self.loop, self.lanes)
-        self.shows = any(e.shown(rest) is not None for e in job.between)
+        self.shows = any(e.measurement_error(rest) is not None for e in job.between)
         ahead = max((e.history_s for e in job.between), default=0.0)
         rows = int(np.ceil(ahead * controller.controller_rate_hz))
         # before the start the motors held the weight, as the controller's integrators do
-        self.given: Array = np.tile(self.lanes.held, (rows, 1, 1))  # torques that `noted` looks back on
+        self.given: Array = np.tile(self.lanes.held, (rows, 1, 1))  # torques that `logged_torque` looks back on
 
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
@@ -502,10 +502,10 @@ class _Runner:
         angle = position
         for _ in range(3 if self.job.between else 0):  # errors of angles are small: each round leaves their square
             q, v, _ = static_start(self.job.robot, angle, velocity)
-            angle = position - shown(self.job.robot, self.job.between, q[None], v[None])[0][0]
+            angle = position - measurement_errors(self.job.robot, self.job.between, q[None], v[None])[0][0]
         q, v, torque = static_start(self.job.robot, angle, velocity)
         for effect in self.job.between:
-            torque = effect.ordered(self.job.robot.joints, torque[None])[0]
+            torque = effect.commanded_torque(self.job.robot.joints, torque[None])[0]
         return q, v, torque
 
     def _laws(self, rest: Motion) -> list[Law] | None:
@@ -567,13 +567,13 @@ class _Runner:
         """Let what stands before the log act on a chunk of torques (samples, joints, lanes), in place."""
         if not self.job.between:
             return
-        noted, behind = np.concatenate([self.given, torque]), len(self.given)
+        logged, behind = np.concatenate([self.given, torque]), len(self.given)
         if behind:
-            self.given = noted[-behind:].copy()
-        time = (first - behind + np.arange(len(noted))) / self.job.controller.controller_rate_hz
+            self.given = logged[-behind:].copy()
+        time = (first - behind + np.arange(len(logged))) / self.job.controller.controller_rate_hz
         for effect in self.job.between:
-            noted = effect.noted(self.job.robot.joints, time, noted)
-        torque[:] = noted[behind:]
+            logged = effect.logged_torque(self.job.robot.joints, time, logged)
+        torque[:] = logged[behind:]
 
     def _add_torque_noise(self, torque: Array) -> None:
         if np.any(self.job.noise.torque):

@@ -12,7 +12,7 @@ from rx90b_flex.view import path_plots
 from rx90b_flex.view.measured_section import measured_section
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 
-SHOWN_STRETCHES = 12
+SHOWN_SEGMENTS = 12
 
 
 def write_path_report(result: PathCheck, path: Path, measured: MeasuredTip | None = None) -> None:
@@ -41,7 +41,7 @@ def _deviation(result: PathCheck) -> Section:
     cases = [("as planned", result.before), *([("corrected", result.after)] if result.after is not None else [])]
     head = ("path", "across, largest, mm", "RMS, mm", "at, mm", "along, largest, mm", "millimetres that pass")
     tables = [PageTable(head, tuple(_row(name, of, result.options.tolerance_mm) for name, of in cases))]
-    tables += [_stretches(f"{name}: stretches that fail", of, result.options.tolerance_mm) for name, of in cases]
+    tables += [_segments(f"{name}: segments that fail", of, result.options.tolerance_mm) for name, of in cases]
     figures = (
         image(
             path_plots.deviation_along_path(result),
@@ -61,11 +61,11 @@ def _row(name: str, of: Deviation, tolerance_mm: float) -> tuple[str, ...]:
     return name, *texts, f"{int(within.sum())} of {len(within)}"
 
 
-def _stretches(caption: str, of: Deviation, tolerance_mm: float) -> PageTable:
+def _segments(caption: str, of: Deviation, tolerance_mm: float) -> PageTable:
     failing = of.failing(tolerance_mm)
-    worst = sorted(sorted(failing, key=lambda x: -x[2])[:SHOWN_STRETCHES])
+    worst = sorted(sorted(failing, key=lambda x: -x[2])[:SHOWN_SEGMENTS])
     rows = tuple((f"{a}", f"{b}", f"{c:.3f}" if np.isfinite(c) else "not reached") for a, b, c in worst)
-    more = f" (the worst {SHOWN_STRETCHES} of {len(failing)})" if len(failing) > SHOWN_STRETCHES else ""
+    more = f" (the worst {SHOWN_SEGMENTS} of {len(failing)})" if len(failing) > SHOWN_SEGMENTS else ""
     return PageTable(("from, mm", "to, mm", "largest, mm"), rows, caption + more, (0, 1, 2))
 
 

@@ -222,7 +222,7 @@ def remaining_bands(result: ClosedLoop, joint: str) -> Figure:
     column = result.joints.index(joint)
     figure, (ax,) = _figure(1, 2.7)
     for (regression, left), label in zip(result.unexplained.data, ("fitted", "held out"), strict=True):
-        rate = min(s.rate_hz for s in regression.stretches)
+        rate = min(s.rate_hz for s in regression.segments)
         parts = [left[span, column] for span in regression.spans]
         hz, amplitude = _welch(parts, rate)
         ax.plot(hz, amplitude, color=AFTER, linewidth=1.0, linestyle="-" if label == "fitted" else "--", label=label)
@@ -242,15 +242,15 @@ def _rests(result: ClosedLoop, column: int) -> Figure:
     at = 0.0
     for regression, left in result.unexplained.data:
         resting = at_rest(regression)
-        for stretch, span in zip(regression.stretches, regression.spans, strict=True):
-            time = at + np.arange(len(stretch)) / stretch.rate_hz
+        for segment, span in zip(regression.segments, regression.spans, strict=True):
+            time = at + np.arange(len(segment)) / segment.rate_hz
             bounds = ax.get_xaxis_transform()
             ax.fill_between(
                 time, 0, 1, where=resting[span], transform=bounds, color=MEASURED, alpha=0.3, linewidth=0, step="mid"
             )
             ax.plot(time, left[span, column], color=AFTER, linewidth=0.7)
             ax.axvline(at, color=MEASURED, linewidth=0.6, linestyle=":")
-            at += len(stretch) / stretch.rate_hz
+            at += len(segment) / segment.rate_hz
     ax.axhline(0.0, color="#555555", linewidth=0.6)
     ax.set_xlabel("time, s (recordings end to end; shaded: at rest)", fontsize=9)
     ax.set_ylabel("error left, N m", fontsize=9)

@@ -24,16 +24,16 @@ def preview(source: str | os.PathLike[str] | Campaign) -> dict[str, Figure]:
     robot = load_robot(campaign.robot_source).rigid().restricted(campaign.joints)
     recording = campaign.recordings[0]
     cutoff = campaign.cutoff_hz or min(sensible_cutoff_hz([recording]), 0.2 * recording.sample_rate_hz)
-    stretch = prepare(robot, recording, cutoff, thin=False)
-    force = robot.link_torque(stretch.motion)
+    segment = prepare(robot, recording, cutoff, thin=False)
+    force = robot.link_torque(segment.motion)
     for effect in robot.effects:
         if not np.isnan(np.concatenate([effect.coefficients, effect.shape])).any():
-            force = force + effect.force(stretch.motion)
+            force = force + effect.force(segment.motion)
     rows = np.array([robot.layout.index(j) for j in campaign.joints])
-    modelled = stretch.brought(force[:, rows])
+    modelled = segment.brought(force[:, rows])
     part = slice(None, None, max(1, len(modelled) // MOST_SAMPLES))
     return {
-        joint: torque_fit(stretch.time[part], stretch.torque[part, k], modelled[part, k], joint, "declared model")
+        joint: torque_fit(segment.time[part], segment.torque[part, k], modelled[part, k], joint, "declared model")
         for k, joint in enumerate(campaign.joints)
     }
 

@@ -520,9 +520,9 @@ def _links(result: ClosedLoop) -> PageTable:
 def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
     """How it was done: name and value of every setting."""
     campaign, regression = result.campaign, result.model.regression
-    rates = sorted({s.rate_hz for s in regression.stretches})
+    rates = sorted({s.rate_hz for s in regression.segments})
     blocks = regression.blocks()
-    seconds = sum(len(s) / s.rate_hz for s in regression.stretches)
+    seconds = sum(len(s) / s.rate_hz for s in regression.segments)
     if result.noise_floor is None:
         floor = "not known: no recording repeats and no noise is stated"
     elif any(r.period_s is not None for r in campaign.identification):

@@ -32,7 +32,7 @@ def repeated(recordings: Sequence[Recording]) -> list[DataFault]:
 
 
 def _contains(whole: Recording, part: Recording) -> bool:
-    """Whether the shorter of two motions, with its torques, is a stretch of the longer one."""
+    """Whether the shorter of two motions, with its torques, is a segment of the longer one."""
     if whole.sample_rate_hz != part.sample_rate_hz:
         return False
     if whole.samples < part.samples:
@@ -53,7 +53,7 @@ def _contains(whole: Recording, part: Recording) -> bool:
 
 
 def _differences(long: Array, short: Array) -> Array:
-    """Squared difference of the shorter motion to every stretch of the longer one."""
+    """Squared difference of the shorter motion to every segment of the longer one."""
     centre = short.mean(axis=0)
     a, b = long - centre, short - centre
     square = np.concatenate([[0.0], np.cumsum((a**2).sum(axis=1))])

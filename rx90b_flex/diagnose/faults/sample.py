@@ -20,7 +20,7 @@ from rx90b_flex.signals.filters import minimum_samples
 
 ROWS = 900  # of all recordings together: enough to tell hypotheses apart that change torques by tens of per cent
 FOLDS = 4  # each is held out once
-BLOCKS = 12  # contiguous stretches of which a fold gets every fourth
+BLOCKS = 12  # contiguous segments of which a fold gets every fourth
 HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")

@@ -14,7 +14,7 @@ NEVER = 1e-3  # rad or m in all: noise and the play of a brake
 HARDLY = 0.02  # rad or m: too little for a parameter to stand out of friction
 FROZEN_S = 0.3  # the same number for so long
 FEWEST = 12  # samples
-JUMP = 8.0  # times the usual step at the end of such a stretch
+JUMP = 8.0  # times the usual step at the end of such a segment
 UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not at rest
 
 
@@ -47,7 +47,7 @@ def frozen(recordings: Sequence[Recording]) -> list[DataFault]:
     for recording in recordings:
         need = max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
         for k, joint in enumerate(recording.joints):
-            rows = _stretches(recording.position[:, k], need)
+            rows = _segments(recording.position[:, k], need)
             if rows:
                 file = recording.source.name if recording.source else recording.name
                 message = (
@@ -62,7 +62,7 @@ def frozen(recordings: Sequence[Recording]) -> list[DataFault]:
     return out
 
 
-def _stretches(position: Array, need: int) -> list[int]:
+def _segments(position: Array, need: int) -> list[int]:
     steps = np.diff(position)
     still = np.concatenate([[False], steps == 0.0, [False]])
     edges = np.flatnonzero(np.diff(still.astype(int)))

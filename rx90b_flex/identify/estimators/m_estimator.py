@@ -80,12 +80,12 @@ def _with_torque(regression: Regression, torque: Array) -> Regression:
     of_sensors[:, [regression.joints.index(j) for j in regression.sensors]] = change[:, joints:]
     return dataclasses.replace(
         regression,
-        stretches=tuple(
+        segments=tuple(
             dataclasses.replace(
                 s,
                 torque=s.torque + change[at, :joints],
                 sensed=None if s.sensed is None else s.sensed + of_sensors[at],
             )
-            for s, at in zip(regression.stretches, regression.spans, strict=True)
+            for s, at in zip(regression.segments, regression.spans, strict=True)
         ),
     )
