@@ -15,7 +15,7 @@ from rx90b_flex.compiled.packed import Packed, accelerations, link_columns, link
 from rx90b_flex.compiled.scratch import scratch_size
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
-from rx90b_flex.compiled.wide import FORCE, LINKS, MOTOR, ROWS, MEASURED, Wide, pack_wide
+from rx90b_flex.compiled.wide import FORCE, LINKS, MEASURED, MOTOR, ROWS, Wide, pack_wide
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law import BY_LOAD, LOAD, ONWARD, REMEMBERED, Law
 from rx90b_flex.effects.motion import Array, Motion

@@ -49,7 +49,9 @@ class ByParts:
         h = loop.period / loop.substeps
         for k in range(samples):
             if self.shows:
-                inputs.noise[k] += np.stack([x.T for x in measurement_errors(self.robot, self.between, lanes.q, lanes.v)])
+                inputs.noise[k] += np.stack(
+                    [x.T for x in measurement_errors(self.robot, self.between, lanes.q, lanes.v)]
+                )
             control_all(loop, lanes, inputs, logs, k, torque)
             if lanes.status.all():
                 return
