@@ -30,6 +30,7 @@ AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look fo
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
+CERTAIN = 2.0  # standard deviations that a value is from zero
 WEIGHT_ROUNDS = 2  # fits after which the weights of rows near reversals are kept until the next effect
 SAME_WEIGHTS = 0.05  # a change of factors below this is not worth a fit
 
@@ -176,6 +177,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         new = self.settled(new)
         if len(trial.effects) == 1 and self.worth(new, trial).p_value > SIGNIFICANCE:
             return None, self.fallen(trial, "with everything fitted again next to nothing of it is left")
+        if not any(_certain(new.identified, find(new, e)) for e in trial.effects):
+            return None, self.fallen(trial, "with everything fitted again none of its values is certain")
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
         if ends:
             return None, dataclasses.replace(trial, lawful=False, objection=ends[0])
@@ -390,6 +393,13 @@ def _physical(effect: Effect) -> bool:
     """Whether every single value that a robot file would hold lies above its lower bound."""
     values = ((getattr(effect, p.attribute), p.lower) for p in effect.parameters().values())
     return all(x is None or bool((np.atleast_1d(x) >= low).all()) for x, low in values)
+
+
+def _certain(model: Identification, effect: Effect) -> bool:
+    """Whether any value of an effect is more than its uncertainty; one without values is told by its torque alone."""
+    values = model.estimates(model.effects.index(effect))
+    known = [(e.value, e.std) for e in values if e.value is not None and e.std is not None]
+    return not known or any(abs(value) > CERTAIN * std for value, std in known)
 
 
 def find(model: TorqueModel, like: Effect) -> Effect:
