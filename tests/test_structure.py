@@ -53,6 +53,22 @@ def test_a_class_name_stands_for_one_thing() -> None:
     assert [name for name, count in names.items() if count > 1] == []
 
 
+def test_nobody_asks_for_the_kind_of_an_effect_or_a_residual() -> None:
+    """But their own folders: whatever goes by a kind is a member or a trait."""
+    classes = [(n, part(path)) for path, tree in SOURCES.items() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+    home = {"Effect": "effects", "Residual": "diagnose"}
+    for _ in range(10):  # as deep as bases of bases go
+        for node, folder in classes:
+            bases = {name.id for base in node.bases for name in ast.walk(base) if isinstance(name, ast.Name)}
+            if bases & home.keys():
+                home.setdefault(node.name, folder)
+    assert len(home) > 60
+    for path, tree in SOURCES.items():
+        asked = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "isinstance"]
+        kinds = {name.id for n in asked for name in ast.walk(n.args[1]) if isinstance(name, ast.Name)}
+        assert not [k for k in kinds - {"Effect"} if home.get(k, part(path)) != part(path)], path
+
+
 def test_the_files_that_the_architecture_page_names_are_there() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     named = re.findall(r"`([\w/]+(?:\.py|/))`", text)

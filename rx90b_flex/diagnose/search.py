@@ -14,6 +14,7 @@ from scipy import stats
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
 from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
+from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectrum, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
@@ -24,7 +25,7 @@ from rx90b_flex.identify.least_squares import (
     identify,
     shared_values,
 )
-from rx90b_flex.identify.regression import Regression, of_motion_alone
+from rx90b_flex.identify.regression import Regression
 from rx90b_flex.levenberg import Damping, Iterate, lowest
 
 FAMILIES = 4  # laws that are tried on all joints together

@@ -214,3 +214,8 @@ class FrameEffect(Effect, on="frame"):
     @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         return [cls(frame=sites.tip_frame)]
+
+
+def of_motion_alone(effect: Effect) -> bool:
+    """Whether an effect's columns are the same for every model: those of one angle that no load enters."""
+    return isinstance(effect, JointEffect | PairEffect) and not (effect.traits.needs_load or effect.traits.needs_model)

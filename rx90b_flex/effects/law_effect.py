@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -180,3 +181,8 @@ class RememberingLaw(LawEffect, remembers=True):
             self.law(at.q, at.v, [*values, at.time, load, *before.T], out)
             written.append(out)
         return written
+
+
+def remembering(effects: Sequence[Effect]) -> tuple[RememberingLaw, ...]:
+    """Those whose laws remember."""
+    return tuple(e for e in effects if isinstance(e, RememberingLaw))

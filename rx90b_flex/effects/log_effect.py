@@ -38,3 +38,8 @@ class LogEffect(Effect, in_dynamics=False):
     def history_s(self) -> float:
         """How far `logged_torque` looks back, s."""
         return 0.0
+
+
+def between(effects: Sequence[Effect]) -> tuple[LogEffect, ...]:
+    """Those that stand between a robot and its log."""
+    return tuple(e for e in effects if isinstance(e, LogEffect))

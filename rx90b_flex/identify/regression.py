@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
-from rx90b_flex.effects.effect import JointEffect, PairEffect
+from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import joints_that_stick
@@ -710,11 +710,6 @@ def _through(segment: Segment, columns: Sequence[_Unfiltered]) -> list[tuple[Ind
 def _without_coefficients(effect: Effect) -> Effect:
     """The effect without values of its coefficients, on which its columns do not depend."""
     return effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
-
-
-def of_motion_alone(effect: Effect) -> bool:
-    """Whether an effect's columns are the same for every model: those of one angle that no load enters."""
-    return isinstance(effect, JointEffect | PairEffect) and not (effect.traits.needs_load or effect.traits.needs_model)
 
 
 def period_noise(residual: Array, recording: Recording) -> Array | None:

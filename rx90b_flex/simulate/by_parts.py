@@ -12,7 +12,7 @@ from rx90b_flex.compiled.loop import DIVISION
 from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
 from rx90b_flex.compiled.step import Extra
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.law_effect import RememberingLaw
+from rx90b_flex.effects.law_effect import remembering
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.robot import Robot
@@ -39,7 +39,8 @@ class ByParts:
         self.memory = self.plant.scratch(len(lanes.q))
         self.late_q, self.late_v = np.zeros_like(lanes.q), np.zeros_like(lanes.q)
         rest = robot.motion(lanes.q, lanes.v, lanes.a)
-        self.memories = {e: e.memory(rest) for e in self.plant.others if isinstance(e, RememberingLaw)}
+        self.memories = {e: e.memory(rest) for e in remembering(self.plant.others)}
+        self.others = [e for e in self.plant.others if e not in self.memories]
         self.shows = any(e.measurement_error(rest) is not None for e in between)
 
     def advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
@@ -84,11 +85,10 @@ class ByParts:
     def _force(self, q: Array, v: Array, a: Array, time: float) -> Array:
         motion = self.robot.motion(q, v, a, np.full(len(q), time))
         force = np.zeros_like(q)
-        for effect in self.plant.others:
-            if isinstance(effect, RememberingLaw):
-                force += effect.remembered(effect.onward(self.memories[effect], motion), motion)[0]
-            else:
-                force += effect.force(motion)
+        for law, memory in self.memories.items():
+            force += law.remembered(law.onward(memory, motion), motion)[0]
+        for effect in self.others:
+            force += effect.force(motion)
         return force
 
     def _extra(self, time: float) -> Extra:
@@ -100,16 +100,15 @@ class ByParts:
         count, n = lanes.q.shape
         force, lost = np.zeros((count, n)), np.zeros(count)
         slopes = [np.zeros((count, n, n)) for _ in range(3)]
-        for effect in self.plant.others:
-            if isinstance(effect, RememberingLaw):
-                self.memories[effect] = effect.onward(self.memories[effect], motion)
-                own, *by = effect.remembered(self.memories[effect], motion)
-                force += own
-                for total, slope in zip(slopes, by, strict=False):  # not by the acceleration
-                    total += slope
-                # what the asperities store and give back again is counted as lost
-                lost += np.sum(own * motion.v, axis=1)
-                continue
+        for law, memory in self.memories.items():
+            self.memories[law] = law.onward(memory, motion)
+            own, *by = law.remembered(self.memories[law], motion)
+            force += own
+            for total, slope in zip(slopes, by, strict=False):  # not by the acceleration
+                total += slope
+            # what the asperities store and give back again is counted as lost
+            lost += np.sum(own * motion.v, axis=1)
+        for effect in self.others:
             own = effect.force(motion)
             force += own
             for total, slope in zip(slopes, effect.derivatives(motion), strict=True):

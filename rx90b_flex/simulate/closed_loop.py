@@ -32,7 +32,7 @@ from rx90b_flex.compiled.controller import (
 )
 from rx90b_flex.compiled.loop import run
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.log_effect import LogEffect
+from rx90b_flex.effects.log_effect import LogEffect, between
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.plant import Plant, wide_of
 from rx90b_flex.robot import Robot
@@ -306,8 +306,8 @@ def _as_simulated(robot: Robot) -> tuple[Robot, tuple[LogEffect, ...]]:
         forces = [e.simulated(robot.effects) for e in robot.effects]
     except ValueError as error:
         raise ValueError(f"{robot.name}: {error}") from None
-    between = tuple(e for e in robot.effects if isinstance(e, LogEffect))
-    return (robot.with_effects([f for f in forces if f is not None]) if between else robot), between
+    before_log = between(robot.effects)
+    return (robot.with_effects([f for f in forces if f is not None]) if before_log else robot), before_log
 
 
 # ---- start ------------------------------------------------------------------------------------------------------
