@@ -107,4 +107,4 @@ def test_joints_are_told_whose_friction_goes_over_in_sticks(robot: Robot, held: 
         torque=torque,
     )
     found = Regression.of(robot, [recording], 20.0)
-    assert found.sticking == tuple(j for j, sticks_too in zip(robot.joints, there, strict=True) if sticks_too)
+    assert found.sticking == tuple((j, "turn") for j, sticks_too in zip(robot.joints, there, strict=True) if sticks_too)

@@ -15,6 +15,7 @@ from rx90b_flex.effects.traits import Traits
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+Held = tuple[str, str]  # a joint, and where its drive sticks: at a ``turn``, or in a ``pause`` on its way
 
 
 @dataclass(frozen=True)
@@ -190,12 +191,25 @@ class Motion:
         stuck = None if self.stuck is None else np.ascontiguousarray(self.stuck[samples])
         return replace(self, q=q, v=v, a=a, time=time, stuck=stuck)
 
-    def sticking(self, joints: Sequence[str]) -> Motion:
-        """The same, with friction held in sticks of no other joints."""
+    def sticking(self, held: Sequence[Held]) -> Motion:
+        """The same, with friction held in no other sticks than these joints' at their turns or in their pauses."""
         if self.stuck is None:
             return self
-        there = [j in joints for j in self.coordinates.joints]
-        return replace(self, stuck=np.where(there, self.stuck, np.nan) if any(there) else None)
+        pauses = self.pauses
+        there = [[(j, kind) in held for j in self.coordinates.joints] for kind in ("turn", "pause")]
+        stuck = np.where(np.where(pauses, there[1], there[0]), self.stuck, np.nan)
+        return replace(self, stuck=stuck if np.any(there) else None)
+
+    @property
+    def pauses(self) -> Mask:
+        """Where a drive sticks on its way, (N, joints): it then holds at the end what it held at first."""
+        stuck = np.full((len(self), len(self.coordinates.joints)), np.nan) if self.stuck is None else self.stuck
+        out = np.zeros(stuck.shape, dtype=bool)
+        for part, pauses in zip(stuck.T, out.T, strict=True):
+            edges = np.flatnonzero(np.diff(~np.isnan(part), prepend=False, append=False))
+            for begin, end in zip(edges[::2], edges[1::2], strict=True):
+                pauses[begin:end] = part[begin] == part[end - 1]
+        return out
 
     @cached_property
     def model_torque(self) -> Array:

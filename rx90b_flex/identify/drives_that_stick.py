@@ -6,10 +6,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90b_flex.effects.friction import CoulombFriction, StribeckFriction
-from rx90b_flex.effects.motion import Array, Motion
+from rx90b_flex.effects.motion import Array, Held, Mask, Motion
 from rx90b_flex.effects.reversal import Resolution
 
 if TYPE_CHECKING:
@@ -22,26 +21,29 @@ SHOWN = 0.01  # of a pause, behind the low-pass
 BLOCKS, MOST = 4, 3  # of the samples: each predicted by the others, and so many of them better
 
 
-def joints_that_stick(regression: Regression) -> tuple[str, ...]:
+def drives_that_stick(regression: Regression) -> tuple[Held, ...]:
     """Joints whose torques are predicted better by friction that goes over in sticks than by one that the speed shows all the time.
 
     Either may fade with speed, and turns over within the best of some speeds; beside it stand the links, viscous friction and drive
-    inertia. What friction does at other speeds must not tell how it goes over, nor what a drive holds while it pauses on its way.
-    Most of some blocks are predicted better by the others, and all of them together.
+    inertia. What friction does at other speeds must not tell how it goes over. At turns most of some blocks are predicted better by
+    the others, and all of them together; where drives also pause on their way, what they hold then is asked beside that.
     """
     held = regression if regression.excerpt is None else regression.excerpt[0]
-    moving = [j for j in regression.joints if any(_sticks(s.motion, j) for s in held.segments)]
+    turns = held.with_sticking(tuple((j, "turn") for j in held.joints))
     shown = held.with_sticking(())
-    out = []
-    for joint in moving:
-        place = held.joints.index(joint)
-        told = ~_pauses(held, joint)
-        torque, smooth = held.torque[told, place], _smooth(held, joint)[told]
-        in_sticks, by_speed = (
-            min((_left(torque, smooth, _dry(r, joint, w)[told]) for w in TURNOVERS), key=np.sum) for r in (held, shown)
-        )
-        if in_sticks.sum() < by_speed.sum() and (in_sticks < by_speed).sum() >= MOST:
-            out.append(joint)
+    out: list[Held] = []
+    for joint in held.joints:
+        if not any(_sticks(s.motion, joint) for s in turns.segments):
+            continue
+        smooth, pauses = _smooth(held, joint), _pauses(held, joint)
+        every = np.ones_like(pauses)
+
+        at_turns, by_speed = (_least(r, joint, smooth, ~pauses) for r in (turns, shown))
+        if at_turns.sum() < by_speed.sum() and (at_turns < by_speed).sum() >= MOST:
+            out.append((joint, "turn"))
+            whole, but_pauses = (_least(r, joint, smooth, every).sum() for r in (held, turns))
+            if whole <= but_pauses:  # the same where these recordings show none
+                out.append((joint, "pause"))
     return tuple(out)
 
 
@@ -49,18 +51,12 @@ def _sticks(motion: Motion, joint: str) -> bool:
     return motion.stuck is not None and not np.isnan(motion.stuck[:, motion.coordinates.joints.index(joint)]).all()
 
 
-def _pauses(regression: Regression, joint: str) -> NDArray[np.bool_]:
+def _pauses(regression: Regression, joint: str) -> Mask:
     """Rows (N,) that show what a joint's drive holds where it pauses and goes on as it was."""
-    out = []
-    for segment in regression.segments:
-        motion, shown = segment.motion, np.zeros(len(segment.motion))
-        if motion.stuck is not None:
-            part = motion.stuck[:, motion.coordinates.joints.index(joint)]
-            edges = np.flatnonzero(np.diff(~np.isnan(part), prepend=False, append=False))
-            for begin, end in zip(edges[::2], edges[1::2], strict=True):
-                shown[begin:end] = part[begin] == part[end - 1]
-        out.append(np.abs(segment.brought(shown)) > SHOWN)
-    return np.concatenate(out)
+    place = regression.robot.layout.joints.index(joint)
+    return np.concatenate(
+        [np.abs(s.brought(s.motion.pauses[:, place].astype(float))) > SHOWN for s in regression.segments]
+    )
 
 
 def _smooth(regression: Regression, joint: str) -> Array:
@@ -82,6 +78,12 @@ def _dry(regression: Regression, joint: str, turnover: float) -> Array:
     ]
     _, columns = regression.compact([CoulombFriction(joint=joint, torque=1.0, turnover=turnover), *fading])
     return np.asarray(columns[:, 0])
+
+
+def _least(regression: Regression, joint: str, smooth: Array, told: Mask) -> Array:
+    """What `_left` of some rows, with the turn-over that leaves least."""
+    torque = regression.torque[told, regression.joints.index(joint)]
+    return min((_left(torque, smooth[told], _dry(regression, joint, w)[told]) for w in TURNOVERS), key=np.sum)
 
 
 def _left(torque: Array, smooth: Array, dry: Array) -> Array:

@@ -13,9 +13,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import of_motion_alone
-from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.motion import Array, Held, Indices
 from rx90b_flex.identify.carried import carried_parameters
-from rx90b_flex.identify.drives_that_stick import joints_that_stick
+from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
     Recording,
@@ -114,9 +114,9 @@ class Segment:
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
-    def sticking(self, joints: Sequence[str]) -> Segment:
-        """The same, with friction held in sticks of no other joints."""
-        return dataclasses.replace(self, motion=self.motion.sticking(joints))
+    def sticking(self, held: Sequence[Held]) -> Segment:
+        """The same, with friction held in no other sticks (`Motion.sticking`)."""
+        return dataclasses.replace(self, motion=self.motion.sticking(held))
 
     def thinned(self) -> Segment:
         """Of one that has all its samples those that a fit needs, away from the ends."""
@@ -198,7 +198,7 @@ def prepare(
     recording: Recording,
     cutoff_hz: float | None,
     thin: bool = True,
-    sticking: Sequence[str] = (),
+    sticking: Sequence[Held] = (),
 ) -> Segment:
     """Differentiate, low-pass and thin out one recording.
 
@@ -211,8 +211,9 @@ def prepare(
         Zero-phase low-pass of every signal; None fits the torque as it was logged.
     thin : bool
         Keep only the samples that a fit needs (`Segment.thinned`); otherwise all of them.
-    sticking : sequence of str
-        Joints whose dry friction is held where their drives stand still between two moves (`Motion.stuck`).
+    sticking : sequence of (str, str)
+        Joints whose dry friction is held where their drives stand still between two moves (`Motion.stuck`), each with ``turn`` or
+        ``pause``.
 
     Raises
     ------
@@ -309,8 +310,8 @@ class Regression:
         Factors between 0 and 1 of all rows of joints, torque and columns alike; None leaves them as they are.
     sensors : tuple of str
         Joints whose torque sensors are fitted beside the motors.
-    sticking : tuple of str
-        Joints whose dry friction is held where their drives stick (`Motion.stuck`).
+    sticking : tuple of (str, str)
+        Joints whose dry friction is held where their drives stick (`Motion.stuck`), each with ``turn`` or ``pause``.
     """
 
     robot: Robot
@@ -318,7 +319,7 @@ class Regression:
     segments: tuple[Segment, ...]
     row_weights: Array | None = None
     sensors: tuple[str, ...] = ()
-    sticking: tuple[str, ...] = ()
+    sticking: tuple[Held, ...] = ()
 
     @staticmethod
     def of(
@@ -333,7 +334,7 @@ class Regression:
         recordings: Sequence[Recording],
         cutoff_hz: float | None,
         sensors: Sequence[str] = (),
-        sticking: Sequence[str] | None = None,
+        sticking: Sequence[Held] | None = None,
     ) -> tuple[Regression, tuple[Segment, ...]]:
         """As `of`, and the recordings with all their samples, to be predicted: each prepared once.
 
@@ -347,22 +348,23 @@ class Regression:
         recordings: Sequence[Recording],
         cutoff_hz: float | None,
         sensors: Sequence[str],
-        sticking: Sequence[str] | None,
+        sticking: Sequence[Held] | None,
         thin: bool,
     ) -> tuple[Regression, tuple[Segment, ...]]:
         joints = recordings[0].joints
-        rigid, asked = robot.over_time().restricted(joints), joints if sticking is None else tuple(sticking)
+        every = tuple((j, kind) for j in joints for kind in ("turn", "pause"))
+        rigid, asked = robot.over_time().restricted(joints), every if sticking is None else tuple(sticking)
         whole = tuple(prepare(rigid, r, cutoff_hz, thin, asked) for r in recordings)
         segments = whole if thin else tuple(s.thinned() for s in whole)
         made = Regression(rigid, joints, segments, None, tuple(sensors), asked)
         if sticking is not None:
             return made, whole
-        found = joints_that_stick(made)
+        found = drives_that_stick(made)
         return made.with_sticking(found), tuple(s.sticking(found) for s in whole)
 
-    def with_sticking(self, joints: tuple[str, ...]) -> Regression:
-        """The same, with friction held in sticks of these joints alone."""
-        other = dataclasses.replace(self, segments=tuple(s.sticking(joints) for s in self.segments), sticking=joints)
+    def with_sticking(self, held: tuple[Held, ...]) -> Regression:
+        """The same, with friction held in these sticks alone."""
+        other = dataclasses.replace(self, segments=tuple(s.sticking(held) for s in self.segments), sticking=held)
         if "_untouched_links" in self.__dict__:
             other.__dict__["_untouched_links"] = self._untouched_links
         return other
