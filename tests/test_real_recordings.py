@@ -82,7 +82,7 @@ def test_the_declared_model_itself_has_no_share(declared, explainable):
 
 def test_the_written_declared_robot_replayed_has_its_error(declared, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "rx90b_flex.identify.regression.joints_that_stick", lambda regression: ()
+        "rx90b_flex.identify.regression.drives_that_stick", lambda regression: ()
     )  # as it was declared here
     robot = identified_robot(declared.robot, declared.model, declared.campaign.joints)
     path = save_robot(robot, tmp_path)
