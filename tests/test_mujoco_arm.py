@@ -239,7 +239,9 @@ def test_over_time_a_tool_that_nobody_declared_is_found(seed: int, tmp_path: Pat
     assert found.after.validation.relative_error < 0.05 * found.before.validation.relative_error
 
 
-AT_ONCE = {("drive's spring", 620), ("drive's spring", 640), ("tool", 660)}  # the others take ten minutes
+AT_ONCE = {  # the others take ten minutes; each of these was false or crashed before there was a rule for it, but the first
+    ("drive's spring", 620), ("softer joint", 620), ("tool", 640), ("drive's spring", 640), ("tool", 660), ("tool", 680),
+}  # fmt: skip
 
 # hidden, and the names that are right; a fit of what is declared may make good for it, or the motion be too slow to show it
 OVER_TIME: dict[str, tuple[Callable[[Arm], Arm], tuple[str, ...], tuple[str, ...]]] = {
@@ -261,7 +263,7 @@ OVER_TIME: dict[str, tuple[Callable[[Arm], Arm], tuple[str, ...], tuple[str, ...
     ("cause", "seed", "cutoff_hz"),
     [
         pytest.param(cause, first + i, hz, marks=() if (cause, first) in AT_ONCE else pytest.mark.long)
-        for first, hz in ((620, 10.0), (640, 4.0), (660, 6.0))
+        for first, hz in ((620, 10.0), (640, 4.0), (660, 6.0), (680, 8.0))
         for i, cause in enumerate(OVER_TIME)
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 from independent import TWO_JOINTS
 from numpy.typing import NDArray
 
+from rx90b_flex.effects.motion import STICKS
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
@@ -85,16 +86,9 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(folder / "two.urdf")
 
 
-@pytest.mark.parametrize("held", ["first", "second", "both", "none"])
-def test_joints_are_told_whose_friction_goes_over_in_sticks(robot: Robot, held: str) -> None:
-    """The other's is away as long as its drive stands still, which is how a simulated sign or an unloaded drive looks."""
-    q = np.stack([swing(0.1, 1e-6), swing(0.15, 1e-6)], axis=1)
+def fitted(robot: Robot, q: Array, dry: Array) -> Regression:
+    """A log of both joints, whose dry friction is 3 N m times `dry`."""
     v, a = np.gradient(q, 1 / RATE, axis=0), np.gradient(np.gradient(q, 1 / RATE, axis=0), 1 / RATE, axis=0)
-    part = held_part(q, RATE)
-    assert part is not None
-    sticks_there = ~np.isnan(part)
-    there = {"first": [True, False], "second": [False, True], "both": [True, True], "none": [False, False]}[held]
-    dry = np.where(sticks_there, np.where(there, part, 0.0), np.sign(v))
     torque = np.array([robot.rigid().inverse_dynamics(*row) for row in zip(q, v, a, strict=True)]) + 3.0 * dry
     torque += 0.05 * np.random.default_rng(2).standard_normal(torque.shape)
     recording = Recording(
@@ -106,6 +100,32 @@ def test_joints_are_told_whose_friction_goes_over_in_sticks(robot: Robot, held: 
         position=q,
         torque=torque,
     )
-    found = Regression.of(robot, [recording], 20.0)
-    of_joints = zip(robot.joints, there, strict=True)  # pauses, of which these recordings have none, go with the turns
-    assert found.sticking == tuple((j, kind) for j, sticks_too in of_joints if sticks_too for kind in ("turn", "pause"))
+    return Regression.of(robot, [recording], 20.0)
+
+
+@pytest.mark.parametrize("held", ["first", "second", "both", "none"])
+def test_joints_are_told_whose_friction_goes_over_in_sticks(robot: Robot, held: str) -> None:
+    """The other's is away as long as its drive stands still, which is how a simulated sign or an unloaded drive looks."""
+    q = np.stack([swing(0.1, 1e-6), swing(0.15, 1e-6)], axis=1)
+    part = held_part(q, RATE)
+    assert part is not None
+    there = {"first": [True, False], "second": [False, True], "both": [True, True], "none": [False, False]}[held]
+    dry = np.where(np.isnan(part), np.sign(np.gradient(q, axis=0)), np.where(there, part, 0.0))
+    of_joints = zip(robot.joints, there, strict=True)  # pauses, of which this log has none, go with the turns
+    told = tuple((j, where) for j, sticks_too in of_joints if sticks_too for where in STICKS)
+    assert fitted(robot, q, dry).sticking == told
+
+
+@pytest.mark.parametrize("holds", [True, False])
+def test_what_a_drive_holds_in_a_pause_is_asked_beside_its_turns(robot: Robot, holds: bool) -> None:
+    paused = np.zeros(len(TIME), dtype=bool)
+    paused[520:580] = paused[1130:1190] = True  # 0.12 s on the way, twice
+    one = swing(0.1)[np.cumsum(~paused) - 1]
+    q = np.stack([one, one], axis=1) + 1e-6 * np.random.default_rng(4).standard_normal((len(TIME), 2))
+    part = held_part(q, RATE)
+    assert part is not None and not np.isnan(part[paused]).mean() > 0.1
+    dry = np.where(np.isnan(part), np.sign(np.gradient(q, axis=0)), part)
+    if not holds:
+        dry[paused] = 0.0
+    told = tuple((j, where) for j in robot.joints for where in (STICKS if holds else STICKS[:1]))
+    assert fitted(robot, q, dry).sticking == told

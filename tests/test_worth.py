@@ -74,3 +74,14 @@ def test_what_takes_less_than_a_fiftieth_off_a_joints_error_is_not_named(
     assert found.effect.joints == ("shoulder",)
     assert found.p_value < 1e-3
     assert found.accepted is named, found.refusal
+
+
+@pytest.mark.parametrize(("size", "named"), [(5e-4, False), (2e-3, True)])
+def test_less_than_a_thousandth_of_a_joints_torque_is_not_named(tmp_path: Path, size: float, named: bool) -> None:
+    torques = np.concatenate([r.torque for r in load_campaign(logs(tmp_path, (0.0, 0.0))).identification])
+    amplitude = size * np.sqrt(2.0 * (torques[:, 0] ** 2).mean())
+    ripple = ind.hidden("gear_ripple", 0, {"order": 24.0, "amplitude": amplitude, "phase": 0.4})
+    found = best(logs(tmp_path, (0.2 * amplitude, 0.1 * amplitude), more=[ripple]), "gear_ripple")
+    assert found.effect.joints == ("shoulder",) and found.p_value < 1e-6
+    assert found.accepted is named, found.refusal
+    assert named or found.refusal == "its torque is 0.0005 of a joint's, too little for a name"

@@ -15,7 +15,8 @@ from rx90b_flex.effects.traits import Traits
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
-Held = tuple[str, str]  # a joint, and where its drive sticks: at a ``turn``, or in a ``pause`` on its way
+STICKS = ("turn", "pause")  # where a drive sticks: as it turns, or on its way
+Held = tuple[str, str]  # a joint, and one of these
 
 
 @dataclass(frozen=True)
@@ -195,9 +196,8 @@ class Motion:
         """The same, with friction held in no other sticks than these joints' at their turns or in their pauses."""
         if self.stuck is None:
             return self
-        pauses = self.pauses
-        there = [[(j, kind) in held for j in self.coordinates.joints] for kind in ("turn", "pause")]
-        stuck = np.where(np.where(pauses, there[1], there[0]), self.stuck, np.nan)
+        there = [[(j, kind) in held for j in self.coordinates.joints] for kind in STICKS]
+        stuck = np.where(np.where(self.pauses, there[1], there[0]), self.stuck, np.nan)
         return replace(self, stuck=stuck if np.any(there) else None)
 
     @property

@@ -36,12 +36,10 @@ def drives_that_stick(regression: Regression) -> tuple[Held, ...]:
         if not any(_sticks(s.motion, joint) for s in turns.segments):
             continue
         smooth, pauses = _smooth(held, joint), _pauses(held, joint)
-        every = np.ones_like(pauses)
-
         at_turns, by_speed = (_least(r, joint, smooth, ~pauses) for r in (turns, shown))
         if at_turns.sum() < by_speed.sum() and (at_turns < by_speed).sum() >= MOST:
             out.append((joint, "turn"))
-            whole, but_pauses = (_least(r, joint, smooth, every).sum() for r in (held, turns))
+            whole, but_pauses = (_least(r, joint, smooth, pauses | True).sum() for r in (held, turns))
             if whole <= but_pauses:  # the same where these recordings show none
                 out.append((joint, "pause"))
     return tuple(out)

@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import of_motion_alone
-from rx90b_flex.effects.motion import Array, Held, Indices
+from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.robot import Robot
@@ -352,7 +352,7 @@ class Regression:
         thin: bool,
     ) -> tuple[Regression, tuple[Segment, ...]]:
         joints = recordings[0].joints
-        every = tuple((j, kind) for j in joints for kind in ("turn", "pause"))
+        every = tuple((j, kind) for j in joints for kind in STICKS)
         rigid, asked = robot.over_time().restricted(joints), every if sticking is None else tuple(sticking)
         whole = tuple(prepare(rigid, r, cutoff_hz, thin, asked) for r in recordings)
         segments = whole if thin else tuple(s.thinned() for s in whole)
