@@ -78,9 +78,9 @@ def with_viscous_friction(robot: Robot) -> Robot:
     """Friction replaced by its slope at the speed of the reference, at the joints that rest as well."""
     rest = np.zeros((1, robot.model.nv))
     motion = robot.motion(rest, rest + robot.input_matrix @ np.full(6, SPEED), rest)
-    effects: list[Effect] = [e for e in robot.effects if e.traits.part != "friction"]
+    effects: list[Effect] = [e for e in robot.effects if not e.traits.is_friction]
     for place, joint in enumerate(robot.joints):
-        own = [e for e in robot.effects if e.traits.part == "friction" and e.joints == (joint,)]
+        own = [e for e in robot.effects if e.traits.is_friction and e.joints == (joint,)]
         drive = int(np.argmax(robot.input_matrix[:, place]))
         slope = sum(float(e.derivatives(motion)[1][0][drive, drive]) for e in own)
         effects.append(ViscousFriction(joint=joint, coefficient=slope, side=friction_side(own, joint)))

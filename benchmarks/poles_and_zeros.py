@@ -31,7 +31,7 @@ BAND_HZ = 75.0
 def variants() -> dict[str, Robot]:
     """The example, and what it would be otherwise."""
     example = rf.load_robot("rx90b_3dof")
-    at_joints = [dataclasses.replace(e, side="joint") if e.traits.part == "friction" else e for e in example.effects]  # type: ignore[call-arg]
+    at_joints = [dataclasses.replace(e, side="joint") if e.traits.is_friction else e for e in example.effects]  # type: ignore[call-arg]
     table_d1 = [
         e.with_coefficients(np.r_[stiffness := np.split(e.coefficients, 2)[0], 1e-3 * stiffness])
         if e.traits.part == "flexibility"

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from rx90b_flex.effects import Effect, Motion, close_match
 from rx90b_flex.effects.motion import Array, Coordinates
+from rx90b_flex.effects.traits import PARTS
 from rx90b_flex.showing import Showing
 
 if TYPE_CHECKING:
     import control
 
 ComplexArray = NDArray[np.complex128]
-
-GROUPS = ("links", "drives", "flexibility", "spring", "friction")
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +254,7 @@ class Linearization:
         def changed(x: Array) -> Array:
             return transform.T @ x @ transform
 
-        groups: dict[str, Terms] = {name: getattr(self, name) for name in GROUPS}
+        groups: dict[str, Terms] = {name: getattr(self, name) for name in PARTS}
         changed_groups = {name: Terms(changed(t.M), changed(t.D), changed(t.K)) for name, t in groups.items()}
         drives = transform.T @ self.input_matrix
         return Linearization(names, self.joints, drives, **changed_groups, G0=changed(self.G0))
@@ -277,15 +276,13 @@ def linearize(
     Raises
     ------
     ValueError
-        An effect without a value; an effect type with a part that is none of `GROUPS`.
+        An effect without a value.
     """
     nothing = np.zeros((len(moving.coordinates),) * 2)
-    groups = {name: Terms(nothing, nothing, nothing) for name in GROUPS}
+    groups = {name: Terms(nothing, nothing, nothing) for name in PARTS}
     groups["links"] = _terms(moving.on_tree.derivatives())
     gravity = still.on_tree.derivatives()[0][0]
     for effect in effects:
-        if effect.traits.part not in groups:
-            raise ValueError(f"{effect.label}: part is {effect.traits.part!r}; expected one of {', '.join(GROUPS)}")
         groups[effect.traits.part] += _terms(effect.derivatives(moving))
         if effect.traits.part == "links":
             gravity = gravity + effect.derivatives(still)[0][0]

@@ -27,7 +27,7 @@ def viscous_robot() -> Robot:
     """The 3-DOF robot with viscous friction, so that its linearisation is the truth."""
     robot = load_robot("rx90b_3dof")
     viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(robot.joints, SLOPES, strict=True)]
-    return robot.with_effects([*(e for e in robot.effects if e.traits.part != "friction"), *viscous])
+    return robot.with_effects([*(e for e in robot.effects if not e.traits.is_friction), *viscous])
 
 
 def recordings_at(

@@ -154,7 +154,7 @@ def measured(
 def without_springs(name: str = "rx90b") -> Robot:
     """What both the package and the generator have: links, drives and hinges."""
     robot = load_robot(name)
-    return robot.with_effects([e for e in robot.effects if e.traits.part in ("drives", "flexibility")])
+    return robot.with_effects([e for e in robot.effects if e.traits.in_drivetrain])
 
 
 PLAIN = without_springs()

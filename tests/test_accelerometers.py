@@ -18,7 +18,7 @@ def robot() -> Robot:
     """The 3-DOF robot with viscous friction, so that the truth of the slope is known."""
     declared = load_robot("rx90b_3dof")
     viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(declared.joints, TRUE_SLOPES, strict=True)]
-    return declared.with_effects([*(e for e in declared.effects if e.traits.part != "friction"), *viscous])
+    return declared.with_effects([*(e for e in declared.effects if not e.traits.is_friction), *viscous])
 
 
 def sensors(true: Robot) -> list[Accelerometer]:

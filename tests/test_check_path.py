@@ -45,7 +45,7 @@ def robot(name: str = "rx90b_3dof") -> Robot:
 @cache
 def elastic() -> Robot:
     """Links, drives and hinges alone: nothing that is not linear in small motions."""
-    return robot().with_effects([e for e in robot().effects if e.traits.part in ("drives", "flexibility")])
+    return robot().with_effects([e for e in robot().effects if e.traits.in_drivetrain])
 
 
 def planned(seam: Seam, of: Robot | None = None) -> PathPlan:

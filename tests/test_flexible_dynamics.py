@@ -123,7 +123,7 @@ def test_in_joint_angles_friction_acts_on_the_joint_angle_alone():
     dynamics = JointAngleDynamics(robot)
     rates = np.random.default_rng(5).uniform(0.2, 1, 16)
     motion = robot.motion(np.zeros(16), dynamics.to_torsions(rates), np.zeros(16))
-    torque = sum(e.force(motion)[0] for e in robot.effects if e.traits.part == "friction") @ dynamics.transform
+    torque = sum(e.force(motion)[0] for e in robot.effects if e.traits.is_friction) @ dynamics.transform
     angles = [i for i, name in enumerate(dynamics.coordinates) if name.endswith(":angle")]
     assert np.abs(np.delete(torque, angles)).max() <= 1e-13 * np.abs(torque).max()
     assert (torque[angles] > 0).all()
@@ -171,7 +171,7 @@ def fixed_base_moment(robot: Robot, q: np.ndarray, v: np.ndarray, torque: np.nda
 def test_free_motion_without_friction_and_damping_keeps_the_energy():
     """One second from a bent pose with the flexible coordinates deflected and joint_1 turning."""
     robot = load_robot("rx90b_3dof").restricted(["joint_1", "joint_2"])
-    lossless = [_undamped(e) if e.traits.virtual else e for e in robot.effects if e.traits.part != "friction"]
+    lossless = [_undamped(e) if e.traits.virtual else e for e in robot.effects if not e.traits.is_friction]
     robot = robot.with_effects(lossless)
     n = robot.model.nv
     q, v = np.zeros(n), np.zeros(n)

@@ -434,7 +434,7 @@ def test_a_difference_needs_the_same_lines() -> None:
 
 def test_a_response_compares_itself_with_a_robot_and_shows_itself() -> None:
     robot = rf.load_robot("rx90b_3dof")
-    robot = robot.with_effects([e for e in robot.effects if e.traits.part != "friction"])
+    robot = robot.with_effects([e for e in robot.effects if not e.traits.is_friction])
     linear = robot.linearize(robot.input_matrix @ [0.0, 1.5, 0.3])
     hz = np.linspace(8.0, 60.0, 40)
     true = linear.frf(hz)

@@ -40,7 +40,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four realisations of three experiments, both signs, two periods kept; viscous friction, arm bent at the elbow."""
     robot = load_robot("rx90b_3dof")
     viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(robot.joints, SLOPES, strict=True)]
-    robot = robot.with_effects([*(e for e in robot.effects if e.traits.part != "friction"), *viscous])
+    robot = robot.with_effects([*(e for e in robot.effects if not e.traits.is_friction), *viscous])
     reference = square_wave(robot, [0.0, 0.5 * np.pi, 1.0], moving=robot.joints)
     noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
     plan = section_662(robot, load_cs8(), reference=reference, realisations=4, periods=3, noise=noise, peak=20.0)

@@ -25,7 +25,7 @@ def robot() -> Robot:
     """The 3-DOF robot with viscous friction, so that its linearisation is the truth."""
     declared = load_robot("rx90b_3dof")
     viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(declared.joints, SLOPES, strict=True)]
-    return declared.with_effects([*(e for e in declared.effects if e.traits.part != "friction"), *viscous])
+    return declared.with_effects([*(e for e in declared.effects if not e.traits.is_friction), *viscous])
 
 
 def response(true: Robot, pose: np.ndarray, noise: float, rng: np.random.Generator | None = None) -> FrequencyResponse:
@@ -42,7 +42,7 @@ def wrong(true: Robot, spread: float, seed: int) -> Robot:
     rng = np.random.default_rng(seed)
     return true.with_effects([
         e.with_coefficients(e.coefficients * np.exp(spread * rng.standard_normal(len(e.coefficients))))
-        if e.traits.part in ("drives", "flexibility") else e
+        if e.traits.in_drivetrain else e
         for e in true.effects
     ])  # fmt: skip
 
@@ -223,7 +223,7 @@ def test_friction_of_each_experiment_is_told_apart():
     columns = []
     for k, own in enumerate(slopes):
         viscous = [ViscousFriction(joint=j, coefficient=c) for j, c in zip(true.joints, own, strict=True)]
-        rubbed = true.with_effects([*(e for e in true.effects if e.traits.part != "friction"), *viscous])
+        rubbed = true.with_effects([*(e for e in true.effects if not e.traits.is_friction), *viscous])
         columns.append(rubbed.linearize(rubbed.input_matrix @ BENT).frf(HZ) @ torques[:, :, k, None])
     value = np.concatenate(columns, axis=2) @ np.linalg.inv(torques)
     data = dataclasses.replace(response(true, BENT, 0.01), value=value)

@@ -236,7 +236,7 @@ def test_eigenvector_entries_are_those_of_the_chain() -> None:
 @pytest.mark.parametrize("drive", [0, 1, 2])
 def test_damping_of_a_drive_follows_from_the_real_parts_under_friction(drive: int, side: str) -> None:
     declared = rf.load_robot("rx90b_3dof")
-    effects = [dataclasses.replace(e, side=side) if e.traits.part == "friction" else e for e in declared.effects]
+    effects = [dataclasses.replace(e, side=side) if e.traits.is_friction else e for e in declared.effects]
     robot = declared.with_effects(effects)
     drives = [robot.coordinates.index(f"{j}:drive") for j in robot.joints]
     q, v = np.zeros(12), np.zeros(12)

@@ -15,7 +15,8 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility
 from rx90b_flex.effects.springs import JointSpring
-from rx90b_flex.linearize import GROUPS, Linearization
+from rx90b_flex.effects.traits import PARTS
+from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, load_robot
 
 
@@ -43,7 +44,7 @@ def moving_state(robot: Robot, seed: int) -> tuple[np.ndarray, np.ndarray, np.nd
 
 def undamped(lin: Linearization) -> Linearization:
     """The same without damping, friction and Coriolis forces."""
-    groups = {name: getattr(lin, name) for name in GROUPS}
+    groups = {name: getattr(lin, name) for name in PARTS}
     return dataclasses.replace(lin, **{n: dataclasses.replace(t, D=np.zeros_like(t.D)) for n, t in groups.items()})
 
 
@@ -54,7 +55,7 @@ def as_table_d1(robot: Robot) -> Robot:
         if e.traits.part == "flexibility":
             stiffness = np.split(e.coefficients, 2)[0]
             e = e.with_coefficients(np.r_[stiffness, 1e-3 * stiffness])
-        effects.append(dataclasses.replace(e, side="joint") if e.traits.part == "friction" else e)
+        effects.append(dataclasses.replace(e, side="joint") if e.traits.is_friction else e)
     return robot.with_effects(effects)
 
 
@@ -280,7 +281,7 @@ def test_modes_are_the_poles_of_the_state_space():
 def test_damping_in_proportion_to_stiffness_gives_ratios_that_grow_with_the_frequency():
     """D = 1e-3 s times K: an elastic mode at w has the ratio w/2 of 1e-3 s, until it no longer swings."""
     lin = stretched()
-    nothing = {n: dataclasses.replace(getattr(lin, n), D=0 * lin.M, K=0 * lin.M) for n in GROUPS if n != "flexibility"}
+    nothing = {n: dataclasses.replace(getattr(lin, n), D=0 * lin.M, K=0 * lin.M) for n in PARTS if n != "flexibility"}
     modes = dataclasses.replace(lin, **nothing).modes()
     w = 2 * np.pi * lin.frequencies_hz(elastic_only=True)[3:]
     ratios = 0.5e-3 * w

@@ -200,7 +200,7 @@ def write_poses(folder: Path, robot: Robot, joint: str, count: int) -> None:
     """Markers beside a joint in poses at rest under weight alone, without times."""
     rng = np.random.default_rng(8)
     pose = rng.uniform(-1.2, 1.2, (count, len(robot.joints)))
-    still = robot.with_effects([e for e in robot.effects if e.traits.part != "friction"])
+    still = robot.with_effects([e for e in robot.effects if not e.traits.is_friction])
     q = carried_motion(still, pose, 0 * pose, 0 * pose).q
     camera = Camera.looking(CAMERA_AT, LOOKING_AT)
     table = {f"q_{j}": pose[:, i] for i, j in enumerate(robot.joints)}

@@ -118,7 +118,7 @@ def test_steps_of_a_slow_controller_are_known_and_no_distortion(replay: Replay) 
     """At rest, with viscous friction, a simulation in steps of 1 ms shows a response that is known and not the robot's."""
     robot = load_robot("rx90b_3dof")
     viscous = [ViscousFriction(joint=j, coefficient=c, side="motor") for j, c in SLOPES.items()]
-    robot = robot.with_effects([*(e for e in robot.effects if e.traits.part != "friction"), *viscous])
+    robot = robot.with_effects([*(e for e in robot.effects if not e.traits.is_friction), *viscous])
     pose = np.array([0.0, 0.5 * np.pi, 0.0])
     resting = tuple(
         dataclasses.replace(t, position=np.tile(pose, (len(t.position), 1)), velocity=np.zeros_like(t.velocity))
@@ -204,10 +204,7 @@ def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:
     pose = np.array([0.0, 1.0, 0.5])
     by = response_derivatives(robot, robot.joints, pose, SLOPES, hz)
     coefficients = [
-        (i, k)
-        for i, e in enumerate(robot.effects)
-        if e.traits.part in ("drives", "flexibility")
-        for k in range(len(e.coefficients))
+        (i, k) for i, e in enumerate(robot.effects) if e.traits.in_drivetrain for k in range(len(e.coefficients))
     ]
     assert len(by) == len(coefficients)
     step = 1e-4

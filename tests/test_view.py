@@ -150,7 +150,7 @@ def test_a_robot_with_meshes_shows_them() -> None:
 
 def test_modes_keep_the_ratio_of_their_frequencies_and_tell_them(robot: Robot) -> None:
     view = show_modes(robot, POSE, count=3)
-    free = robot.with_effects([e for e in robot.effects if e.traits.part != "friction"])
+    free = robot.with_effects([e for e in robot.effects if not e.traits.is_friction])
     hz = free.linearize(robot.input_matrix @ POSE).modes().frequencies_hz
     elastic = free.linearize(robot.input_matrix @ POSE).frequencies_hz(elastic_only=True)[3]
     hz = hz[hz > 0.5 * elastic][:3]

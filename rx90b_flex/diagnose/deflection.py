@@ -157,7 +157,7 @@ def _torques(model: Identification, recording: Recording, cutoff_hz: float | Non
     """Torque that the model asks of the drives without friction, and whole, (N, joints, 2), N m."""
     robot = model.regression.robot
     replay = ReplayedTorques(robot, prepare(robot, recording, cutoff_hz, thin=False))
-    smooth = [e for e in model.effects if e.traits.part != "friction" and e.traits.in_dynamics]
+    smooth = [e for e in model.effects if not e.traits.is_friction and e.traits.in_dynamics]
     return np.stack([replay.predict(x, model.link_parameters) for x in (smooth, model.effects)], axis=2)
 
 

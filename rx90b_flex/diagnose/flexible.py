@@ -220,7 +220,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
             )
     constant = of(motion.on_tree.derivatives())
     for i, effect in enumerate(full.effects):
-        if i not in varied and effect.traits.in_dynamics and effect.traits.part != "friction":
+        if i not in varied and effect.traits.in_dynamics and not effect.traits.is_friction:
             constant = constant + of(effect.derivatives(motion))
     return Pose(angles, constant, patterns)
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
+
+Part = Literal["links", "drives", "flexibility", "spring", "friction"]
+PARTS: tuple[Part, ...] = get_args(Part)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,7 +18,7 @@ class Traits:
     on : str
         Place: "joint", "joints", "robot", "frame" or "robot or joint".
     part : str
-        Of a linearisation: "links", "drives", "flexibility", "spring" or "friction".
+        Of a linearisation: one of `PARTS`.
     virtual : tuple of str
         Coordinates that it adds to its place: "torsion", "bend_1", "bend_2".
     adds_inertia : bool
@@ -54,7 +58,7 @@ class Traits:
     """
 
     on: str = "joint"
-    part: str = "friction"
+    part: Part = "friction"
     virtual: tuple[str, ...] = ()
     adds_inertia: bool = False
     in_dynamics: bool = True
@@ -73,6 +77,21 @@ class Traits:
     by_clock: bool = False
     scaled: tuple[tuple[int, ...], ...] = ()
     rescaled: str = ""
+
+    def __post_init__(self) -> None:
+        """One line where a class names a part that there is not."""
+        if self.part not in PARTS:
+            raise ValueError(f"part is {self.part!r}; expected one of {', '.join(PARTS)}")
+
+    @property
+    def is_friction(self) -> bool:
+        """Whether it takes energy out of the motion where it rubs."""
+        return self.part == "friction"
+
+    @property
+    def in_drivetrain(self) -> bool:
+        """Whether it is a drive, or bends: what a fit over frequency finds values of."""
+        return self.part in ("drives", "flexibility")
 
     @property
     def stands_for(self) -> tuple[str, ...]:

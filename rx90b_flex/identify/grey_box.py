@@ -411,9 +411,7 @@ def _fitted_robot(
 ) -> Robot:
     found = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
     effects = [
-        e.with_coefficients([found[name] for name in parameter_names(e)])
-        if e.traits.part in ("drives", "flexibility")
-        else e
+        e.with_coefficients([found[name] for name in parameter_names(e)]) if e.traits.in_drivetrain else e
         for e in robot.effects
     ]
     if hinges:

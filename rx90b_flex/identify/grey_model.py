@@ -227,7 +227,7 @@ def grey_parameters(robot: Robot, joints: Sequence[str], experiments: int, link_
     """What is fitted of a robot: drives, flexibilities, a friction slope a joint and experiment, links' masses where these err."""
     out = []
     for effect in robot.effects:
-        if effect.traits.part in ("drives", "flexibility"):
+        if effect.traits.in_drivetrain:
             for name, unit, value in zip(
                 parameter_names(effect), effect.coefficient_units, effect.coefficients, strict=True
             ):
@@ -283,7 +283,7 @@ def moved_hinges(robot: Robot, parameters: Sequence[GreyParameter]) -> dict[str,
 
 def declared_parameters(robot: Robot) -> dict[str, float]:
     """Drive and flexibility parameters of a robot by the grey box's names, as they stand in `start` and `fixed`."""
-    parts = [e for e in robot.effects if e.traits.part in ("drives", "flexibility")]
+    parts = [e for e in robot.effects if e.traits.in_drivetrain]
     return {name: float(value) for e in parts for name, value in zip(parameter_names(e), e.coefficients, strict=True)}
 
 
@@ -308,9 +308,7 @@ def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
     q = np.zeros(robot.model.nv)
     port = friction_port(robot.effects, robot.layout, joint)
     motion = robot.motion(q, speed * robot.layout.port(joint, "drive"), q)
-    frictions = [
-        e for e in robot.effects if e.traits.part == "friction" and e.joints == (joint,) and e.traits.in_dynamics
-    ]
+    frictions = [e for e in robot.effects if e.traits.is_friction and e.joints == (joint,) and e.traits.in_dynamics]
     slope = sum(float(port @ e.derivatives(motion)[1][0] @ port) / float(port @ port) ** 2 for e in frictions)
     return max(slope, 1.0)
 
@@ -345,7 +343,7 @@ def matrices_at(
     for part in _fixed(robot, motion):
         add(0, part)
     for effect in robot.effects:
-        if effect.traits.part in ("drives", "flexibility"):
+        if effect.traits.in_drivetrain:
             for k, name in enumerate(parameter_names(effect)):
                 unit = np.eye(len(effect.coefficients))[k]
                 add(index[name], effect.with_coefficients(unit).derivatives(motion))
@@ -371,7 +369,7 @@ def matrices_at(
 
 def _fixed(robot: Robot, motion: Motion) -> list[tuple[Array, Array, Array]]:
     """Derivatives of what is not fitted: links and springs."""
-    others = [e for e in robot.effects if e.traits.part not in ("drives", "flexibility", "friction")]
+    others = [e for e in robot.effects if not (e.traits.in_drivetrain or e.traits.is_friction)]
     return [motion.on_tree.derivatives(), *(e.derivatives(motion) for e in others)]
 
 

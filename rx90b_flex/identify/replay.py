@@ -259,7 +259,7 @@ def linear_response(
         ViscousFriction(joint=joint, coefficient=slope, side=friction_side(robot.effects, joint))
         for joint, slope in slopes.items()
     ]
-    line = robot.with_effects([*(e for e in robot.effects if e.traits.part != "friction"), *viscous])
+    line = robot.with_effects([*(e for e in robot.effects if not e.traits.is_friction), *viscous])
     rows = [line.joints.index(j) for j in joints]
     return np.asarray(line.linearize(line.input_matrix @ pose).frf(hz)[:, rows][:, :, rows])
 
@@ -659,7 +659,7 @@ def _frictions(robot: Robot, joints: Sequence[str]) -> list[Effect]:
 
 
 def _is_friction(effect: Effect, joints: Sequence[str]) -> bool:
-    return effect.traits.part == "friction" and effect.traits.in_dynamics and set(effect.joints) <= set(joints)
+    return effect.traits.is_friction and effect.traits.in_dynamics and set(effect.joints) <= set(joints)
 
 
 def _with_friction(robot: Robot, joints: Sequence[str], coefficients: Array) -> Robot:

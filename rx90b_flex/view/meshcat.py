@@ -326,7 +326,7 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
 
 def _slowest_modes(robot: Robot, q0: Array, count: int) -> Modes:
     """Modes that oscillate about a point without friction, at most so many."""
-    linear = robot.with_effects([effect for effect in robot.effects if effect.traits.part != "friction"]).linearize(q0)
+    linear = robot.with_effects([effect for effect in robot.effects if not effect.traits.is_friction]).linearize(q0)
     sizes, directions = np.linalg.eigh(robot.mass_matrix(q0))
     if sizes[0] <= 1e-12 * sizes[-1]:
         at = robot.coordinates[int(np.abs(directions[:, 0]).argmax())]
