@@ -138,6 +138,15 @@ def test_one_block_is_no_replication() -> None:
     assert not trial([400.0, 0.0, 0.0, 5.0, -1.0, 3.0, 0.0, 1.0]).accepted
 
 
+def test_two_blocks_are_enough_where_an_effect_acts_in_no_other() -> None:
+    """A load that changes sign twice shows a gear's backlash twice."""
+    twice = trial([400.0, 0.0, 0.0, 390.0, -1.0, 2.0, 0.0, 1.0])
+    assert not twice.accepted
+    assert dataclasses.replace(twice, acting=2).accepted
+    assert not dataclasses.replace(twice, acting=5).accepted
+    assert not dataclasses.replace(trial([400.0, 0.0, 0.0, 5.0, -1.0, 3.0, 0.0, 1.0]), acting=1).accepted
+
+
 def test_one_block_of_each_recording_is_replication() -> None:
     """Friction held at rest shows where a recording rests, which may be once."""
     rests = [400.0, 0.0, -1.0, 3.0, 1.0, 300.0, 0.0, -2.0]

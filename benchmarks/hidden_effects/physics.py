@@ -17,7 +17,7 @@ from independent import Arm, Array, Motion, angle_dependent_friction, carrying, 
 from hidden_effects.friction import dahl, dry, hysteresis, last_direction, maxwell
 from hidden_effects.motions import Experiment, spectral
 
-CONTACT = 0.03  # of the load's root mean square, over which a drive with lost motion changes sides
+CONTACT = 0.1  # of a joint's dry friction, over which a drive with lost motion changes sides
 SLIP_S = 0.1  # a slip of the encoder takes so long
 
 Values = Mapping[str, Any]
@@ -76,7 +76,7 @@ class Plant:
                 load = self.arm.torque(inside)
                 load[:, j] *= 1 + p["amplitude"] * p["order"] * np.cos(p["order"] * m.q[:, j] + p["phase"])
                 continue
-            further = IN_TRANSMISSION[kind](load[:, j], run.period_s, p)
+            further = IN_TRANSMISSION[kind](load[:, j], run.period_s, p | {"contact": CONTACT * self.coulomb[j]})
             motor = _shifted(motor, j, further, run.period_s)
         unit = dry(self.form, motor.q, motor.v, self.deflections)
         return State(motor, load, unit, last_direction(motor.v))
@@ -148,7 +148,7 @@ def drive_flexibility(load: Array, period_s: float, p: Values) -> Array:
 
 
 def backlash(load: Array, period_s: float, p: Values) -> Array:
-    return np.asarray(0.5 * p["gap"] * np.tanh(load / (CONTACT * np.sqrt((load**2).mean()))))
+    return np.asarray(0.5 * p["gap"] * np.tanh(load / p["contact"]))
 
 
 IN_TRANSMISSION: Mapping[str, Any] = {

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
-from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family
+from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family, shows_by_itself
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
@@ -503,6 +503,7 @@ class Search:
                 _off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s, self.longest
             )
             or _too_faint(columns @ beta, self.regression.torque[:, rows]),
+            acting=int((d @ beta @ beta > shows_by_itself(colour)).sum()),
         )
 
     def _left_out(

@@ -16,7 +16,8 @@ from rx90b_flex.effects.motion import Array
 SIGNIFICANCE = 1.0e-3  # of the best trial, after correction for everything that was tried
 SMALLEST_GAIN = 0.02  # of the squared error of all joints that an effect touches; less is not worth a name
 GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
-REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread
+REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread;
+FEWEST_REPLICAS = 2  # these are enough where it acts in no more than them
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
 MEMBER = 0.01  # p-value, not corrected, of a member
@@ -77,6 +78,8 @@ class TorqueTrial(Trial):
         the log is too short for that.
     members : tuple of TorqueTrial
         Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
+    acting : int
+        Blocks in which its torque is large enough to show by itself.
     """
 
     effect: Effect
@@ -92,6 +95,7 @@ class TorqueTrial(Trial):
     by_chance: Array = field(default_factory=lambda: np.zeros(0))
     members: tuple[TorqueTrial, ...] = ()
     small: str = ""
+    acting: int = REPLICAS
 
     @property
     def label(self) -> str:
@@ -128,13 +132,14 @@ class TorqueTrial(Trial):
 
         A gain g of an effect that is there has the variance 4 g `colour`. An effect that acts in bursts leaves some blocks
         without a gain; their spread says little of it, but every block that has one is an experiment of its own. One that acts
-        at rest alone may have a single such block in a recording: then each recording is.
+        at rest alone may have a single such block in a recording: then each recording is. No block is asked for an effect that does
+        not act in it.
         """
         if self.effect.traits.last_resort:
             return False  # a curve of no known law has nothing but carrying over everywhere to speak for it
-        shown = self.block_gains > (2.0 * GAIN_T) ** 2 * self.colour
+        shown = self.block_gains > shows_by_itself(self.colour)
         lost = -float(np.minimum(self.block_gains, 0.0).sum())
-        often = shown.sum() >= REPLICAS or self.worst < -1.0
+        often = shown.sum() >= min(REPLICAS, max(FEWEST_REPLICAS, self.acting)) or self.worst < -1.0
         return bool(often and lost <= GAIN_T * 2.0 * np.sqrt(max(self.gain, 0.0) * self.colour))
 
     @property
@@ -187,6 +192,11 @@ class TorqueTrial(Trial):
         return bool(other.gain >= AS_GOOD * self.gain and difference.sum() <= GAIN_T * spread)
 
 
+def shows_by_itself(colour: float) -> float:
+    """Gain of a held-out block, in units of residual variance, beyond its own noise."""
+    return (2.0 * GAIN_T) ** 2 * colour
+
+
 def family(members: Sequence[TorqueTrial], kinds: int) -> TorqueTrial:
     """Several trials as one: gains add up, and Fisher's method puts their p-values together; `kinds` families were tried."""
     chance = -2.0 * float(np.log(np.maximum([m.p_value for m in members], 1e-300)).sum())
@@ -203,6 +213,7 @@ def family(members: Sequence[TorqueTrial], kinds: int) -> TorqueTrial:
         lost=np.sum([m.lost for m in members], axis=0),
         by_chance=np.sum([m.by_chance for m in members], axis=0),
         members=tuple(members),
+        acting=max(m.acting for m in members),
     )
 
 

@@ -14,21 +14,27 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import convolve1d, minimum_filter1d
 
 from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
 from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law, Where
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.parameters import derived, linear
+from rx90b_flex.effects.parameters import derived, linear, shape
 from rx90b_flex.effects.ripple import PeriodicEffect
 
 STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
 WIDEST_GAP = 0.1  # rad, up to which the first order says what lost motion does
-LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other in a simulation,
-LOAD_PART = 0.02  # and within this part of the load's root mean square in a log
+# where it is not stated within which torque teeth change from one flank to the other:
+LOAD_SCALE = 1.0  # N m, in a simulation
+LOAD_PART = 0.03  # of the load's root mean square, in a log
+SOFTEST_PART, HARDEST_PART = 0.3, 0.003  # of it, between which a log tells that torque
 KICK_S = 0.05  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
+CROSSING = 0.3  # of it, within which a sample says little of the link's load
+BESIDE_S = 0.02  # nor does one within this time of such samples
+CLEARED = 2  # times that crossings are looked for in what the one before has cleared
+LEFT_OF_IT = 1.0e-3  # weight of what lies within a crossing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,8 +238,9 @@ class _VaryingRatio(Effect, adds_inertia=True, part="links"):
 class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
     """Lost motion: as the load changes sign the link goes from one end of the gap to the other.
 
-    The link's angle is the motor's less ``gap / 2 * tanh(load / scale)``; the load is the torque that the links ask for, the scale
-    a small part of it.
+    The link's angle is the motor's less ``gap / 2 * tanh(load / contact)``; the load is the torque that the links ask for, `contact`
+    a small part of it, within which the teeth change from one flank to the other. A robot file may state it; left out it is
+    identified. How much wider than the gap teeth are pressed under load is a matter of `drive_flexibility`.
 
     Signature
     ---------
@@ -250,14 +257,41 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
     """
 
     gap: float | None = linear("rad", lower=0.0)
+    contact: float | None = shape("N m", start=LOAD_SCALE, lower=1e-9, upper=1e9)
+
+    @property
+    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
+        return ((self.joint, "contact"),)  # as sharp as can be: then a log tells no more than that
+
+    def known_shape(self) -> Array:
+        return np.array([LOAD_SCALE if self.contact is None else self.contact])
+
+    def shape_range(self, motion: Motion) -> Array:
+        return self._link_load(motion)[1] * np.array([[HARDEST_PART], [SOFTEST_PART]])
+
+    def shape_starts(self, motion: Motion) -> Array:
+        return self._link_load(motion)[1] * np.array([[0.01], [LOAD_PART], [0.1]])
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 3
 
     def possible(self) -> bool:
         return bool(self.known_coefficients()[0] <= WIDEST_GAP)
 
+    def _link_load(self, motion: Motion) -> tuple[Array, float]:
+        """Torque that the link asks for, (N,), without what the motor's way across the gap makes of it; its root mean square."""
+        place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
+
+        def make() -> tuple[Array, ...]:
+            return (_between_crossings(np.asarray(motion.on_tree.load())[:, place], motion.time),)
+
+        (load,) = motion.once(("link_load", self.joint), make)
+        return load, max(float(np.sqrt(np.mean(load**2))), 1e-9)
+
     def columns(self, motion: Motion) -> Array:
         place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
-        load = _smoothed(np.asarray(motion.on_tree.load())[:, place], motion.time)
-        side = -0.5 * np.tanh(load / max(LOAD_PART * float(np.sqrt(np.mean(load**2))), 1e-9))
+        load, usual = self._link_load(motion)
+        side = -0.5 * np.tanh(load / (LOAD_PART * usual if self.contact is None else self.contact))
         deltas: list[Array] = [side]
         for _ in range(2):
             deltas.append(_rate(deltas[-1], motion.time))
@@ -281,24 +315,27 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
                 f"{self.label} cannot be simulated without the drive_flexibility of its joint: rigid teeth would meet at no time"
             )
         stiffness, _ = springs[0].known_coefficients()
-        return _LostMotion(joint=self.joint, gap=float(self.known_coefficients()[0]), stiffness=float(stiffness))
+        (contact,) = self.known_shape()
+        gap = float(self.known_coefficients()[0])
+        return _LostMotion(joint=self.joint, gap=gap, stiffness=float(stiffness), contact=float(contact))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _LostMotion(JointForce, part="flexibility"):
     """Backlash in series with a drive's torsion spring: what it takes from the spring's torque.
 
-    The torque F through both follows ``torsion = F / stiffness + gap / 2 * tanh(F / LOAD_SCALE)``, with F against the load.
+    The torque F through both follows ``torsion = F / stiffness + gap / 2 * tanh(F / contact)``, with F against the load.
     """
 
     acts_at: ClassVar[str] = "torsion"
 
     gap: float
     stiffness: float
+    contact: float
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         port = motion.coordinates.port(self.joint, self.port_kind)
-        values = np.array([self.gap, self.stiffness, LOAD_SCALE])
+        values = np.array([self.gap, self.stiffness, self.contact])
         return (Law(port, function=self.law, parameters=values, stores=True),)
 
     @staticmethod
@@ -323,7 +360,7 @@ class _LostMotion(JointForce, part="flexibility"):
         """Law and its slope, each (N,)."""
         out = np.zeros((len(at.q), 3))
         for x, row in zip(at.q, out, strict=True):
-            self.law(float(x), 0.0, (self.gap, self.stiffness, LOAD_SCALE), row)
+            self.law(float(x), 0.0, (self.gap, self.stiffness, self.contact), row)
         return out[:, 0], out[:, 1]
 
     def columns(self, motion: Motion) -> Array:
@@ -341,9 +378,9 @@ class _LostMotion(JointForce, part="flexibility"):
     def potential(self, motion: Motion) -> Array:
         at = motion.joint(self.joint, self.port_kind)
         torque = self._asked(at)[0] + self.stiffness * at.q
-        part = torque / LOAD_SCALE
+        part = torque / self.contact
         # log(cosh) without overflow
-        in_gap = 0.5 * self.gap * (torque * np.tanh(part) - LOAD_SCALE * (np.logaddexp(part, -part) - math.log(2.0)))
+        in_gap = 0.5 * self.gap * (torque * np.tanh(part) - self.contact * (np.logaddexp(part, -part) - math.log(2.0)))
         return np.asarray(0.5 * torque**2 / self.stiffness + in_gap - 0.5 * self.stiffness * at.q**2)
 
     def basis(self, at: JointMotion) -> Array:
@@ -364,7 +401,24 @@ def _rate(x: Array, time: Array) -> Array:
     return np.gradient(x, step) if step > 0 else np.zeros_like(x)
 
 
-def _smoothed(x: Array, time: Array) -> Array:
-    """Uniform samples (N,) under a Gaussian of `KICK_S`; as they are where they are not a motion in time."""
+def _between_crossings(load: Array, time: Array) -> Array:
+    """A load (N,), uniform in time, by local parabolas over `KICK_S` that hardly see where it changes sign.
+
+    As the motor crosses the gap its acceleration is not the link's, and the load that its angle gives has a kick there; how a
+    link's load goes on from one flank to the other its course before and after tells. As it is where samples are no motion in time.
+    """
     step = time[1] - time[0] if len(time) > 1 else 0.0
-    return np.asarray(gaussian_filter1d(x, KICK_S / step, mode="nearest")) if step > 0 else x
+    if step <= 0:
+        return load
+    lags = np.arange(-round(4.0 * KICK_S / step), round(4.0 * KICK_S / step) + 1) * step / KICK_S
+    window = np.exp(-0.5 * lags**2)
+    crossing = CROSSING * max(float(np.sqrt(np.mean(load**2))), 1e-9)
+    weight, smooth = np.ones_like(load), load
+    for _ in range(1 + CLEARED):
+        moments = [convolve1d(weight, (window * lags**k)[::-1], mode="nearest") for k in range(5)]
+        right = [convolve1d(weight * load, (window * lags**k)[::-1], mode="nearest") for k in range(3)]
+        left = np.stack([np.stack(moments[k : k + 3], axis=-1) for k in range(3)], axis=-1)
+        smooth = np.linalg.solve(left, np.stack(right, axis=-1)[:, :, None])[:, 0, 0]
+        clear = np.tanh(smooth / crossing) ** 2
+        weight = LEFT_OF_IT + minimum_filter1d(clear, 2 * round(BESIDE_S / step) + 1)
+    return np.asarray(smooth)
