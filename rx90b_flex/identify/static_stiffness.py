@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.linear_fit import LinearFit
 from rx90b_flex.signals.static_test import StaticTest
 
 SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
@@ -138,7 +139,7 @@ def fit_static_stiffness(
     area, weight = hysteresis_area(test)
     test = _without_beginnings(test, skip)
     line, parallel, both = _fits(test, response)
-    slope = float(parallel.values[0])
+    slope = float(parallel.theta[0])
     # the noise of a deformation, for the loop's own uncertainty
     deformation_std = parallel.noise if response == "deformation" else parallel.noise / slope
     return StaticStiffness(
@@ -148,7 +149,7 @@ def fit_static_stiffness(
         confidence=confidence,
         response=response,
         noise_std=parallel.noise,
-        degrees_of_freedom=parallel.dof,
+        degrees_of_freedom=parallel.freedom,
         loading=_branch(test, both, 0, confidence, response),
         unloading=_branch(test, both, 1, confidence, response),
         p_value=_f_test(line, both),
@@ -158,7 +159,7 @@ def fit_static_stiffness(
     )
 
 
-def _fits(test: StaticTest, response: Response) -> tuple[_StaticFit, _StaticFit, _StaticFit]:
+def _fits(test: StaticTest, response: Response) -> tuple[LinearFit, LinearFit, LinearFit]:
     """One line through all readings; a height for each direction; a slope for each, too."""
     given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
     for name, rows in (("up", test.rising), ("down", ~test.rising)):
@@ -169,22 +170,22 @@ def _fits(test: StaticTest, response: Response) -> tuple[_StaticFit, _StaticFit,
             )
     centre = given - given.mean()
     up, down = test.rising.astype(float), 1.0 - test.rising
-    parallel = _fit(np.stack([centre, up, down], axis=1), noisy)
-    slope = float(parallel.values[0])
+    parallel = LinearFit.of(np.stack([centre, up, down], axis=1), noisy)
+    slope = float(parallel.theta[0])
     if not SMALLEST_SLOPE < slope < 1.0 / SMALLEST_SLOPE:
         raise ValueError(
             f"static test {test.coordinate!r}: the deformation does not grow with the moment (slope {slope:.3g})"
         )
     return (
-        _fit(np.stack([centre, np.ones(len(test))], axis=1), noisy),
+        LinearFit.of(np.stack([centre, np.ones(len(test))], axis=1), noisy),
         parallel,
-        _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy),
+        LinearFit.of(np.stack([centre * up, centre * down, up, down], axis=1), noisy),
     )
 
 
-def _branch(test: StaticTest, both: _StaticFit, place: int, confidence: float, response: Response) -> StaticLine:
+def _branch(test: StaticTest, both: LinearFit, place: int, confidence: float, response: Response) -> StaticLine:
     """One direction's line, of the fit with a slope for each: 0 loading, 1 unloading."""
-    gradient, height = float(both.values[place]), float(both.values[2 + place])
+    gradient, height = float(both.theta[place]), float(both.theta[2 + place])
     middle = float(test.moment.mean())
     readings = int((~test.rising if place else test.rising).sum())
     interval = _stiffness_interval(both, place, confidence, response)
@@ -219,44 +220,19 @@ def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
     return replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
 
 
-@dataclass(frozen=True, eq=False)
-class _StaticFit:
-    """Linear least squares: values, their standard deviations, and the noise about them."""
-
-    values: Array
-    std: Array
-    squares: float
-    dof: int
-
-    @property
-    def noise(self) -> float:
-        return float(np.sqrt(self.squares / self.dof))
-
-
-def _fit(columns: Array, values: Array) -> _StaticFit:
-    # columns of one length, nearly square to each other: the normal equations lose nothing
-    size = np.sqrt((columns**2).sum(axis=0))
-    scaled = columns / size
-    inverse = np.linalg.inv(scaled.T @ scaled)
-    found = inverse @ (scaled.T @ values)
-    squares = float(((values - scaled @ found) ** 2).sum())
-    dof = len(values) - columns.shape[1]
-    return _StaticFit(found / size, np.sqrt(squares / dof * np.diag(inverse)) / size, squares, dof)
-
-
-def _f_test(small: _StaticFit, large: _StaticFit) -> float:
+def _f_test(small: LinearFit, large: LinearFit) -> float:
     """Chance that the larger model fits that much better where the smaller one is true."""
     if large.squares == 0.0:
         return 1.0 if small.squares == 0.0 else 0.0
-    more = small.dof - large.dof
-    ratio = (small.squares - large.squares) / more / (large.squares / large.dof)
-    return float(special.fdtrc(more, large.dof, ratio))
+    more = small.freedom - large.freedom
+    ratio = (small.squares - large.squares) / more / (large.squares / large.freedom)
+    return float(special.fdtrc(more, large.freedom, ratio))
 
 
-def _stiffness_interval(fit: _StaticFit, place: int, confidence: float, response: Response) -> tuple[float, float]:
+def _stiffness_interval(fit: LinearFit, place: int, confidence: float, response: Response) -> tuple[float, float]:
     """Of the stiffness, N m/rad, that the slope in that place says."""
-    slope, std = float(fit.values[place]), float(fit.std[place])
-    reach = float(special.stdtrit(fit.dof, 0.5 + 0.5 * confidence)) * std  # Student's t
+    slope, std = float(fit.theta[place]), fit.noise * float(np.sqrt(fit.inverse[place, place]))
+    reach = float(special.stdtrit(fit.freedom, 0.5 + 0.5 * confidence)) * std  # Student's t
     low, high = slope - reach, slope + reach
     if response == "moment":
         return max(low, 0.0), high

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frf import confidence_radius
 from rx90b_flex.identify.starting_values import whitening
 from rx90b_flex.identify.transfer_function import TransferFit, efficiency
 
@@ -118,10 +119,8 @@ def whiteness(fit: TransferFit) -> Whiteness:
 
 def band_agreement(fit: TransferFit) -> Array:
     """Part of the lines at which each entry of the fit lies in the 95 % band of the nonparametric estimate, shape (n, n)."""
-    v = fit.response.degrees_of_freedom
-    limit = stats.f.ppf(LEVEL, 2, 2 * v) if np.isfinite(v) else -np.log(1 - LEVEL)
     error = np.abs(fit.model.frf(fit.response.hz) - fit.response.value)
-    return (error <= np.sqrt(limit) * fit.response.std()).mean(axis=0)
+    return (error <= confidence_radius(fit.response, LEVEL)).mean(axis=0)
 
 
 def _fewest(trials: int) -> float:
