@@ -81,8 +81,14 @@ class FrequencyResponse(Showing):
 
     def std(self) -> Array:
         """Standard deviation of each entry, ``sqrt(E |d|^2)``, shape (F, n, n)."""
-        variance = np.einsum("faa->fa", self.covariance).real
-        return np.sqrt(variance).reshape(self.value.shape)
+        return self._deviation(self.covariance)
+
+    def noise_std(self) -> Array | None:
+        """The part of measurement noise alone; None where it is not known."""
+        return None if self.noise_covariance is None else self._deviation(self.noise_covariance)
+
+    def _deviation(self, covariance: ComplexArray) -> Array:
+        return np.sqrt(np.einsum("faa->fa", covariance).real).reshape(self.value.shape)
 
     def bode(self, *others: FrequencyResponse | Linearization) -> Figure:
         """Magnitude and phase of every entry with their 95 % bands, and those of other responses or of a linearised robot."""

@@ -23,7 +23,7 @@ from scipy.signal import resample
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.accelerometers import AccelerationResponse
-from rx90b_flex.identify.frequency_response import ComplexArray
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
 from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_data import Feedback, GreyBoxOptions, PoseResponse
@@ -35,6 +35,7 @@ from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
+from rx90b_flex.signals.filters import periods
 from rx90b_flex.signals.folders import MOTOR_SIGNALS, fill_folder
 from rx90b_flex.signals.stated import Accelerometer
 from rx90b_flex.signals.tables import read_table
@@ -186,14 +187,15 @@ class _Stages:
     left_out: list[LeftOut] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def run(self, name: str, part: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
+    def run(self, name: str, part: float, work: Callable[..., T], *needs: object) -> T | None:
+        """What `work` makes of the results that it needs; None where one of these is missing, or it cannot be done."""
         self.tell(name, part)
         if any(need is None for need in needs):
             self.left_out.append(LeftOut(name, "the stage that it builds on was left out"))
             return None
         began = time.perf_counter()
         try:
-            return work()
+            return work(*needs)
         except ValueError as error:
             self.left_out.append(LeftOut(name, " ".join(str(error).split())))
             return None
@@ -247,7 +249,7 @@ def identify_from_motors(
     replayed = None
     if options.replay:
         replayed = stages.run(
-            "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
+            "replay", 0.75, lambda fit: _replay(together, robot, fit, controller, options, tell), grey
         )
     if replayed is not None and controller is not None:
         remarks += _torques_off(replayed, together)
@@ -326,18 +328,15 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
 
 def _as_logged(recording: Recording, wave: Array, file: Path) -> Array:
     """A period (N, 3 n) of positions, speeds and torques begun where the log shows them to begin."""
-    fed, asked = recording.feedforward_torque, recording.reference_position
-    number, size = len(recording.joints), len(wave)
+    fed, number, size = recording.feedforward_torque, len(recording.joints), len(wave)
+    shown, own, what, how = recording.reference_position, slice(0, number), "references", "given"
     if fed is not None and np.ptp(fed[:size], axis=0).any():
-        rolled, off = _begun_with(fed[:size], wave, slice(2 * number, None))
-        if off > OTHER_TORQUES:
-            raise ValueError(f"{file}: its torques are not those that {recording.name} was fed ({off:.0%} off)")
-        return rolled
-    if asked is None:
+        shown, own, what, how = fed, slice(2 * number, None), "torques", "fed"
+    if shown is None:
         return wave
-    rolled, off = _begun_with(asked[:size], wave, slice(0, number))
+    rolled, off = _begun_with(shown[:size], wave, own)
     if off > OTHER_TORQUES:
-        raise ValueError(f"{file}: its references are not those that {recording.name} was given ({off:.0%} off)")
+        raise ValueError(f"{file}: its {what} are not those that {recording.name} was {how} ({off:.0%} off)")
     return rolled
 
 
@@ -387,8 +386,8 @@ def _at_pose(
     """All stages of one pose; `part` is what of the poses is done, and their number. None without a frequency response."""
     done, count = part
 
-    def run(stage: str, progress: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
-        return stages.run(_of(name, stage, count), 0.1 + 0.5 * (done + progress / count), work, needs)
+    def run(stage: str, progress: float, work: Callable[..., T], *needs: object) -> T | None:
+        return stages.run(_of(name, stage, count), 0.1 + 0.5 * (done + progress / count), work, *needs)
 
     measured = run(
         "frequency response",
@@ -400,17 +399,13 @@ def _at_pose(
     transfer = run(
         "transfer functions",
         0.3,
-        lambda: fit_transfer_functions(
-            _there(measured), options.modes, delays=options.delays, start_hz=options.start_hz
-        ),
+        lambda: fit_transfer_functions(measured, options.modes, delays=options.delays, start_hz=options.start_hz),
     )
-    validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
-    drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
+    validation = run("validation", 0.9, validate, transfer)
+    drives = run("inverse eigenvalue problem", 0.95, identify_drives, transfer)
     accelerations = None
     if sensors:
-        accelerations = run(
-            "accelerometers", 0.97, lambda: estimate_accelerations(recordings, _there(measured), sensors)
-        )
+        accelerations = run("accelerometers", 0.97, lambda: estimate_accelerations(recordings, measured, sensors))
     pose = mean_motion(recordings, robot.joints).mean(axis=0)
     return AtPose(name, pose, recordings, measured, transfer, validation, drives, accelerations)
 
@@ -423,11 +418,6 @@ def _alike(poses: Sequence[AtPose], remarks: list[str]) -> tuple[int, ...]:
             there, usual = ", ".join(p.measured.joints), ", ".join(joints)
             remarks.append(f"{p.name}: the grey box leaves it out, it excites {there}; other poses {usual}")
     return tuple(i for i, p in enumerate(poses) if p.measured.joints == joints)
-
-
-def _there(result: T | None) -> T:
-    assert result is not None
-    return result
 
 
 def _controller(campaign: Path, file: Path | None) -> CS8 | None:
@@ -452,13 +442,11 @@ def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
 
 def mean_motion(recordings: Iterable[Recording], joints: tuple[str, ...]) -> Array:
     """One period of the drives' mean motion over recordings, shape (N, joints of the robot), rad; joints not recorded at zero."""
-    periods = []
+    each = []
     for r in recordings:
-        size = r.period_samples or r.samples
-        whole = r.samples // size * size
-        periods.append(r.position[:whole].reshape(-1, size, len(r.joints)).mean(axis=0))
+        each.append(periods(r.position, r.period_samples or r.samples).mean(axis=0))
         names = r.joints
-    mean = np.mean(periods, axis=0)
+    mean = np.mean(each, axis=0)
     out = np.zeros((len(mean), len(joints)))
     out[:, [joints.index(name) for name in names]] = mean
     return out
@@ -582,15 +570,11 @@ def _sensors(at: AtPose) -> tuple[Accelerometer, ...]:
 
 
 def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
-    noise = measured.noise_covariance
+    noise = measured.noise_std()
     return {
-        "joints": list(measured.joints),
-        "hz": measured.hz.tolist(),
-        "real": measured.value.real.tolist(),
-        "imag": measured.value.imag.tolist(),
-        "std": measured.std().tolist(),
-        "noise_std": None if noise is None else _std(noise, measured.value.shape).tolist(),
-        "degrees_of_freedom": measured.degrees_of_freedom if np.isfinite(measured.degrees_of_freedom) else None,
+        **_values_json(measured),
+        "noise_std": None if noise is None else noise.tolist(),
+        "degrees_of_freedom": _known(measured.degrees_of_freedom),
         "realisations": len(measured.realisations),
         "periods": measured.periods,
         "experiments": int(measured.torque.shape[2]),
@@ -602,18 +586,21 @@ def _replayed_json(result: MotorIdentification, place: int) -> dict[str, Any] | 
     if result.replayed is None or place not in result.fitted:
         return None
     replayed = result.replayed.responses[result.fitted.index(place)]
+    return {**_values_json(replayed), "degrees_of_freedom": _known(replayed.degrees_of_freedom)}
+
+
+def _values_json(response: FrequencyResponse) -> dict[str, Any]:
     return {
-        "joints": list(replayed.joints),
-        "hz": replayed.hz.tolist(),
-        "real": replayed.value.real.tolist(),
-        "imag": replayed.value.imag.tolist(),
-        "std": replayed.std().tolist(),
-        "degrees_of_freedom": replayed.degrees_of_freedom if np.isfinite(replayed.degrees_of_freedom) else None,
+        "joints": list(response.joints),
+        "hz": response.hz.tolist(),
+        "real": response.value.real.tolist(),
+        "imag": response.value.imag.tolist(),
+        "std": response.std().tolist(),
     }
 
 
-def _std(covariance: ComplexArray, shape: tuple[int, ...]) -> Array:
-    return np.asarray(np.sqrt(np.einsum("faa->fa", covariance).real).reshape(shape))
+def _known(number: float) -> float | None:
+    return number if np.isfinite(number) else None
 
 
 def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
@@ -623,8 +610,15 @@ def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
 def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[str, Any] | None:
     if fit is None:
         return None
-    resonances = list(_resonances_json(fit))
-    zeros = {joint: list(_zeros_json(fit, j)) for j, joint in enumerate(fit.response.joints)}
+    # each with why it does not count
+    resonances = [(_mode_json(*row), why) for *row, why in fit.mode_rows()]
+    zeros = {
+        joint: [
+            (_quantity(f, s, "Hz"), why)
+            for f, s, why in zip(*fit.antiresonances(j), fit.refused_antiresonances(j), strict=True)
+        ]
+        for j, joint in enumerate(fit.response.joints)
+    }
     refused = [{"kind": "resonance", **one, "why": why} for one, why in resonances if why]
     refused += [
         {"kind": "antiresonance", "joint": joint, **one, "why": why}
@@ -647,17 +641,8 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
     }
 
 
-def _resonances_json(fit: TransferFit) -> Iterable[tuple[dict[str, Any], str]]:
-    """Each mode, and why it does not count."""
-    for f, s, z, z_std, why in fit.mode_rows():
-        yield {**_quantity(f, s, "Hz"), "damping_ratio": float(z), "damping_ratio_std": float(z_std)}, why
-
-
-def _zeros_json(fit: TransferFit, drive: int) -> Iterable[tuple[dict[str, Any], str]]:
-    """Each antiresonance of a drive point, and why it does not count."""
-    hz, std = fit.antiresonances(drive)
-    for f, s, why in zip(hz, std, fit.refused_antiresonances(drive), strict=True):
-        yield _quantity(f, s, "Hz"), why
+def _mode_json(hz: float, std: float, damping: float, damping_std: float) -> dict[str, Any]:
+    return {**_quantity(hz, std, "Hz"), "damping_ratio": float(damping), "damping_ratio_std": float(damping_std)}
 
 
 def _flexibility_json(fit: TransferFit) -> dict[str, Any] | None:
@@ -674,20 +659,8 @@ def _stabilisation_json(fit: TransferFit) -> list[dict[str, Any]]:
         {
             "modes": one.modes,
             "poles": [
-                {
-                    **_quantity(f, s, "Hz"),
-                    "damping_ratio": float(z),
-                    "damping_ratio_std": float(z_std),
-                    "stable": bool(held),
-                }
-                for f, s, z, z_std, held in zip(
-                    one.resonances_hz,
-                    one.resonances_std_hz(),
-                    one.model.damping_ratio,
-                    one.damping_std(),
-                    stable(place, fit.candidates),
-                    strict=True,
-                )
+                {**_mode_json(*row), "stable": bool(held)}
+                for *row, held in zip(*one.modes_told(), stable(place, fit.candidates), strict=True)
             ],
         }
         for place, one in enumerate(fit.candidates)

@@ -162,10 +162,8 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
         difference = float((w**2).sum() - (mu**2).sum())
         by_log = 2 * (by_mu / mu[:, None] - by_w / w[:, None]).sum(axis=0) - by_inverse[j, j] / inverse[j, j]
         by_stiffness = inertia * (2 * (w @ by_w - mu @ by_mu) + difference * by_log)
-        inertia_std, stiffness_std = (
-            float(np.sqrt(by @ fit.covariance @ by)) for by in (inertia * by_log, by_stiffness)
-        )
-        drives.append(DriveParameters(inertia, inertia * difference, inertia_std, stiffness_std))
+        stds = (float(fit.spread(by)) for by in (inertia * by_log, by_stiffness))
+        drives.append(DriveParameters(inertia, inertia * difference, *stds))
         counts.append(count)
     by_mass = -np.einsum("ij,jkp,kl->ilp", mass, by_inverse, mass)
     rate, by_rate = fit.decay_derivatives()
@@ -174,14 +172,10 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
         tuple(drives),
         tuple(counts),
         mass,
-        _spread(by_mass, fit.covariance),
+        fit.spread(by_mass),
         rate[fit.counted],
-        _spread(by_rate[fit.counted], fit.covariance),
+        fit.spread(by_rate[fit.counted]),
     )
-
-
-def _spread(derivatives: Array, covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives)), dtype=float)
 
 
 def _given_inertia(drive: float | None, rigid: float | None) -> float:

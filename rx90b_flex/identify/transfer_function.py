@@ -169,13 +169,11 @@ class TransferFit(FittedModel):
     @cached_property
     def refused(self) -> tuple[str, ...]:
         """Why a mode does not count, one text each, empty where it does: too uncertain, needless, or not found at other orders."""
-        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
-        return refusals(own, self.worth, self.candidates)
+        return refusals(self.modes_told(), self.worth, self.candidates)
 
     def mode_rows(self) -> Iterator[tuple[float, float, float, float, str]]:
         """Of each mode: resonance and standard deviation, Hz; damping ratio and its; why it does not count, empty where it does."""
-        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
-        return zip(*own, self.refused, strict=True)
+        return zip(*self.modes_told(), self.refused, strict=True)
 
     @property
     def counted(self) -> NDArray[np.bool_]:

@@ -283,13 +283,18 @@ class FittedModel:
 
     def resonances_std_hz(self) -> Array:
         """Standard deviations of `resonances_hz`, shape (m,)."""
-        return self._spread(self.resonance_derivatives()[1])
+        return self.spread(self.resonance_derivatives()[1])
 
     def damping_std(self) -> Array:
         """Standard deviations of the damping ratios, shape (m,)."""
-        return self._spread(self._of_modes(1))
+        return self.spread(self._of_modes(1))
 
-    def _spread(self, derivatives: Array) -> Array:
+    def modes_told(self) -> tuple[Array, Array, Array, Array]:
+        """Resonances and standard deviations, Hz, damping ratios and theirs, each (m,)."""
+        return self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
+
+    def spread(self, derivatives: Array) -> Array:
+        """Standard deviations of what has these derivatives by the parameters, (..., p) to (...)."""
         return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, self.covariance, derivatives))
 
     def _of_modes(self, place: int) -> Array:
@@ -320,7 +325,7 @@ class FittedModel:
     def antiresonances(self, drive: int) -> tuple[Array, Array]:
         """Undamped antiresonances of a drive point (5.41) and their standard deviations, ascending, Hz."""
         hz, by = self.antiresonance_derivatives(drive)
-        return hz, self._spread(by)
+        return hz, self.spread(by)
 
     def antiresonance_zeros(self, drive: int) -> ComplexArray:
         """Zeros of a drive point above the real axis and not below the lines, rad/s, by distance from the origin."""

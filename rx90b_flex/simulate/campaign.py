@@ -47,7 +47,6 @@ BATCH_RUNS, BATCH_BYTES = 48, 1e9  # of a worker, at most, unless the caller say
 PLAN_FILE = "plan.json"
 RUNS = "runs"
 LOGGED = tuple(s.key for s in SIGNALS if not s.always_joint_side)  # by a simulated controller
-TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
 @dataclass(frozen=True)
@@ -389,7 +388,7 @@ def simulate_batch(plan: CampaignPlan, keys: Sequence[RunKey], folder: Path) -> 
 
 
 def _simulate(plan: CampaignPlan, keys: Sequence[RunKey]) -> list[Simulation]:
-    trajectories = [_with_tail(plan.trajectory(key)) for key in keys]
+    trajectories = [plan.trajectory(key).with_tail() for key in keys]
     noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
     noise = plan.noise if noisy else None
     rng = _Spawned([plan.generator(key) for key in keys])
@@ -402,36 +401,12 @@ def _simulate(plan: CampaignPlan, keys: Sequence[RunKey]) -> list[Simulation]:
     return [dataclasses.replace(run, recording=_without_tail(plan, run.recording)) for run in runs]
 
 
-def _with_tail(trajectory: Trajectory) -> Trajectory:
-    """The trajectory and the start of another period, which the log's filter reaches into at the end of the last one."""
-    if trajectory.period_s is None:
-        return trajectory
-    count = len(trajectory.position)
-    rows = np.arange(count + round(TAIL_S * trajectory.rate_hz)) % count
-    return dataclasses.replace(
-        trajectory,
-        position=trajectory.position[rows],
-        velocity=trajectory.velocity[rows],
-        feedforward=None if trajectory.feedforward is None else trajectory.feedforward[rows],
-    )
-
-
 def _without_tail(plan: CampaignPlan, recording: Recording) -> Recording:
     if plan.reference.period_s is None:
         return recording
     count = round(plan.periods * plan.reference.period_s * recording.sample_rate_hz)
-    reference = (recording.reference_position, recording.reference_velocity, recording.feedforward_torque)
-    position, velocity, torque = (None if x is None else x[:count] for x in reference)
-    return dataclasses.replace(
-        recording,
-        time=recording.time[:count],
-        position=recording.position[:count],
-        torque=recording.torque[:count],
-        velocity=None if recording.velocity is None else recording.velocity[:count],
-        reference_position=position,
-        reference_velocity=velocity,
-        feedforward_torque=torque,
-    )
+    logged = {s.field: x[:count] for s in SIGNALS if (x := getattr(recording, s.field)) is not None}
+    return dataclasses.replace(recording, time=recording.time[:count], **logged)
 
 
 class _Spawned(np.random.Generator):

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.excitation import harmonic_motion, multisine, smoothed_square
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 
 RATE_HZ = 250.0
 PERIOD_S = 4.096  # of the experiments of sections 4.2.2 and 6.6.2
+TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +72,26 @@ class Trajectory:
         """The same references with another torque fed forward."""
         return dataclasses.replace(self, feedforward=feedforward, name=self.name if name is None else name)
 
+    def at(self, rows: slice | Indices) -> Trajectory:
+        """Some of the samples, in that order."""
+        torque = None if self.feedforward is None else self.feedforward[rows]
+        return dataclasses.replace(self, position=self.position[rows], velocity=self.velocity[rows], feedforward=torque)
+
     def repeated(self, times: int) -> Trajectory:
         """The trajectory that many times in a row."""
-        torque = None if self.feedforward is None else np.tile(self.feedforward, (times, 1))
-        position, velocity = (np.tile(x, (times, 1)) for x in (self.position, self.velocity))
-        return dataclasses.replace(self, position=position, velocity=velocity, feedforward=torque)
+        return self.at(np.tile(np.arange(len(self.position)), times))
+
+    def with_tail(self) -> Trajectory:
+        """The trajectory and, where it repeats, the start of another round: `TAIL_S`, into which a log's filter reaches."""
+        if self.period_s is None:
+            return self
+        count = len(self.position)
+        return self.at(np.arange(count + round(TAIL_S * self.rate_hz)) % count)
 
     def part(self, start_s: float, end_s: float) -> Trajectory:
         """The samples from start to end."""
         rows = slice(round(start_s * self.rate_hz), round(end_s * self.rate_hz))
-        torque = None if self.feedforward is None else self.feedforward[rows]
-        return dataclasses.replace(
-            self, position=self.position[rows], velocity=self.velocity[rows], feedforward=torque, period_s=None
-        )
+        return dataclasses.replace(self.at(rows), period_s=None)
 
 
 def from_recording(recording: Recording) -> Trajectory:
