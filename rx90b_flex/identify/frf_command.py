@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -52,23 +52,13 @@ LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this f
 
 
 @dataclass(frozen=True)
-class FrfOptions:
-    """What the user may choose.
+class FrfOptions(GreyBoxOptions):
+    """What the user may choose: of the grey box, whose lines are those of all stages, and of the others.
 
     Attributes
     ----------
-    band_hz : (low, high)
-        Lines used.
     controller : Path or None
         Controller file; else ``controller.toml`` beside the campaign, if there is one.
-    link_mass_std : float
-        Relative standard deviation of the links' masses; 0: known.
-    bending_alike_std : float
-        To which a joint is equally stiff about both its bending axes, as in table 4.1; 0: not assumed.
-    hinge_std : float, or mapping of joint to float
-        Standard deviation to which the places of hinges are known, m (`GreyBoxOptions.hinge_std`); 0: known.
-    starts, seed : int
-        Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
     start_hz : tuple of float
@@ -85,13 +75,9 @@ class FrfOptions:
         Processes for these simulations, and for the report's figures.
     """
 
-    band_hz: tuple[float, float] = (8.0, 80.0)
-    controller: Path | None = None
-    link_mass_std: float = 0.0
-    bending_alike_std: float = 0.1
-    hinge_std: float | Mapping[str, float] = 0.0
     starts: int = 8
-    seed: int = 0
+    bending_alike_std: float = 0.1
+    controller: Path | None = None
     modes: tuple[int, ...] = tuple(range(2, 9))
     start_hz: tuple[float, ...] = ()
     delays: str = "none"
@@ -463,12 +449,8 @@ def _grey_box(
         )
         for p in poses
     ]
-    chosen = GreyBoxOptions(
-        options.band_hz, options.starts, seed=options.seed,
-        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std, hinge_std=options.hinge_std,
-    )  # fmt: skip
     start = _start(robot, [p.drives for p in poses if p.drives is not None])
-    return grey_box(robot, measured, chosen, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
+    return grey_box(robot, measured, options, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
 
 
 def _replay(

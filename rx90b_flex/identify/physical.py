@@ -285,20 +285,13 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
 
 def _sizes(prior: Array) -> list[tuple[float, float]]:
     """Mass (kg) and radius about the joint (m) by which each body is scaled."""
-    known = [_size(body) for body in prior]
-    with_mass = [size for size in known if size is not None]
-    typical = DEFAULT_SIZE
-    if with_mass:
-        typical = float(np.median([m for m, _ in with_mass])), float(np.median([length for _, length in with_mass]))
-    return [typical if size is None else size for size in known]
-
-
-def _size(body: Array) -> tuple[float, float] | None:
-    mass = float(body[0])
-    if mass <= 0:
-        return None
-    second_moment = 0.5 * float(body[4:7].sum())  # trace of Sigma
-    return mass, max(np.sqrt(max(second_moment, 0.0) / mass), SMALLEST_LENGTH)
+    some = prior[:, 0] > 0
+    sizes = np.tile(DEFAULT_SIZE, (len(prior), 1))
+    if some.any():
+        mass, second_moment = prior[some, 0], 0.5 * prior[some, 4:7].sum(axis=1)  # trace of Sigma
+        own = np.column_stack([mass, np.maximum(np.sqrt(np.maximum(second_moment, 0.0) / mass), SMALLEST_LENGTH)])
+        sizes[some], sizes[~some] = own, np.median(own, axis=0)
+    return [(float(mass), float(length)) for mass, length in sizes]
 
 
 def _scaled_coordinates(mass: float, length: float) -> Array:

@@ -28,6 +28,7 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
 from rx90b_flex.signals.folders import claim, claimed
 from rx90b_flex.signals.recording import SIGNALS, Recording, Role
+from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, ComplexArray, save_cs8
 from rx90b_flex.simulate.perturbation import Manipulator, perturb_lanes, steps_bytes
@@ -36,6 +37,7 @@ from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_PEAK,
     PERIOD_S,
     Trajectory,
+    horizontal,
     square_wave,
 )
 
@@ -234,9 +236,8 @@ def section_662(robot: Robot, controller: CS8, **changes: object) -> CampaignPla
     changes : fields of `Plan` to replace.
     """
     moving = robot.joints[:3]
-    pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]  # stretched out horizontally
     matrix = tuple(tuple(float(x) for x in row) for row in minus_below_first(len(moving)))
-    plan = CampaignPlan(robot, controller, square_wave(robot, pose, moving=moving), moving, matrix)
+    plan = CampaignPlan(robot, controller, square_wave(robot, horizontal(robot), moving=moving), moving, matrix)
     return dataclasses.replace(plan, **changes)  # type: ignore[arg-type]
 
 
@@ -467,9 +468,7 @@ def _write_campaign_file(plan: CampaignPlan, keys: Sequence[RunKey], folder: Pat
     """`campaign.toml` for the runs on disk; of each the first period, in which the transient dies, is left out."""
     runs = [RunFile(f"{RUNS}/{key.name}.parquet", plan.role(key)) for key in keys]
     file = folder / "campaign.toml"
-    part = file.with_suffix(".part")
-    part.write_text(campaign_text(plan, runs), encoding="utf-8")
-    os.replace(part, file)
+    write_whole(file, lambda part: part.write_text(campaign_text(plan, runs), encoding="utf-8"))
     return file
 
 

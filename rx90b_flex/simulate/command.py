@@ -25,6 +25,7 @@ from rx90b_flex.simulate.trajectories import (
     PERIOD_S,
     Trajectory,
     harmonics,
+    horizontal,
     sine_excitation,
     square_wave,
     straight_line,
@@ -81,11 +82,10 @@ def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Traject
     ValueError
         One line that names file and key or column.
     """
-    for name, value in (("torque", request.noise.torque), ("position", request.noise.position)):
+    for name in ("torque", "position", "velocity"):
+        value = getattr(request.noise, name)
         if np.min(value) < 0.0 or not np.isfinite(value).all():
             raise ValueError(f"{name} noise is {value}; expected 0 or more")
-    if np.min(request.noise.velocity) < 0.0 or not np.isfinite(request.noise.velocity).all():
-        raise ValueError(f"velocity noise is {request.noise.velocity}; expected 0 or more")
     if request.periods < 1:
         raise ValueError(f"periods is {request.periods}; expected 1 or more")
     if request.periods * PERIOD_S > LONGEST_S:
@@ -118,11 +118,10 @@ def _trajectory(robot: Robot, controller: CS8, request: RunRequest) -> Trajector
         return harmonics(robot, rng, periods=request.periods, rate_hz=rate)
     if request.motion == "square-wave":
         moving = robot.joints[:3]
-        pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]
         feedforward = np.zeros((round(PERIOD_S * rate), len(robot.joints)))
-        wave = multisine(FEEDFORWARD_LINES, len(feedforward), FEEDFORWARD_PEAK, rng)
-        feedforward[:, : len(moving)] = wave
-        return square_wave(robot, pose, moving=moving, feedforward=feedforward, periods=request.periods, rate_hz=rate)
+        feedforward[:, : len(moving)] = multisine(FEEDFORWARD_LINES, len(feedforward), FEEDFORWARD_PEAK, rng)
+        once = square_wave(robot, horizontal(robot), moving=moving, feedforward=feedforward, rate_hz=rate)
+        return once.repeated(request.periods)
     return read_trajectory(Path(request.motion), robot, rate)
 
 

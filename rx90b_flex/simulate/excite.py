@@ -32,7 +32,7 @@ from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.simulate.campaign import PLAN_FILE, By, CampaignPlan, RunFile, campaign_text, run_campaign
 from rx90b_flex.simulate.closed_loop import Noise
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, own_controller, save_cs8
-from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
+from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, horizontal, square_wave
 
 Matrix = Literal["ones", "hadamard", "identity"]
 MATRICES: dict[Matrix, Callable[[int], Array]] = {
@@ -143,9 +143,8 @@ def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tupl
             f"{nyquist:g} Hz, half the references' rate"
         )
     matrix = scaled(MATRICES[request.matrix](len(joints)), _peaks(robot, joints, request.peak))
-    horizontal = tuple(0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints)))
     plans = []
-    for place, pose in enumerate(request.poses or (horizontal,)):
+    for place, pose in enumerate(request.poses or (horizontal(robot),)):
         reference = _reference(robot, controller, joints, pose, request, f"pose {place + 1}")
         plan = CampaignPlan(
             robot,

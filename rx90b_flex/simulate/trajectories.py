@@ -266,6 +266,12 @@ def harmonics(
 
 # ---- square wave in velocity of section 6.6.2 -----------------------------------------------------------------
 
+
+def horizontal(robot: Robot) -> tuple[float, ...]:
+    """The source's pose, one angle a joint, rad: the arm stretched out horizontally, joint 2 at 90 degrees."""
+    return tuple(0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints)))
+
+
 SQUARE_SPEED = 0.11  # rad/s
 SQUARE_ODD_LINES = 9  # choice: odd lines of the velocity that are kept; they give the flanks their slope
 FEEDFORWARD_LINES = tuple(2 * k + 1 for k in range(5, 161))
