@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from rx90b_flex.bodies import Inconsistency, inconsistencies
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
@@ -206,10 +205,8 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
     tell("reading", 0.0)
     campaign = source if isinstance(source, Campaign) else load_campaign(source)
     declared = load_robot(campaign.robot_source) if robot is None else robot
-    try:
+    with named_in(campaign.path, "joints"):
         declared.restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None
     campaign, constants = resolved(campaign, declared)
     for recording in campaign.recordings:
         if not recording.torque.any():
@@ -330,7 +327,9 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
     leading, rest = order[:rank], order[rank:]
     mixed = linalg.solve_triangular(upper[:, :rank], upper[:, rank:])
     mixed = mixed * scale[rest] / scale[leading][:, None]
-    names, units = model.coefficient_names, _units(model)
+    bodies = model.regression.robot.bodies if model.links_fitted else ()
+    names = model.coefficient_names
+    units = [*LINK_UNITS * len(bodies), *(unit for e in model.effects for unit in e.coefficient_units)]
     p = len(model.theta)
     combination = np.zeros((rank, p))
     combination[np.arange(rank), leading] = 1.0
@@ -346,11 +345,6 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
         value = float(combination[row] @ model.theta)
         out.append(BaseParameter(terms, value, float(stds[row]), units[leading[row]]))
     return tuple(out)
-
-
-def _units(model: Identification) -> list[str]:
-    bodies = model.regression.robot.bodies if model.links_fitted else ()
-    return [*LINK_UNITS * len(bodies), *(unit for e in model.effects for unit in e.coefficient_units)]
 
 
 # ---- errors -----------------------------------------------------------------------------------------------------
@@ -416,11 +410,7 @@ def prediction_table(prediction: IdentifiedPrediction) -> str:
     joints = prediction.recording.joints
     names = ["time", *(f"{prefix}{joint}" for prefix in ("tau_", "tau_model_") for joint in joints)]
     values = np.column_stack([prediction.recording.time, prediction.measured, prediction.predicted])
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(values.tolist())
-    return out.getvalue()
+    return "".join(",".join(map(str, row)) + "\n" for row in (names, *values.tolist()))
 
 
 def write_identified(result: Identified, folder: Path) -> None:

@@ -469,17 +469,14 @@ def gear_data(
         errors = tuple(nuisance(r, orders or (), turning) for r in runs)
         slow = nuisance(runs[0], (), turning).shape[1] - 1
         data = GearData(joint, runs, errors, orders or (), lag, noise, slow)
-        data = dataclasses.replace(data, noise=_independent_noise(fit_gear(data)))
+        # of a sample if all were independent and told no more together than samples `ALIKE_S` apart do
+        alone = fit_gear(data).rms * float(np.sqrt(max(1.0, ALIKE_S * runs[0].rate_hz)))
+        data = dataclasses.replace(data, noise=alone)
         noise, step = data.noise, -fit_gear(data).value("velocity")
         if orders is not None and abs(step) < 1e-6 / cutoff_hz:
             break
         lag += step
     return data
-
-
-def _independent_noise(fit: GearFit) -> float:
-    """Noise of a sample if all were independent and told no more together than samples `ALIKE_S` apart do, rad."""
-    return fit.rms * float(np.sqrt(max(1.0, ALIKE_S * fit.data.runs[0].rate_hz)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -338,7 +338,8 @@ def estimate_frequency_response(
     lines, kept = _regular(u, feedforward, lines, all_hz, remarks)
     u, y = u[:, :, kept], y[:, :, kept]  # (R, M, F, n, E)
     spectra = _line_spectra(torque, acceleration, lines, all_hz)
-    return _estimate(u, y, all_hz[lines], chosen, _pose(recordings), neighbours, spectra, design, remarks)
+    pose = np.mean([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings], axis=0)
+    return _estimate(u, y, all_hz[lines], chosen, pose, neighbours, spectra, design, remarks)
 
 
 def _estimate(
@@ -448,12 +449,16 @@ def _over_realisations(single: ComplexArray, neighbours: int) -> tuple[ComplexAr
     as_torque = np.linalg.solve(value, single - value).reshape(realisations, lines, n * n)
     own = np.einsum("rfa,rfb->fab", as_torque, as_torque.conj()) / (realisations * (realisations - 1))
     width = min(2 * neighbours + 1, lines)
-    # at the ends of the band the window stays as wide, and lies to one side
-    first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
-    smooth = np.lib.stride_tricks.sliding_window_view(own, width, axis=0).mean(axis=-1)[first]
+    smooth = _over_lines(own, width)
     back = np.einsum("fjk,ab->fjakb", value, np.eye(n)).reshape(lines, n * n, n * n)
     covariance = back @ smooth @ back.conj().swapaxes(1, 2)
     return np.asarray(0.5 * (covariance + covariance.conj().swapaxes(1, 2))), float(width * (realisations - 1))
+
+
+def _over_lines(x: ComplexArray, width: int) -> ComplexArray:
+    """Means over so many lines (F, ...): at the ends of the band the window stays as wide, and lies to one side."""
+    first = np.clip(np.arange(len(x)) - width // 2, 0, len(x) - width)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(x, width, axis=0).mean(axis=-1)[first])
 
 
 def _kron(left: ComplexArray, right: ComplexArray) -> ComplexArray:
@@ -544,10 +549,6 @@ def _without_mains(
             f"{np.median(struck):.4g} Hz is left out"
         )
     return clean, struck
-
-
-def _pose(recordings: Sequence[Recording]) -> Array:
-    return np.asarray(np.mean([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings], axis=0))
 
 
 def _excited_joints(joints: tuple[str, ...], waves: Sequence[Array] | None) -> tuple[str, ...]:
@@ -647,8 +648,7 @@ def estimate_accelerations(
     apart = (single - value) / size
     own = np.einsum("rfjk,rfjl->fjkl", apart, apart.conj()) / (realisations * (realisations - 1))
     width = min(count, -(-PLENTY * inputs // (realisations - 1)))
-    first = np.clip(np.arange(count) - width // 2, 0, count - width)
-    smooth = np.lib.stride_tricks.sliding_window_view(own, width, axis=0).mean(axis=-1)[first]
+    smooth = _over_lines(own, width)
     excess = np.einsum("fjkk->fj", own).real / np.einsum("fjkk->fj", smooth).real
     freedom = width * (realisations - 1)
     # the inverse of an estimated covariance is too large by this, on average

@@ -410,9 +410,7 @@ def _controller(campaign: Path, file: Path | None) -> CS8 | None:
     from rx90b_flex.simulate.cs8 import load_cs8
 
     beside = campaign.parent / CONTROLLER
-    if file is not None:
-        return load_cs8(file)
-    return load_cs8(beside) if beside.exists() else None
+    return load_cs8(file or beside) if file is not None or beside.exists() else None
 
 
 def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
@@ -526,7 +524,9 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
         "joints": list(result.robot.joints),
         "band_hz": list(result.options.band_hz),
         "accelerometers": [
-            {"link": s.link, "position": list(s.position)} for p in result.poses[:1] for s in _sensors(p)
+            {"link": s.link, "position": list(s.position)}
+            for p in result.poses[:1]
+            for s in (() if p.accelerations is None else p.accelerations.sensors)
         ],
         "poses": [
             {
@@ -545,10 +545,6 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
         "left_out": [{"stage": x.stage, "why": x.why} for x in result.left_out],
         "remarks": list(result.remarks),
     }
-
-
-def _sensors(at: AtPose) -> tuple[Accelerometer, ...]:
-    return () if at.accelerations is None else at.accelerations.sensors
 
 
 def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
@@ -615,7 +611,8 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
         "residual_terms": list(fit.residual_terms),
         "residual_flexibility": _flexibility_json(fit),
         "stabilisation": _stabilisation_json(fit),
-        "torque_delays": _delays_json(fit),
+        # one for all torques, or one a torque in the order of the joints; null where none was fitted
+        "torque_delays": [_quantity(value, std, "s") for value, std in zip(*fit.torque_delays(), strict=True)] or None,
         "cost": float(fit.cost),
         "validation": None
         if tests is None
@@ -647,12 +644,6 @@ def _stabilisation_json(fit: TransferFit) -> list[dict[str, Any]]:
         }
         for place, one in enumerate(fit.candidates)
     ]
-
-
-def _delays_json(fit: TransferFit) -> list[dict[str, Any]] | None:
-    """One for all torques, or one a torque in the order of the joints; null where none was fitted."""
-    values, stds = fit.torque_delays()
-    return [_quantity(value, std, "s") for value, std in zip(values, stds, strict=True)] or None
 
 
 def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:

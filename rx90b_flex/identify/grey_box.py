@@ -263,14 +263,9 @@ def _starts(problem: GreyProblem, options: GreyBoxOptions, start: Mapping[str, f
         begin.insert(0, ("given start", other))
     rng = np.random.default_rng(options.seed)
     centre = begin[0][1]
-    return begin + [(f"drawn {k + 1}", centre + _drawn(problem, options.spread, rng)) for k in range(options.starts)]
-
-
-def _drawn(problem: GreyProblem, spread: float, rng: np.random.Generator) -> Array:
-    """A random step of the logarithms, no larger than priors allow."""
-    return np.asarray(
-        rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters])
-    )
+    reach = np.minimum(options.spread, [p.prior_std for p in problem.parameters])  # no larger than priors allow
+    drawn = rng.standard_normal((options.starts, len(centre))) * reach
+    return begin + [(f"drawn {k + 1}", centre + step) for k, step in enumerate(drawn)]
 
 
 FOLLOWED = 4  # best starts that are followed to their end
@@ -331,18 +326,11 @@ def _result(
     values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
+    low, high = values * np.exp(-reach * std), values * np.exp(reach * std)
+    numbers = np.column_stack([values, values * std, low, high, [p.declared for p in parameters]]).tolist()
     estimates = tuple(
-        GreyEstimate(
-            p.name,
-            p.unit,
-            v,
-            v * s,
-            v * math.exp(-reach * s),
-            v * math.exp(reach * s),
-            p.declared,
-            bool(a < UNDETERMINED),
-        )
-        for p, v, s, a in zip(parameters, values.tolist(), std.tolist(), alone.tolist(), strict=True)
+        GreyEstimate(p.name, p.unit, *told, bool(a < UNDETERMINED))
+        for p, told, a in zip(parameters, numbers, alone, strict=True)
     )
     names = [parameters[i].name for i in free]
     return GreyBox(
@@ -392,17 +380,14 @@ def _expected_cost(problem: GreyProblem, fitted: int) -> tuple[float, float]:
     """Mean and standard deviation of the cost of a right model; covariances from few realisations make it larger."""
     mean, variance = 0.0, 0.0
     for r in (t.response for t in problem.terms):
-        size, lines = r.value[0].size, len(r.hz)
-        _, freedom = smoothed_covariance(r)
-        larger = 1.0 if not np.isfinite(freedom) else freedom / max(freedom - size, 1.0)
+        size, lines, (_, freedom) = r.value[0].size, len(r.hz), smoothed_covariance(r)
+        larger = freedom / max(freedom - size, 1.0) if np.isfinite(freedom) else 1.0
         mean += larger * size * lines
-        # neighbours share a smoothed covariance, so its error does not average out over them
-        shared = (
-            0.0
-            if not np.isfinite(freedom)
-            else (larger * size * lines) ** 2 / (freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size)
-        )
-        variance += larger**2 * size * lines + shared
+        variance += larger**2 * size * lines
+        if np.isfinite(freedom):
+            # neighbours share a smoothed covariance, so its error does not average out over them
+            alone = freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size
+            variance += (larger * size * lines) ** 2 / alone
     return mean - 0.5 * fitted, math.sqrt(variance)
 
 

@@ -130,8 +130,11 @@ def consistent_parameters(
     scaled_prior, from_scaled = _scaled(prior, links, unit)
     root = information_root(information)
     step, spread = _whitened(root @ from_scaled, root @ (estimate - prior), pull)
-    scaled, status = _nearest(scaled_prior + step, spread, margin, least / unit)
-    parameters = from_scaled @ scaled
+    free, status = scaled_prior + step, "consistent"
+    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
+    if (lowest < margin).any() or (free[links:] < least / unit).any():
+        free, status = _project(free, spread, margin, least / unit)
+    parameters = from_scaled @ free
     parameters[links:] = np.maximum(parameters[links:], least)  # where the solver was a rounding below
     increase = float(np.sum((root @ (parameters - estimate)) ** 2))
     return ConsistentParameters(parameters, increase, len(root), status)
@@ -231,15 +234,6 @@ def _declared(robot: Robot, effect: Effect) -> Effect:
     """The effect as the robot declares it; as it is where it does not."""
     same = [e for e in robot.effects if type(e) is type(effect) and e.place == effect.place]
     return same[0] if same else effect
-
-
-def _nearest(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:
-    """As `_project`; `free` itself, and ``consistent``, where it can be."""
-    links = len(free) - len(least)
-    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
-    if (lowest >= margin).all() and (free[links:] >= least).all():
-        return free, "consistent"
-    return _project(free, spread, margin, least)
 
 
 def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:

@@ -167,14 +167,12 @@ def fit_tests(source: StaticTests) -> StaticResult:
     ValueError
         One line that names the file, and the test that tells no stiffness.
     """
-    try:
+    with named_in(source.path):
         found = tuple(fit_static_stiffness(t, skip=source.skip, confidence=source.confidence) for t in source.tests)
         hinges = tuple(_together(name, found) for name in dict.fromkeys(f.coordinate for f in found))
         robot = source.robot
         if robot is not None:
             robot = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
-    except ValueError as error:
-        raise ValueError(f"{source.path}: {error}") from None
     return StaticResult(source, found, hinges, robot)
 
 

@@ -319,7 +319,8 @@ def run_campaign(
     folder = Path(folder)
     _claim(plan, folder)
     (folder / RUNS).mkdir(exist_ok=True)
-    resumed = tuple(key for key in plan.runs if _saved(folder, key))
+    # files appear whole or not at all, and the plan's digest says that they are this plan's
+    resumed = tuple(key for key in plan.runs if _file(folder, key).is_file())
     missing = [key for key in plan.runs if key not in set(resumed)]
     tell = progress or (lambda text, part: None)
     count = len(plan.runs)
@@ -433,11 +434,6 @@ def _one_line(error: Exception) -> str:
 
 def _file(folder: Path, key: RunKey) -> Path:
     return folder / RUNS / f"{key.name}.parquet"
-
-
-def _saved(folder: Path, key: RunKey) -> bool:
-    # files appear whole or not at all, and the plan's digest says that they are this plan's
-    return _file(folder, key).is_file()
 
 
 def _claim(plan: CampaignPlan, folder: Path) -> None:

@@ -136,6 +136,8 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     ValueError
         One line that names the file and the column.
     """
+    from scipy.interpolate import CubicSpline
+
     forward = [f"ff_{joint}" for joint in robot.joints]
     speeds = [f"v_{joint}" for joint in robot.joints]
     header = _header(path)
@@ -156,19 +158,13 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     places = [robot.joints.index(joint) for joint in joints]
     position, velocity = np.zeros((2, len(time), len(robot.joints)))
     position[:, places] = table.columns(joints)
-    velocity[:, places] = _rates(position[:, places], 1.0 / steps.mean())
+    clock = np.arange(len(time)) * steps.mean()
+    velocity[:, places] = CubicSpline(clock, position[:, places], axis=0)(clock, 1)
     velocity[:, [speeds.index(name) for name in rates]] = table.columns(rates) if rates else 0.0
     feedforward = np.zeros_like(position) if fed else None
     if feedforward is not None:
         feedforward[:, [forward.index(name) for name in fed]] = table.columns(fed)
     return _at_rate(path, robot, (time - time[0], position, velocity, feedforward), rate_hz)
-
-
-def _rates(position: Array, rate_hz: float) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    time = np.arange(len(position)) / rate_hz
-    return np.asarray(CubicSpline(time, position, axis=0)(time, 1))
 
 
 def _at_rate(path: Path, robot: Robot, parts: tuple[Array, Array, Array, Array | None], rate_hz: float) -> Trajectory:

@@ -384,10 +384,8 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
         rate = numbers.get("controller_rate_hz", CS8.controller_rate_hz)
         speed, torque = (read_filters(entry, key, rate) for key in CHAINS)
         joints.append(dataclasses.replace(joint, velocity_filters=speed, torque_filters=torque))
-    try:
+    with named_in(path):
         return CS8(tuple(joints), **numbers)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def own_controller(robot: Robot) -> CS8 | None:
@@ -407,10 +405,8 @@ def own_controller(robot: Robot) -> CS8 | None:
 
 def controller_of_joints(controller: CS8, robot: Robot, where: str) -> CS8:
     """Of the robot's joints; an error says where it is from."""
-    try:
+    with named_in(where):
         return controller.for_joints(robot.joints)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
 
 
 def _numbers(table: TomlTable, allowed: Sequence[str], needed: Sequence[str], others: Sequence[str]) -> dict[str, Any]:

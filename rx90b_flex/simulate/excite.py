@@ -29,7 +29,7 @@ from rx90b_flex.excitation import (
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.simulate.campaign import PLAN_FILE, By, CampaignPlan, RunFile, campaign_text, run_campaign
+from rx90b_flex.simulate.campaign import PLAN_FILE, RUNS, By, CampaignPlan, RunFile, campaign_text, run_campaign
 from rx90b_flex.simulate.closed_loop import Noise
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, own_controller, save_cs8
 from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, horizontal, square_wave
@@ -380,7 +380,10 @@ def write_reference(trajectory: Trajectory, path: Path) -> None:
 def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated: bool) -> str:
     first = plans[0]
     if simulated:
-        return campaign_text(first, [RunFile(_log_of(f.file), f.role) for f in files])
+        logs = [(Path(f.file), f.role) for f in files]
+        return campaign_text(
+            first, [RunFile(f"{p.parent.as_posix()}/{RUNS}/{p.stem}.parquet", role) for p, role in logs]
+        )
     return "".join(f"# {line}\n" for line in _how(first)) + campaign_text(first, files, LOGGED[first.by])
 
 
@@ -413,11 +416,6 @@ def _how(plan: CampaignPlan) -> list[str]:
         "controller.toml here is taken for the robot's controller; without it the experiments are replayed by the logged torques.",
         "Then: rx90b-flex frf campaign.toml --out results",
     ]
-
-
-def _log_of(file: str) -> str:
-    folder, name = file.rsplit("/", 1)
-    return f"{folder}/runs/{name.removesuffix('.csv')}.parquet"
 
 
 def _words(plans: Sequence[CampaignPlan], files: Sequence[RunFile], crest: float) -> list[str]:
