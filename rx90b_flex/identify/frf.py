@@ -493,7 +493,7 @@ def _over(level: Array, variance: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Experiment:
+class _SignedRuns:
     """Recordings of one experiment by sign, as places in the list of recordings."""
 
     realisation: int
@@ -567,7 +567,7 @@ def _long_enough(recordings: Sequence[Recording], places: Sequence[Place], remar
     return [p for p in places if p.recording not in short]
 
 
-def _experiments(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_Experiment]:
+def _experiments(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_SignedRuns]:
     """Those that were run with both signs; all where none was."""
     rows = {r.name: i for i, r in enumerate(recordings)}
     found: dict[tuple[int, int], dict[int, int]] = {}
@@ -575,7 +575,7 @@ def _experiments(recordings: Sequence[Recording], places: Sequence[Place], remar
         if p.recording not in rows:
             raise ValueError(f"places name recording {p.recording!r}; there are {', '.join(list(rows)[:4])}, ...")
         found.setdefault((p.realisation, p.experiment), {})[p.sign] = rows[p.recording]
-    every = [_Experiment(m, signs) for (m, _), signs in sorted(found.items())]
+    every = [_SignedRuns(m, signs) for (m, _), signs in sorted(found.items())]
     pairs = [one for one in every if len(one.runs) == 2]
     if not pairs:
         remarks.append(
@@ -590,7 +590,7 @@ def _experiments(recordings: Sequence[Recording], places: Sequence[Place], remar
     return pairs
 
 
-def _complete(experiments: list[_Experiment], joints: tuple[str, ...], remarks: list[str]) -> list[list[_Experiment]]:
+def _complete(experiments: list[_SignedRuns], joints: tuple[str, ...], remarks: list[str]) -> list[list[_SignedRuns]]:
     """Experiments of each realisation that has as many as the others, in one order."""
     inputs = len(joints)
     groups = [list(group) for _, group in groupby(experiments, key=lambda one: one.realisation)]
@@ -667,7 +667,7 @@ def estimate_accelerations(
 
 
 def _spectrum_of(
-    recordings: Sequence[Recording], groups: list[list[_Experiment]], field: str, columns: list[int]
+    recordings: Sequence[Recording], groups: list[list[_SignedRuns]], field: str, columns: list[int]
 ) -> ComplexArray:
     """Line amplitudes of some columns of a signal in every period, signs subtracted, (R, E, M, L, columns)."""
     used = {i for group in groups for one in group for i in one.runs.values()}
@@ -677,7 +677,7 @@ def _spectrum_of(
         wave = _periods(getattr(recordings[i], field)[:, columns], recordings[i])[:count]
         return np.asarray(np.fft.rfft(wave, axis=1) * (2.0 / wave.shape[1]))
 
-    def difference(one: _Experiment) -> ComplexArray:
+    def difference(one: _SignedRuns) -> ComplexArray:
         return np.asarray(sum(sign * spectrum(i) for sign, i in one.runs.items()) / len(one.runs))
 
     return np.stack([[difference(one) for one in group] for group in groups])
