@@ -14,7 +14,6 @@ from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.bodies import Inconsistency, inconsistencies
-from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.files.toml import named_in
@@ -233,7 +232,8 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         theta, held = possible_coefficients(model)
     except ValueError as error:  # of a torque that hardly depends on the motion, say
         raise ValueError(f"{campaign.path}: {error}; do the torques belong to these motions?") from None
-    found = _robot(declared, model, theta)
+    possible = with_coefficients(model, theta)
+    found = _robot(declared, possible)
     base = base_parameters(model)
     tell("predicting", 0.8)
     fit, kept = (_predictions(found, rigid, logs) for logs in (fitted_logs, held_out))
@@ -243,7 +243,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         declared,
         campaign,
         model,
-        with_coefficients(model, theta),
+        possible,
         found,
         base,
         consistency,
@@ -258,26 +258,18 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
 # ---- parameters that are possible -------------------------------------------------------------------------------
 
 
-def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
+def _robot(declared: Robot, model: Identification) -> Robot:
     """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
     flexible = [e for e in declared.effects if e.traits.virtual]
     stand_ins = {e.label for e in flexible}  # of the flexible ones, on the rigid tree
-    effects = [e for e in _effects(model, theta) if e.label not in stand_ins]
+    effects = [e for e in model.effects if e.label not in stand_ins]
     if not model.links_fitted:
         joints = set(model.regression.joints)
         resting = [e for e in declared.effects if not e.traits.virtual and not set(e.joints) <= joints]
         return declared.with_effects([*flexible, *resting, *effects])
     rigid = model.regression.robot
     kept = [e for e in flexible if set(e.joints) <= set(rigid.joints)]
-    return with_link_parameters(rigid, theta[: len(model.link_parameters)]).with_effects([*kept, *effects])
-
-
-def _effects(model: Identification, theta: Array) -> list[Effect]:
-    out = []
-    for i, effect in enumerate(model.effects):
-        first = model.first_column(i)
-        out.append(effect.with_coefficients(theta[first : first + len(effect.coefficients)]))
-    return out
+    return with_link_parameters(rigid, model.link_parameters).with_effects([*kept, *effects])
 
 
 def _consistency(

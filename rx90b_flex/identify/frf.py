@@ -217,28 +217,24 @@ def _from_excitations(recordings: Sequence[Recording], waves: Sequence[Array]) -
     unit = np.divide(spectra, size[:, None, :], out=np.zeros_like(spectra), where=used[:, None, :])
     places: list[Place] = []
     heads: list[ComplexArray] = []  # of each realisation: its different multisines, (lines, joints) of its runs so far
-    members: list[list[tuple[int, int, int]]] = []  # run, experiment, sign
-    for run in range(len(recordings)):
+    for run, recording in enumerate(recordings):
         alike = [np.abs(head.conj().T @ unit[run]).max() for head in heads]
-        if alike and max(alike) > SAME:
-            realisation = int(np.argmax(alike))
+        realisation = int(np.argmax(alike)) if max(alike, default=0.0) > SAME else len(heads)
+        if realisation < len(heads):
             heads[realisation] = np.hstack([heads[realisation], unit[run]])
         else:
-            realisation = len(heads)
             heads.append(unit[run])
-            members.append([])
-        known = members[realisation]
-        for other, experiment, sign in known:
-            if np.abs(spectra[run] + spectra[other]).max() < OPPOSITE * np.abs(spectra[run]).max():
-                found = (run, experiment, -sign)
-                break
-            if np.abs(spectra[run] - spectra[other]).max() < OPPOSITE * np.abs(spectra[run]).max():
-                found = (run, experiment, sign)
-                break
+        known = [(other, p) for other, p in enumerate(places) if p.realisation == realisation]
+        near = OPPOSITE * np.abs(spectra[run]).max()
+        signs = (
+            (p, s) for other, p in known for s in (-1, 1) if np.abs(spectra[run] - s * spectra[other]).max() < near
+        )
+        for other, sign in signs:
+            places.append(Place(recording.name, realisation, other.experiment, sign * other.sign))
+            break
         else:
-            found = (run, max((e for _, e, _ in known), default=-1) + 1, 1)
-        known.append(found)
-        places.append(Place(recordings[run].name, realisation, found[1], found[2]))
+            new = max((p.experiment for _, p in known), default=-1) + 1
+            places.append(Place(recording.name, realisation, new, 1))
     return tuple(places)
 
 
@@ -419,19 +415,8 @@ def _equation_total(single: ComplexArray, mean_u: ComplexArray) -> ComplexArray:
 
 
 def _total_covariance(single: ComplexArray, neighbours: int | None, remarks: list[str]) -> tuple[ComplexArray, float]:
-    """As `_over_realisations`, over the lines that are asked for or that it needs; said where it cannot be inverted."""
+    """As `_over_realisations`, over the lines that are asked for or that it needs; said where these are more or do not do."""
     realisations, lines, n, _ = single.shape
-    covariance, freedom = _over_realisations(single, _neighbours(realisations, neighbours, lines, n, remarks))
-    if freedom < n * n:
-        remarks.append(
-            f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
-            "cannot be inverted; record more realisations or let more neighbours count"
-        )
-    return covariance, freedom
-
-
-def _neighbours(realisations: int, neighbours: int | None, lines: int, n: int, remarks: list[str]) -> int:
-    """How many lines on either side count for each line's covariance; said where these are more than usual."""
     count = NEIGHBOURS if neighbours is None else neighbours
     if neighbours is None and (2 * count + 1) * (realisations - 1) < ENOUGH * n * n:
         count = -(-(-(-ENOUGH * n * n // (realisations - 1)) - 1) // 2)
@@ -439,7 +424,13 @@ def _neighbours(realisations: int, neighbours: int | None, lines: int, n: int, r
             f"{realisations} realisations: {min(2 * count + 1, lines)} neighbouring lines count for each line's covariance, "
             f"with more realisations {2 * NEIGHBOURS + 1} would do"
         )
-    return count
+    covariance, freedom = _over_realisations(single, count)
+    if freedom < n * n:
+        remarks.append(
+            f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
+            "cannot be inverted; record more realisations or let more neighbours count"
+        )
+    return covariance, freedom
 
 
 def _over_realisations(single: ComplexArray, neighbours: int) -> tuple[ComplexArray, float]:

@@ -167,15 +167,21 @@ class MotorIdentification(Showing):
 
 @dataclass
 class _Stages:
-    """Does stages one after the other, notes their time and what could not be done."""
+    """Does stages one after the other, notes their time and what could not be done.
+
+    Those of one pose have its name before theirs, and their parts lie within the pose's.
+    """
 
     tell: Progress
     left_out: list[LeftOut] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    before: str = ""
+    part: tuple[float, float] = (0.0, 1.0)
 
     def run(self, name: str, part: float, work: Callable[..., T], *needs: object) -> T | None:
         """What `work` makes of the results that it needs; None where one of these is missing, or it cannot be done."""
-        self.tell(name, part)
+        name = self.before + name
+        self.tell(name, self.part[0] + self.part[1] * part)
         if any(need is None for need in needs):
             self.left_out.append(LeftOut(name, "the stage that it builds on was left out"))
             return None
@@ -223,7 +229,8 @@ def identify_from_motors(
     remarks: list[str] = []
     groups = group_poses(with_references(campaign, options.references, remarks))
     poses = _at_poses(groups, robot, campaign.accelerometers, options, stages)
-    remarks += [_of(at.name, remark, len(groups)) for at in poses for remark in at.measured.remarks]
+    several = len(groups) > 1
+    remarks += [f"{at.name}: {remark}" if several else remark for at in poses for remark in at.measured.remarks]
     if controller is None:
         remarks.append(
             f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop, and a replay is "
@@ -336,10 +343,6 @@ def _begun_with(shown: Array, wave: Array, own: slice) -> tuple[Array, float]:
     return rolled, float(np.linalg.norm(left) / max(float(np.linalg.norm(shown)), 1e-300))
 
 
-def _of(pose: str, text: str, poses: int) -> str:
-    return text if poses == 1 else f"{pose}: {text}"
-
-
 def _at_poses(
     groups: Sequence[tuple[Recording, ...]],
     robot: Robot,
@@ -348,12 +351,13 @@ def _at_poses(
     stages: _Stages,
 ) -> list[AtPose]:
     """All stages of each pose that has a frequency response; one must."""
-    count = len(groups)
-    tried = [
-        _at_pose(f"pose {place + 1}", group, robot, sensors, options, stages, (place / count, count))
-        for place, group in enumerate(groups)
-    ]
-    poses = [at for at in tried if at is not None]
+    count, poses = len(groups), []
+    for place, group in enumerate(groups):
+        name = f"pose {place + 1}"
+        before, part = f"{name}: " if count > 1 else "", (0.1 + 0.5 * place / count, 0.5 / count)
+        own = dataclasses.replace(stages, before=before, part=part)
+        at = _at_pose(name, group, robot, sensors, options, own)
+        poses += [] if at is None else [at]
     if not poses:
         first = stages.left_out[0].why
         raise ValueError(first if count == 1 else f"{count} poses, none has a response; the first: {first}")
@@ -367,31 +371,27 @@ def _at_pose(
     sensors: tuple[Accelerometer, ...],
     options: FrfOptions,
     stages: _Stages,
-    part: tuple[float, int],
 ) -> AtPose | None:
-    """All stages of one pose; `part` is what of the poses is done, and their number. None without a frequency response."""
-    done, count = part
-
-    def run(stage: str, progress: float, work: Callable[..., T], *needs: object) -> T | None:
-        return stages.run(_of(name, stage, count), 0.1 + 0.5 * (done + progress / count), work, *needs)
-
-    measured = run(
+    """All stages of one pose; None without a frequency response."""
+    measured = stages.run(
         "frequency response",
         0.0,
         lambda: estimate_frequency_response(recordings, band_hz=options.band_hz, mains_hz=options.mains_hz),
     )
     if measured is None:
         return None
-    transfer = run(
+    transfer = stages.run(
         "transfer functions",
         0.3,
         lambda: fit_transfer_functions(measured, options.modes, delays=options.delays, start_hz=options.start_hz),
     )
-    validation = run("validation", 0.9, validate, transfer)
-    drives = run("inverse eigenvalue problem", 0.95, identify_drives, transfer)
+    validation = stages.run("validation", 0.9, validate, transfer)
+    drives = stages.run("inverse eigenvalue problem", 0.95, identify_drives, transfer)
     accelerations = None
     if sensors:
-        accelerations = run("accelerometers", 0.97, lambda: estimate_accelerations(recordings, measured, sensors))
+        accelerations = stages.run(
+            "accelerometers", 0.97, lambda: estimate_accelerations(recordings, measured, sensors)
+        )
     pose = mean_motion(recordings, robot.joints).mean(axis=0)
     return AtPose(name, pose, recordings, measured, transfer, validation, drives, accelerations)
 

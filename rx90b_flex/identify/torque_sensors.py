@@ -159,8 +159,9 @@ def sensor_gain(recordings: Sequence[Recording], joint: str) -> tuple[float, flo
     rows = _rows(runs, place, place)
     if rows is None:
         return None
-    fit = LinearFit.of(rows.columns, rows.sensor)
-    covariance = fit.coloured_covariance(rows.spans, int(CORRELATION_S * runs[0].rate_hz))
+    columns, sensor, spans = rows
+    fit = LinearFit.of(columns, sensor)
+    covariance = fit.coloured_covariance(spans, int(CORRELATION_S * runs[0].rate_hz))
     return float(fit.theta[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
 
 
@@ -174,8 +175,8 @@ def _fits(recordings: Sequence[Recording]) -> dict[str, dict[str, SensorFit]]:
         for motor in sensed:
             rows = _rows(runs, joints.index(motor), joints.index(sensor))
             if rows is not None:
-                fit = LinearFit.of(rows.columns, rows.sensor)
-                left = float(np.sqrt(np.mean(fit.residual**2)) / np.std(rows.sensor))
+                fit = LinearFit.of(*rows[:2])
+                left = float(np.sqrt(np.mean(fit.residual**2)) / np.std(rows[1]))
                 out.setdefault(sensor, {})[motor] = SensorFit(sensor, motor, float(fit.theta[0]), left)
     return out
 
@@ -213,17 +214,11 @@ def _filtered(recordings: Sequence[Recording]) -> list[_Filtered]:
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves, and those of each recording."""
+def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> tuple[Array, Array, tuple[slice, ...]] | None:
+    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves, and those of each recording.
 
-    columns: Array
-    sensor: Array
-    spans: tuple[slice, ...]
-
-
-def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> _Rows | None:
-    """None where the joint never moves or the sensor never changes."""
+    None where the joint never moves or the sensor never changes.
+    """
     columns, target, ends = [], [], [0]
     for r in runs:
         v = r.velocity[:, motor]
@@ -236,4 +231,4 @@ def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> _Rows | None:
         ends.append(ends[-1] + len(target[-1]))
     if not target or not np.ptp(together := np.concatenate(target)) > 0.0:
         return None
-    return _Rows(np.concatenate(columns), together, tuple(slice(a, b) for a, b in pairwise(ends)))
+    return np.concatenate(columns), together, tuple(slice(a, b) for a, b in pairwise(ends))

@@ -184,13 +184,21 @@ class CampaignPlan:
 
     def trajectory(self, key: RunKey) -> Trajectory:
         """References and feed-forward torques of a run."""
+        return self.period(key).repeated(self.periods)
+
+    def period(self, key: RunKey) -> Trajectory:
+        """One period of them."""
+        return self._carried(self.torque(key), key.name)
+
+    def torque(self, key: RunKey) -> Array:
+        """One period of the torque that a run is to bring about, whatever carries it, (N, joints), N m."""
         samples = len(self.reference.position)
         waves = _waves(self.lines, samples, self.peak, self.crest, self.amplitudes, self.seed, key.realisation)
         feedforward = np.zeros((samples, len(self.robot.joints)))
         for place, (joint, row) in enumerate(zip(self.moving, self.input_matrix, strict=True)):
             wave = waves[:, place % waves.shape[1]]
             feedforward[:, self.robot.joints.index(joint)] = key.sign * row[key.experiment] * wave
-        return self._carried(feedforward, key.name).repeated(self.periods)
+        return feedforward
 
     def _carried(self, torque: Array, name: str) -> Trajectory:
         """One period of references and torques that bring about a torque (N, joints)."""

@@ -361,7 +361,7 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
     ValueError
         One line that names the file and the key.
     """
-    from rx90b_flex.simulate.cascade import NEEDED, NUMBERS, Cascade
+    from rx90b_flex.simulate.cascade import NEEDED, NUMBERS, cascade
 
     path = robots_folder() / "cs8.toml" if source is None else Path(source)
     table = TomlTable(str(path), "", read_toml(path, "controller file"))
@@ -377,7 +377,7 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
         if kind == "cascade":
             given = _numbers(entry, NUMBERS, NEEDED, ["name", *CHAINS])
             with named_in(path, entry.name):
-                joint = Cascade(entry.text("name"), **given).as_pid()
+                joint = cascade(entry.text("name"), **given)
         else:
             given = _numbers(entry, fields, [f for f in fields if f not in optional], ["name", *CHAINS])
             joint = JointController(entry.text("name"), **given)
