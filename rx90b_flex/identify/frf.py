@@ -74,6 +74,16 @@ class Spectra:
     torque_noise: Array
     acceleration_noise: Array
 
+    @property
+    def torque_snr(self) -> Array:
+        """Torque at the excited lines over its noise, one period each, (F, n); NaN with one period."""
+        return _over(self.torque[self.excited], self.torque_noise[self.excited])
+
+    @property
+    def acceleration_snr(self) -> Array:
+        """The same of the acceleration."""
+        return _over(self.acceleration[self.excited], self.acceleration_noise[self.excited])
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredResponse(FrequencyResponse):
@@ -95,8 +105,6 @@ class MeasuredResponse(FrequencyResponse):
     equation_covariance : complex array, shape (F, n*n, n*n)
         The source's total covariance, (6.33) on (6.31), for comparison. It takes errors of different experiments as independent; but
         experiments that share a multisine share its distortion, so that it is several times too large off the diagonal.
-    torque_snr, acceleration_snr : array, shape (F, n)
-        Root mean square of a joint's line over that of its noise, one period each; NaN with one period.
     acceleration_distortion : array, shape (F, n)
         Root mean square of the line over that of noise and distortion of a realisation.
     spectra : Spectra
@@ -116,8 +124,6 @@ class MeasuredResponse(FrequencyResponse):
     equation_noise: ComplexArray | None
     equation_total: ComplexArray
     equation_covariance: ComplexArray
-    torque_snr: Array
-    acceleration_snr: Array
     acceleration_distortion: Array
     spectra: Spectra
     places: tuple[Place, ...]
@@ -229,8 +235,8 @@ def _from_excitations(recordings: Sequence[Recording], waves: Sequence[Array]) -
         signs = (
             (p, s) for other, p in known for s in (-1, 1) if np.abs(spectra[run] - s * spectra[other]).max() < near
         )
-        for other, sign in signs:
-            places.append(Place(recording.name, realisation, other.experiment, sign * other.sign))
+        for same, sign in signs:
+            places.append(Place(recording.name, realisation, same.experiment, sign * same.sign))
             break
         else:
             new = max((p.experiment for _, p in known), default=-1) + 1
@@ -389,9 +395,7 @@ def _estimate(
         equation_noise=noise,
         equation_total=total,
         equation_covariance=_kron(total, spread) / realisations,
-        torque_snr=_ratio(mean_u, u),
-        acceleration_snr=_ratio(mean_y, y),
-        acceleration_distortion=_over(_level(mean_y), np.einsum("fjj->fj", total).real),
+        acceleration_distortion=_over(spectra.acceleration[spectra.excited], np.sqrt(np.einsum("fjj->fj", total).real)),
         spectra=spectra,
         places=places,
         periods=periods,
@@ -463,21 +467,8 @@ def _h1(u: ComplexArray, y: ComplexArray) -> ComplexArray:
     return np.asarray(np.sum(y @ adjoint, axis=(0, 1)) @ np.linalg.inv(np.sum(u @ adjoint, axis=(0, 1))))
 
 
-def _level(x: ComplexArray) -> Array:
-    """Root mean square of each joint's line over realisations and experiments, (R, F, n, E) to (F, n)."""
-    return np.asarray(np.sqrt(np.mean(np.abs(x) ** 2, axis=(0, 3))))
-
-
-def _ratio(mean: ComplexArray, single: ComplexArray) -> Array:
-    periods = single.shape[1]
-    if periods < 2:
-        return np.full(mean.shape[1:3], np.nan)
-    deviation = np.sum(np.abs(single - mean[:, None]) ** 2, axis=1) / (periods - 1)
-    return _over(_level(mean), np.mean(deviation, axis=(0, 3)))
-
-
-def _over(level: Array, variance: Array) -> Array:
-    return np.divide(level, np.sqrt(variance), out=np.full_like(level, np.inf), where=variance > 0)
+def _over(level: Array, noise: Array) -> Array:
+    return np.divide(level, noise, out=np.full_like(level, np.inf), where=~(noise <= 0.0))
 
 
 # ---- from recordings to spectra -------------------------------------------------------------------------------

@@ -562,14 +562,12 @@ def _settled(before: GreyBox, now: GreyBox) -> bool:
 
 def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
     """Coefficients of frictions beside their declared values."""
-    names = [
-        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
+    known = [
+        (f"{e.label} {name}", unit, float(c))
+        for e in declared
+        for name, unit, c in zip(e.coefficient_names, e.coefficient_units, e.coefficients, strict=True)
     ]
-    before = [float(c) for e in declared for c in e.coefficients]
-    return tuple(
-        FrictionEstimate(name, unit, d, v, s)
-        for (name, unit), d, v, s in zip(names, before, values.tolist(), std.tolist(), strict=True)
-    )
+    return tuple(FrictionEstimate(*k, v, s) for k, v, s in zip(known, values.tolist(), std.tolist(), strict=True))
 
 
 def _spread(realisations: ComplexArray) -> Array:

@@ -14,7 +14,7 @@ of the logged torques. Antiresonances are the zeros of the drive points ``P_jj``
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
-from rx90b_flex.identify.stability import model_weights, nearest, refusals, spread, zero_refusals
+from rx90b_flex.identify.stability import Values, model_weights, nearest, refusals, spread, zero_refusals
 from rx90b_flex.identify.starting_values import (
     PoleSet,
     real_rows,
@@ -139,16 +139,14 @@ class TransferFit(FittedModel):
 
     def antiresonances(self, drive: int) -> tuple[Array, Array]:
         """Antiresonances of a drive point (5.41) and standard deviations, the choice of the model included, ascending, Hz."""
-        hz, std = super().antiresonances(drive)
-        others = [one.antiresonances(drive) for one, _ in self._weighted]
-        return hz, spread(hz, std, others, [weight for _, weight in self._weighted])
+        own = super().antiresonances(drive)
+        return own[0], self._widened(own, lambda one: one.antiresonances(drive))
 
     def torque_delays(self) -> tuple[Array, Array]:
         """As of one model, the standard deviations with the choice of the model included."""
-        value, std = super().torque_delays()
-        others = [one.torque_delays() for one, _ in self._weighted]
-        places = np.tile(np.arange(len(value)), (len(others), 1))
-        return value, spread(value, std, others, [weight for _, weight in self._weighted], places)
+        own = super().torque_delays()
+        places = np.tile(np.arange(len(own[0])), (len(self._weighted), 1))
+        return own[0], self._widened(own, CandidateModel.torque_delays, places)
 
     @cached_property
     def _weighted(self) -> list[tuple[CandidateModel, float]]:
@@ -158,13 +156,17 @@ class TransferFit(FittedModel):
 
     @cached_property
     def _resonance_spread(self) -> tuple[Array, Array]:
-        f, own, damping = self.resonances_hz, super().resonances_std_hz(), super().damping_std()
-        weights = [weight for _, weight in self._weighted]
-        others = [(one.resonances_hz, one.resonances_std_hz()) for one, _ in self._weighted]
-        ratios = [(one.model.damping_ratio, one.damping_std()) for one, _ in self._weighted]
-        return spread(f, own, others, weights), spread(
-            self.model.damping_ratio, damping, ratios, weights, nearest(f, own, others)
-        )
+        hz, ratio = (self.resonances_hz, super().resonances_std_hz()), (self.model.damping_ratio, super().damping_std())
+        places = nearest(*hz, [one.modes_told()[:2] for one, _ in self._weighted])
+        by_hz = self._widened(hz, lambda one: one.modes_told()[:2], places)
+        return by_hz, self._widened(ratio, lambda one: one.modes_told()[2:], places)
+
+    def _widened(
+        self, own: Values, told: Callable[[CandidateModel], Values], places: NDArray[np.intp] | None = None
+    ) -> Array:
+        """Standard deviations of values, with what the alternatives say of them (`spread`)."""
+        others = [told(one) for one, _ in self._weighted]
+        return spread(*own, others, [weight for _, weight in self._weighted], places)
 
     @cached_property
     def refused(self) -> tuple[str, ...]:
