@@ -287,7 +287,7 @@ class GearData:
 
     def of_runs(self, places: Sequence[int]) -> GearData:
         """Some of the recordings."""
-        runs, errors = (tuple(each[i] for i in places) for each in (self.runs, self.errors))
+        runs, errors = tuple(self.runs[i] for i in places), tuple(self.errors[i] for i in places)
         return dataclasses.replace(self, runs=runs, errors=errors)
 
     def blocks(self) -> tuple[slice, ...]:

@@ -327,10 +327,10 @@ def _result(
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
     low, high = values * np.exp(-reach * std), values * np.exp(reach * std)
-    numbers = np.column_stack([values, values * std, low, high, [p.declared for p in parameters]]).tolist()
+    numbers = (x.tolist() for x in (values, values * std, low, high, alone))
     estimates = tuple(
-        GreyEstimate(p.name, p.unit, *told, bool(a < UNDETERMINED))
-        for p, told, a in zip(parameters, numbers, alone, strict=True)
+        GreyEstimate(p.name, p.unit, v, s, below, above, p.declared, bool(vague < UNDETERMINED))
+        for p, v, s, below, above, vague in zip(parameters, *numbers, strict=True)
     )
     names = [parameters[i].name for i in free]
     return GreyBox(

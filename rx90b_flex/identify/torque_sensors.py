@@ -194,8 +194,8 @@ class _Filtered:
     def thinned(self) -> _Filtered:
         """Of a long recording not every sample, which is all that a comparison needs."""
         step = 1 + len(self.torque) // ENOUGH
-        signals = (x[::step] for x in (self.torque, self.sensor, self.velocity, self.acceleration))
-        return _Filtered(*signals, self.rate_hz / step)
+        torque, sensor = self.torque[::step], self.sensor[::step]
+        return _Filtered(torque, sensor, self.velocity[::step], self.acceleration[::step], self.rate_hz / step)
 
 
 def _filtered(recordings: Sequence[Recording]) -> list[_Filtered]:

@@ -559,7 +559,8 @@ def _starts(
         inside, above = np.geomspace(hz[0], hz[-1], 30), np.geomspace(1.05 * hz[-1], most, 6)[:-1]
         for told, places, damping in zip(ADDED, (inside, above), ((typical,), (typical, 0.2, 0.4)), strict=True):
             for centre, ratio in product(places.tolist(), damping):
-                found.append((told, np.append(before.poles, TURN * centre * (-ratio + 1j * np.sqrt(1 - ratio**2)))))
+                pole = np.array([TURN * centre * (-ratio + 1j * np.sqrt(1 - ratio**2))], complex)
+                found.append((told, np.concatenate([before.poles, pole])))
     if not found:
         f = np.geomspace(hz[0], hz[-1], layout.modes + 2)[1:-1]
         found.append(("spread over the band", TURN * f * (-0.05 + 1j)))
