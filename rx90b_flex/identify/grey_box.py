@@ -94,7 +94,6 @@ class Start:
     """One start of the search: where from, and the cost at which it ended."""
 
     name: str
-    coarse_cost: float
     cost: float | None  # None: not among the best, not followed to its end
 
 
@@ -296,7 +295,7 @@ def _search(
         x = problem.minimum(found[k][2], 60)
         ends[k] = (problem.cost(x), x)
     best = min(ends, key=lambda k: ends[k][0])
-    starts = tuple(Start(name, cost, ends[k][0] if k in ends else None) for k, (cost, name, _) in enumerate(found))
+    starts = tuple(Start(name, ends[k][0] if k in ends else None) for k, (_, name, _) in enumerate(found))
     return problem, ends[best][1], starts
 
 

@@ -56,6 +56,11 @@ class LinearFit:
         """Standard deviation of independent noise, as the residual shows it."""
         return float(np.sqrt(self.squares / self.freedom))
 
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the coefficients for such noise, (k,)."""
+        return np.asarray(self.noise * np.sqrt(np.diag(self.inverse)))
+
     def coloured_covariance(self, spans: Sequence[slice], longest: int) -> Array:
         """Of the coefficients, (k, k), for noise of the colour that the residual has within some rows, over `longest` samples."""
         spectrum = residual_spectrum(self.residual, spans, np.zeros(1), longest)

@@ -33,14 +33,12 @@ class StaticLine:
         Confidence interval of the stiffness; its upper end is infinite where the slope's reaches zero.
     mean_moment, deformation : float
         A point of the line: the mean moment of both directions, and where the line stands there; N m and rad.
-    readings : int
     """
 
     stiffness: float
     interval: tuple[float, float]
     mean_moment: float
     deformation: float
-    readings: int
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,8 @@ class StaticStiffness:
     Attributes
     ----------
     coordinate : str
-    stiffness : float
-        N m/rad.
+    stiffness, stiffness_std : float
+        N m/rad; the standard deviation to first order of the slope's.
     interval : (float, float)
         Confidence interval of `stiffness`, N m/rad.
     confidence : float
@@ -75,6 +73,7 @@ class StaticStiffness:
 
     coordinate: str
     stiffness: float
+    stiffness_std: float
     interval: tuple[float, float]
     confidence: float
     response: Response
@@ -86,19 +85,6 @@ class StaticStiffness:
     slope_p_value: float
     hysteresis_area: float
     hysteresis_std: float
-
-    @property
-    def stiffness_std(self) -> float:
-        """Of `stiffness`, N m/rad, to first order of the slope's."""
-        reach = float(special.stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * self.confidence))
-        low, high = self.interval
-        if self.response == "moment":
-            return (high - self.stiffness) / reach
-        return (
-            self.stiffness**2
-            * (1.0 / self.stiffness - 1.0 / high if np.isfinite(high) else 1.0 / low - 1.0 / self.stiffness)
-            / reach
-        )
 
 
 def fit_static_stiffness(
@@ -145,6 +131,7 @@ def fit_static_stiffness(
     return StaticStiffness(
         coordinate=test.coordinate,
         stiffness=1.0 / slope if response == "deformation" else slope,
+        stiffness_std=float(parallel.std[0]) / (slope**2 if response == "deformation" else 1.0),
         interval=_stiffness_interval(parallel, 0, confidence, response),
         confidence=confidence,
         response=response,
@@ -187,12 +174,11 @@ def _branch(test: StaticTest, both: LinearFit, place: int, confidence: float, re
     """One direction's line, of the fit with a slope for each: 0 loading, 1 unloading."""
     gradient, height = float(both.theta[place]), float(both.theta[2 + place])
     middle = float(test.moment.mean())
-    readings = int((~test.rising if place else test.rising).sum())
     interval = _stiffness_interval(both, place, confidence, response)
     if response == "deformation":
-        return StaticLine(1.0 / gradient, interval, middle, height, readings)
+        return StaticLine(1.0 / gradient, interval, middle, height)
     at_middle = float(test.deformation.mean() + (middle - height) / gradient)
-    return StaticLine(gradient, interval, middle, at_middle, readings)
+    return StaticLine(gradient, interval, middle, at_middle)
 
 
 def hysteresis_area(test: StaticTest) -> tuple[float, Array]:
@@ -231,8 +217,8 @@ def _f_test(small: LinearFit, large: LinearFit) -> float:
 
 def _stiffness_interval(fit: LinearFit, place: int, confidence: float, response: Response) -> tuple[float, float]:
     """Of the stiffness, N m/rad, that the slope in that place says."""
-    slope, std = float(fit.theta[place]), fit.noise * float(np.sqrt(fit.inverse[place, place]))
-    reach = float(special.stdtrit(fit.freedom, 0.5 + 0.5 * confidence)) * std  # Student's t
+    slope = float(fit.theta[place])
+    reach = float(special.stdtrit(fit.freedom, 0.5 + 0.5 * confidence) * fit.std[place])  # Student's t
     low, high = slope - reach, slope + reach
     if response == "moment":
         return max(low, 0.0), high
