@@ -343,13 +343,11 @@ class GearFit:
         return float(np.sqrt((self.residual[: self.data.rows] ** 2).mean()))
 
     def value(self, name: str) -> float:
-        """A coefficient; zero where it was not fitted."""
-        return float(self.theta[self.names.index(name)]) if name in self.names else 0.0
+        """A coefficient."""
+        return float(self.theta[self.names.index(name)])
 
     def std(self, name: str) -> float:
-        """Standard deviation of a coefficient; infinite where it was not fitted."""
-        if name not in self.names:
-            return np.inf
+        """Standard deviation of a coefficient."""
         i = self.names.index(name)
         return float(np.sqrt(max(self.covariance[i, i], 0.0)))
 
@@ -365,8 +363,6 @@ class GearFit:
 
     def lawful(self) -> GearFit:
         """Given that the rotor's inertia is not negative: mean and covariance of the normal distribution cut off there."""
-        if "acceleration" not in self.names:
-            return self
         i = self.names.index("acceleration")
         mean, spread = float(self.theta[i]), float(self.covariance[i, i])
         cut = -mean / max(np.sqrt(spread), 1e-300)
@@ -388,7 +384,7 @@ def fit_columns(data: GearData, names: Sequence[str], columns: Array) -> GearFit
     return GearFit(data, tuple(names), fit.theta, covariance, fit.residual)
 
 
-def fit_gear(data: GearData, names: Sequence[str] = (*LOAD, *BASE)) -> GearFit:
+def fit_gear(data: GearData) -> GearFit:
     """Fit the deflection of a gear.
 
     A gear of compliance c (1 / stiffness) turns by ``-c`` times the torque that passes it, link less motor: the drive's torque
@@ -401,20 +397,17 @@ def fit_gear(data: GearData, names: Sequence[str] = (*LOAD, *BASE)) -> GearFit:
     second encoder is read later than the motor's, viscous friction behind the gear included. How well the model's torque is told
     from friction, inertia and the zero limits how well c can be known, and counts in its uncertainty.
     """
-    fit = fit_columns(data, names, data.stacked(names))
-    if "torque" not in names:
-        return fit
-    strength = _strength(data, names)
-    covariance = fit.covariance.copy()
-    i = names.index("torque")
+    names = (*LOAD, *BASE)
+    fit, strength = fit_columns(data, names, data.stacked(names)), _strength(data)
+    covariance, i = fit.covariance.copy(), names.index("torque")
     covariance[i, i] += (fit.compliance / max(strength, 1e-3)) ** 2
     return dataclasses.replace(fit, covariance=covariance, strength=strength)
 
 
-def _strength(data: GearData, names: Sequence[str]) -> float:
+def _strength(data: GearData) -> float:
     """The model's torque in the measured one, beside friction and inertia: its coefficient over its standard deviation."""
     rows = np.concatenate([r.measured[r.used] - r.measured[r.used].mean() for r in data.runs])
-    kept = [n for n in names if n != "remainder"]
+    kept = [n for n in (*LOAD, *BASE) if n != "remainder"]
     columns = np.concatenate([r.columns(kept)[r.used] for r in data.runs])
     fit = LinearFit.of(columns - columns.mean(axis=0), rows)
     if not fit.residual.any():

@@ -201,14 +201,13 @@ def fit_transfer_functions(
     start: TransferFunctions | None = None,
     start_hz: Sequence[float] = (),
     bounds: Bounds | None = None,
-    criterion: str = "mdl",
 ) -> TransferFit:
     """Symmetric transfer functions by maximum likelihood, with their order, without a hand in it.
 
     For each number of modes, poles come from linear fits of several orders and weights (`starting_poles`) and from
     the fit with one mode less and a new pole where it helps most; the likelihood is climbed from each by
     Levenberg-Marquardt with the analytic Jacobian, and the lowest cost stays. The number of modes is that of the lowest
-    criterion, where two more did not lower it.
+    criterion (minimum description length), where two more did not lower it.
 
     Parameters
     ----------
@@ -226,8 +225,6 @@ def fit_transfer_functions(
     start_hz : sequence of float
         Resonances, Hz, from which the fit of as many modes sets out as well.
     bounds : Bounds, optional
-    criterion : str
-        ``mdl`` (minimum description length) or ``aic``.
 
     Raises
     ------
@@ -235,12 +232,13 @@ def fit_transfer_functions(
         Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds; resonances to
         start from that are outside them, or of which there are as many as no number of modes.
     """
-    _check_words(delays, criterion)
+    if delays not in ("none", "common", "each"):
+        raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
     for centre, half in leave_out_hz:
         response = response.lines(np.abs(response.hz - centre) > half)
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
     layouts = _layouts(response, tried, {"none": 0, "common": 1, "each": len(response.joints)}[delays], start)
-    problem = _Likelihood(response, bounds or Bounds(), criterion)
+    problem = _Likelihood(response, bounds or Bounds())
     _check_start_hz(start_hz, tried, problem.frequency_hz)
     wholes = _whole_fits(problem, layouts, start, start_hz)
     every = _with_fewer_terms(problem, wholes) if start is None else [[one] for one in wholes]
@@ -270,13 +268,6 @@ def _layouts(
             "expected modes from 1 on and twice as many numbers as parameters"
         )
     return layouts
-
-
-def _check_words(delays: str, criterion: str) -> None:
-    if delays not in ("none", "common", "each"):
-        raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
-    if criterion not in ("mdl", "aic"):
-        raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
 
 
 def _whole_fits(
@@ -362,7 +353,7 @@ def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
 class _Likelihood:
     """Residuals and Jacobian over one response, the bounds of the parameters, and what decides between models."""
 
-    def __init__(self, response: FrequencyResponse, bounds: Bounds, criterion: str) -> None:
+    def __init__(self, response: FrequencyResponse, bounds: Bounds) -> None:
         low, high = float(response.hz[0]), float(response.hz[-1])
         self.response, self.bounds = response, bounds
         self.frequency_hz = bounds.frequency_hz or (low, 2 * high)
@@ -380,9 +371,7 @@ class _Likelihood:
         self.n = len(response.joints)
         self.upper = np.triu_indices(self.n)
         self.noise, _, self.loss = efficiency(response)
-        self.price = (
-            np.log(2 * response.value.size) / 2 if criterion == "mdl" else 1.0
-        )  # of a parameter, in units of the cost
+        self.price = np.log(2 * response.value.size) / 2  # of a parameter, in units of the cost: its description length
 
     def climbed(self, layout: TermLayout, model: TransferFunctions, started: str) -> _Climb:
         """Where the likelihood's climb from a model ends."""

@@ -216,17 +216,13 @@ MULTISINE_BAND_HZ = (1.0, 110.0)
 
 
 def sine_excitation(
-    robot: Robot, rng: np.random.Generator, *, torque: float = 45.0, periods: int = 1, rate_hz: float = RATE_HZ
+    robot: Robot, rng: np.random.Generator, *, periods: int = 1, rate_hz: float = RATE_HZ
 ) -> Trajectory:
     """The identification experiment of section 4.2.2.
 
     Joints 1-4 follow the 2nd, 3rd, 2nd and 3rd harmonic of a sine of 4.096 s, amplitude and offset pi/4; a multisine of
-    72 equally spaced lines from 1 to 110 Hz (on the grid of the period) is fed forward to each.
-
-    Parameters
-    ----------
-    torque : float or array, N m
-        Peak of the multisine. Not printed for this experiment: that of section 6.6.2.
+    72 equally spaced lines from 1 to 110 Hz (on the grid of the period) is fed forward to each. Its peak is not printed for
+    this experiment: that of section 6.6.2.
     """
     samples = round(PERIOD_S * rate_hz)
     harmonic = np.resize(SINE_HARMONICS, len(robot.joints)) * (np.arange(len(robot.joints)) < len(SINE_HARMONICS))
@@ -235,7 +231,7 @@ def sine_excitation(
     position = SINE_AMPLITUDE * (np.sin(angle) + moves)
     velocity = SINE_AMPLITUDE * np.cos(angle) * 2.0 * np.pi * harmonic / PERIOD_S
     lines = np.round(np.linspace(*MULTISINE_BAND_HZ, MULTISINE_LINES) * PERIOD_S).astype(int)
-    feedforward = multisine(list(lines), samples, 1.0, rng, len(robot.joints)) * torque * moves
+    feedforward = multisine(list(lines), samples, 1.0, rng, len(robot.joints)) * FEEDFORWARD_PEAK * moves
     once = Trajectory("excitation", robot.joints, rate_hz, position, velocity, feedforward, PERIOD_S)
     return once.repeated(periods)
 
@@ -283,10 +279,8 @@ def square_wave(
     pose: Sequence[float] | Array,
     *,
     speed: float = SQUARE_SPEED,
-    odd_lines: int = SQUARE_ODD_LINES,
     moving: Sequence[str] | None = None,
     feedforward: Array | None = None,
-    periods: int = 1,
     rate_hz: float = RATE_HZ,
     period_s: float = PERIOD_S,
     swings: int = 1,
@@ -310,17 +304,16 @@ def square_wave(
     """
     if swings < 1 or swings % 2 == 0:
         raise ValueError(f"swings is {swings}; expected an odd number, 1 or more")
-    samples = round(period_s * rate_hz)
-    if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < 4 * swings * odd_lines:
+    samples, least = round(period_s * rate_hz), 4 * swings * SQUARE_ODD_LINES
+    if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < least:
         raise ValueError(
-            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {4 * swings * odd_lines} or more "
-            f"with swings = {swings}"
+            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {least} or more with swings = {swings}"
         )
     place = np.arange(samples) * swings % samples
-    velocity, position = (wave[place] for wave in smoothed_square(samples, odd_lines))
+    velocity, position = (wave[place] for wave in smoothed_square(samples, SQUARE_ODD_LINES))
     velocity, position = speed * velocity, speed * period_s / (2.0 * np.pi * swings) * position
     moves = np.array([moving is None or joint in moving for joint in robot.joints], dtype=float)
-    once = Trajectory(
+    return Trajectory(
         "square_wave",
         robot.joints,
         rate_hz,
@@ -329,4 +322,3 @@ def square_wave(
         feedforward,
         period_s,
     )
-    return once.repeated(periods)
