@@ -30,6 +30,7 @@ UNDETERMINED = (
     0.5  # relative standard deviation from the data alone beyond which a direction or parameter is called undetermined
 )
 VAGUE = 0.1  # the same, beyond which a direction is worth naming
+SPREAD = 0.4  # standard deviation of drawn starts, of the logarithms
 NAMED = 0.4  # entries of a direction that are named, over its largest
 Progress = Callable[[str, float], None]
 
@@ -262,7 +263,7 @@ def _starts(problem: GreyProblem, options: GreyBoxOptions, start: Mapping[str, f
         begin.insert(0, ("given start", other))
     rng = np.random.default_rng(options.seed)
     centre = begin[0][1]
-    reach = np.minimum(options.spread, [p.prior_std for p in problem.parameters])  # no larger than priors allow
+    reach = np.minimum(SPREAD, [p.prior_std for p in problem.parameters])  # no larger than priors allow
     drawn = rng.standard_normal((options.starts, len(centre))) * reach
     return begin + [(f"drawn {k + 1}", centre + step) for k, step in enumerate(drawn)]
 

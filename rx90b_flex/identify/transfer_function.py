@@ -50,6 +50,7 @@ WORTH_A_STEP = 1e-2  # of the cost, in units of the noise: what a tenth of a par
 CLIMB = Damping(1e-2, rise=4.0, fall=9.0)
 EVALUATIONS = 500  # of the cost, in one climb
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
+DELAY_S = (-0.01, 0.01)  # bounds of a delay
 BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: what lies beside the band may need one
 FEWER = ((-2, 0, 2), (-2, 0), (0, 1, 2), (0, 2), (0,))  # powers of s that may do instead of all
 ADDED = ("one mode more", "a mode above the band")  # where starts come from that add to a fit with a mode less
@@ -70,8 +71,6 @@ class Bounds:
     ----------
     frequency_hz : (low, high) of every mode; by default from the lowest line to twice the highest.
     damping_ratio : (low, high).
-    decay_hz : (low, high) of the friction's real pole; by default up to half the lowest line.
-    delay_s : (low, high).
     antiresonances : tuple of (joint, low, high)
         The antiresonance of that joint's drive point which is nearest to the interval, Hz, stays in it. Zeros are functions of
         modes and what stands beside them: a steep price keeps them.
@@ -79,8 +78,6 @@ class Bounds:
 
     frequency_hz: tuple[float, float] | None = None
     damping_ratio: tuple[float, float] = DAMPING
-    decay_hz: tuple[float, float] | None = None
-    delay_s: tuple[float, float] = (-0.01, 0.01)
     antiresonances: tuple[tuple[str, float, float], ...] = ()
 
 
@@ -357,7 +354,7 @@ class _Likelihood:
         low, high = float(response.hz[0]), float(response.hz[-1])
         self.response, self.bounds = response, bounds
         self.frequency_hz = bounds.frequency_hz or (low, 2 * high)
-        self.decay_hz = bounds.decay_hz or (1e-3 * low, low / 2)
+        self.decay_hz = 1e-3 * low, low / 2  # of the friction's real pole
         self.zeros = []  # drive, lowest and highest frequency of an antiresonance, Hz
         for joint, low, high in bounds.antiresonances:
             if joint not in response.joints or not 0.0 <= low < high:
@@ -401,7 +398,7 @@ class _Likelihood:
             (slice(0, end, width), self.frequency_hz),
             (slice(1, end, width), self.bounds.damping_ratio),
             (slice(layout.decay, layout.decay + 1), self.decay_hz),
-            (slice(layout.count - layout.delays, layout.count), self.bounds.delay_s),
+            (slice(layout.count - layout.delays, layout.count), DELAY_S),
         ]
         for place, (least, most) in places:
             low[place], high[place] = least, most

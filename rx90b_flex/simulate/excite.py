@@ -407,7 +407,7 @@ def _how(plan: CampaignPlan) -> list[str]:
     sent = (
         f"{joint}, ... (rad), v_{joint}, ... (rad/s), ff_{joint}, ... ({'zero' if plan.by == 'reference' else 'N m'})"
     )
-    optional = " and ".join(x for x in LOGGED[plan.by][2:])
+    optional = " and ".join(LOGGED[plan.by][2:])
     return [
         f"Run each file of references/ over and over without a pause, {plan.periods} periods of {plan.reference.period_s:g} s; the",
         "first one, in which the transient dies, is left out below.",
