@@ -230,8 +230,8 @@ def _sent(recording: Recording, rate_hz: float) -> Trajectory:
         )
     logged = from_recording(recording)
     parts = (logged.position, logged.velocity, logged.torque)
-    one = [None if x is None else _resampled(x[:samples], count) for x in parts]
-    return Trajectory(recording.name, recording.joints, rate_hz, one[0], one[1], one[2], period)
+    position, velocity, torque = (_resampled(x[:samples], count) for x in parts)
+    return Trajectory(recording.name, recording.joints, rate_hz, position, velocity, torque, period)
 
 
 def _resampled(period: Array, count: int) -> Array:
@@ -244,17 +244,11 @@ def _period(measured: Recording, of: Recording, number: int) -> Recording:
     samples, own = measured.period_samples or 0, round((measured.period_s or 0.0) * of.sample_rate_hz)
     rows = slice(number * own, (number + 1) * own)
     torque = measured.feedforward_torque
-    return dataclasses.replace(
-        measured,
-        time=measured.time[:samples],
-        position=_resampled(of.position[rows], samples),
-        torque=_resampled(of.torque[rows], samples),
-        velocity=None,
-        link_position=None,
-        reference_position=None,
-        reference_velocity=None,
-        feedforward_torque=None if torque is None else torque[:samples],
-    )
+    position, moved = (_resampled(x[rows], samples) for x in (of.position, of.torque))
+    return Recording(
+        measured.name, measured.role, measured.time[:samples], measured.sample_rate_hz, measured.joints, position, moved,
+        feedforward_torque=None if torque is None else torque[:samples], period_s=measured.period_s,
+    )  # fmt: skip
 
 
 def linear_response(
