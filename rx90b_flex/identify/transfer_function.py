@@ -549,7 +549,7 @@ def _starts(
                 found.append((told, np.concatenate([before.poles, pole])))
     if not found:
         f = np.geomspace(hz[0], hz[-1], layout.modes + 2)[1:-1]
-        found.append(("spread over the band", TURN * f * (-0.05 + 1j)))
+        found.append(("spread over the band", np.asarray(TURN * f * (-0.05 + 1j), complex)))
     best: dict[str, tuple[str, ComplexArray]] = {}  # of each kind
     for told, poles in sorted(found, key=lambda one: residue_fit(data, np.append(one[1], decay))[1]):
         best.setdefault(told.split(" of ")[0], (told, poles))
