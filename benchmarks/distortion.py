@@ -178,8 +178,8 @@ def study(folder: Path, realisations: int, figures: Path | None) -> None:
         found = known[case]
         print(f"  {name} ({case.realisations} realisations)")
         for what, ratio in (
-            ("torque over noise", found.torque_snr),
-            ("acceleration over noise", found.acceleration_snr),
+            ("torque over noise", found.spectra.torque_snr),
+            ("acceleration over noise", found.spectra.acceleration_snr),
             ("acceleration over distortion", found.acceleration_distortion),
         ):
             print(f"    {what:30s}{in_bands(hz, ratio / 100)}")
@@ -223,8 +223,8 @@ def draw_ratios(found: dict[str, MeasuredResponse], end_hz: float = BAND_HZ[1]) 
         rows, colour = response.hz < end_hz, f"C{place}"
         hz = response.hz[rows]
         for j, (left, right) in enumerate(axes):
-            left.semilogy(hz, response.torque_snr[rows, j], colour, lw=0.8, label=f"{name}: over noise")
-            right.semilogy(hz, response.acceleration_snr[rows, j], colour, lw=0.8, label=f"{name}: over noise")
+            left.semilogy(hz, response.spectra.torque_snr[rows, j], colour, lw=0.8, label=f"{name}: over noise")
+            right.semilogy(hz, response.spectra.acceleration_snr[rows, j], colour, lw=0.8, label=f"{name}: over noise")
             distortion = response.acceleration_distortion[rows, j]
             right.semilogy(hz, distortion, colour, lw=0.8, ls="--", label=f"{name}: over distortion")
             left.set_ylabel(f"torque {j + 1}")

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import ast
+from collections.abc import Callable
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def names_of(package: str, homes: Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
-    """A package's ``__getattr__``.
+def names_of(package: str, file: str) -> Callable[[str], Any]:
+    """A package's ``__getattr__``: it loads what the package imports under ``if TYPE_CHECKING``, so that these imports stand once.
 
     Parameters
     ----------
-    package : str
-        Its ``__name__``.
-    homes : dict of str to names
-        Each module, by its name inside rx90b_flex, with the public names that stand in it.
+    package, file : str
+        Its ``__name__`` and its ``__file__``.
     """
-    home = {name: module for module, names in homes.items() for name in names}
+
+    @cache
+    def homes() -> dict[str, str]:
+        blocks = (n for n in ast.parse(Path(file).read_text(encoding="utf-8")).body if isinstance(n, ast.If))
+        imports = (n for block in blocks for n in block.body if isinstance(n, ast.ImportFrom))
+        return {name.name: each.module or "" for each in imports for name in each.names}
 
     def load(name: str) -> Any:
-        if name not in home:
+        if name not in homes():
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"rx90b_flex.{home[name]}"), name)
+        return getattr(import_module(homes()[name]), name)
 
     return load

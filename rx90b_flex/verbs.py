@@ -200,7 +200,8 @@ def frf(
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors
 
     options = FrfOptions(
-        band_hz, None if controller is None else Path(controller), link_mass_std, bending_alike_std, hinge_std, seed=seed,
+        band_hz, controller=None if controller is None else Path(controller), link_mass_std=link_mass_std,
+        bending_alike_std=bending_alike_std, hinge_std=hinge_std, seed=seed,
         references=None if references is None else Path(references), mains_hz=mains_hz, replay=replay, jobs=jobs,
     )  # fmt: skip
     return identify_from_motors(campaign, options, progress)

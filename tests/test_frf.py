@@ -260,7 +260,7 @@ def test_too_few_experiments_are_refused() -> None:
 def test_one_period_cannot_tell_noise_and_one_realisation_no_distortion() -> None:
     rng = np.random.default_rng(8)
     r = estimate_frequency_response(recordings(rng, 6, 1, noise=0.01))
-    assert r.noise_covariance is None and np.isnan(r.torque_snr).all() and r.distortion_covariance is None
+    assert r.noise_covariance is None and np.isnan(r.spectra.torque_snr).all() and r.distortion_covariance is None
     assert any("one period: noise cannot be told from distortion" in x for x in r.remarks)
     r = estimate_frequency_response(recordings(rng, 1, 6, noise=0.01))
     assert any("one realisation: the nonlinear distortion is unknown" in x for x in r.remarks)

@@ -141,7 +141,6 @@ def test_bounds_hold_an_antiresonance() -> None:
     ("arguments", "said"),
     [
         ({"delays": "some"}, "delays is 'some'"),
-        ({"criterion": "best"}, "criterion is 'best'"),
         ({"modes": 80}, "expected modes"),
         ({"modes": ()}, "expected modes"),
         ({"leave_out_hz": [(40.0, 100.0)]}, "0 lines"),

@@ -92,8 +92,9 @@ def frf_command(
     from rx90b_flex.view.frf_report import write_frf_report
 
     options = FrfOptions(
-        (low_hz, high_hz), controller, link_mass_std, bending_alike_std, hinge_std, seed=seed, references=references,
-        modes=tried, start_hz=starts, delays=delays, mains_hz=mains_hz, replay=not no_replay, jobs=jobs,
+        (low_hz, high_hz), controller=controller, link_mass_std=link_mass_std, bending_alike_std=bending_alike_std,
+        hinge_std=hinge_std, seed=seed, references=references, modes=tried, start_hz=starts, delays=delays, mains_hz=mains_hz,
+        replay=not no_replay, jobs=jobs,
     )  # fmt: skip
     with progress() as tell:
         result = identify_from_motors(read, options, tell)

@@ -98,8 +98,8 @@ def named_beside(path: Path, name: str) -> Path | str:
 
 
 @contextmanager
-def named_in(path: Path, key: str) -> Iterator[None]:
-    """While what a file's key names is read: whatever is wrong with that is told with the file and the key.
+def named_in(path: Path | str, key: str = "") -> Iterator[None]:
+    """While what a file, or a key of it, names is read: whatever is wrong with that is told with the file and the key.
 
     Raises
     ------
@@ -110,7 +110,8 @@ def named_in(path: Path, key: str) -> Iterator[None]:
         yield
     except ValueError as error:
         text = str(error)
-        raise ValueError(text if text.startswith(str(path)) else f"{path}: {key}: {text}") from None
+        where = f"{path}: {key}" if key else str(path)
+        raise ValueError(text if text.startswith(str(path)) else f"{where}: {text}") from None
 
 
 def toml_text(content: Mapping[str, Any]) -> str:

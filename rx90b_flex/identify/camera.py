@@ -261,6 +261,7 @@ class JointFit:
 
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
+STEPS = 20  # in which Gauss and Newton's settle
 _COARSE = 2  # steps of the fit that leave its faint directions alone
 _FRAME = 6  # numbers of the frame in the fit: three before the joint, three behind
 
@@ -272,7 +273,6 @@ def fit_joint(
     *,
     same_bending: bool = False,
     frame_prior: float = FRAME_PRIOR,
-    iterations: int = 20,
 ) -> JointFit:
     """Stiffnesses of a joint's three hinges together with the errors of its frame.
 
@@ -307,7 +307,7 @@ def fit_joint(
         raise ValueError("one of the three moments is zero throughout: its hinge's stiffness cannot show")
     weight = np.linalg.inv(np.linalg.cholesky(turn.covariance))
     size = _sizes_of_unknowns(largest, same_bending)
-    found, root = _settled_joint(turn.rotation, angle, moment, weight, size, frame_prior, iterations)
+    found, root = _settled_joint(turn.rotation, angle, moment, weight, size, frame_prior)
     std = np.sqrt((root**2).sum(axis=1))
     before, behind, compliance = np.split(found, [3, _FRAME])
     residual, _ = _misfit(found, turn.rotation, angle, moment)
@@ -335,12 +335,12 @@ def _sizes_of_unknowns(largest: Array, same_bending: bool) -> Array:
 
 
 def _settled_joint(
-    rotation: Array, angle: Array, moment: Array, weight: Array, size: Array, frame_prior: float, iterations: int
+    rotation: Array, angle: Array, moment: Array, weight: Array, size: Array, frame_prior: float
 ) -> tuple[Array, Array]:
     """The model's nine numbers by Gauss-Newton, and a root R of their covariance, R R^T."""
     x = np.zeros(size.shape[1])
     prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
-    for iteration in range(iterations):
+    for iteration in range(STEPS):
         residual, slope = _misfit(size @ x, rotation, angle, moment)
         r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
         columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
@@ -351,7 +351,7 @@ def _settled_joint(
         x = x + step
         if iteration >= _COARSE and np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max()):
             return size @ x, size @ vt.T / s
-    raise ValueError(f"the fit of joint and frame did not settle in {iterations} steps")
+    raise ValueError(f"the fit of joint and frame did not settle in {STEPS} steps")
 
 
 def _misfit(x: Array, rotation: Array, angle: Array, moment: Array) -> tuple[Array, Array]:
@@ -443,7 +443,6 @@ def _settled_base(
     weight: Array,
     start: tuple[Array, Array, Array],
     with_markers: bool,
-    iterations: int,
 ) -> tuple[Array, Array, Array, Array]:
     """Rotation, markers and translation by Gauss-Newton, and a root R of the covariance, R R^T, of turn, translation and markers.
 
@@ -451,7 +450,7 @@ def _settled_base(
     """
     rotation, at, translation = start
     count = measured.shape[1] if with_markers else 0
-    for _ in range(iterations):
+    for _ in range(STEPS):
         points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
         arms = points @ rotation.T
         missing = measured - arms - translation
@@ -469,7 +468,7 @@ def _settled_base(
             at = at + step[6:].reshape(count, 3)
         if np.abs(step).max() < 1e-12:
             return rotation, at, translation, vt.T / s
-    raise ValueError(f"the calibration of the base did not settle in {iterations} steps")
+    raise ValueError(f"the calibration of the base did not settle in {STEPS} steps")
 
 
 def calibrate_base(
@@ -478,8 +477,6 @@ def calibrate_base(
     measured: Array,
     std: Array | float,
     markers: Array | None = None,
-    *,
-    iterations: int = 20,
 ) -> BaseCalibration:
     """The base in the camera's frame, from markers on one link in several poses of a known kinematic model.
 
@@ -512,7 +509,7 @@ def calibrate_base(
         points = np.einsum("nij,mj->nmi", turns, known) + places[:, None]
         fit = fit_rigid_body(points.reshape(-1, 3), measured.reshape(1, -1, 3), 1.0)
         start = fit.rotation[0], known, fit.translation[0]
-    rotation, at, translation, root = _settled_base(turns, places, measured, weight, start, markers is None, iterations)
+    rotation, at, translation, root = _settled_base(turns, places, measured, weight, start, markers is None)
     points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
     left = weight * (measured - points @ rotation.T - translation)
     std_of = np.sqrt((root**2).sum(axis=1))

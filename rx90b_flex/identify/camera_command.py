@@ -185,10 +185,8 @@ def fit_markers(source: MarkerRecording) -> CameraResult:
     ValueError
         One line that names the file and why the markers do not tell them.
     """
-    try:
+    with named_in(source.path):
         return _fitted(source)
-    except ValueError as error:
-        raise ValueError(f"{source.path}: {error}") from None
 
 
 def _fitted(source: MarkerRecording) -> CameraResult:
@@ -210,14 +208,8 @@ def _fitted(source: MarkerRecording) -> CameraResult:
         HingeStiffness(f"{joint}:{kind}", float(k), float(s))
         for kind, k, s in zip(KINDS, fit.stiffness, fit.stiffness_std, strict=True)
     )
-    return CameraResult(
-        source,
-        fit,
-        moment,
-        base,
-        hinges,
-        with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined}),
-    )
+    found = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
+    return CameraResult(source, fit, moment, base, hinges, found)
 
 
 def hinge_moments(robot: Robot, joint: str, angles: Array, rate_hz: float | None) -> Array:

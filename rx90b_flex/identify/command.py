@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,9 +14,9 @@ from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.bodies import Inconsistency, inconsistencies
-from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
@@ -206,10 +204,8 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
     tell("reading", 0.0)
     campaign = source if isinstance(source, Campaign) else load_campaign(source)
     declared = load_robot(campaign.robot_source) if robot is None else robot
-    try:
+    with named_in(campaign.path, "joints"):
         declared.restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None
     campaign, constants = resolved(campaign, declared)
     for recording in campaign.recordings:
         if not recording.torque.any():
@@ -236,7 +232,8 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         theta, held = possible_coefficients(model)
     except ValueError as error:  # of a torque that hardly depends on the motion, say
         raise ValueError(f"{campaign.path}: {error}; do the torques belong to these motions?") from None
-    found = _robot(declared, model, theta)
+    possible = with_coefficients(model, theta)
+    found = _robot(declared, possible)
     base = base_parameters(model)
     tell("predicting", 0.8)
     fit, kept = (_predictions(found, rigid, logs) for logs in (fitted_logs, held_out))
@@ -246,7 +243,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         declared,
         campaign,
         model,
-        with_coefficients(model, theta),
+        possible,
         found,
         base,
         consistency,
@@ -261,26 +258,18 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
 # ---- parameters that are possible -------------------------------------------------------------------------------
 
 
-def _robot(declared: Robot, model: Identification, theta: Array) -> Robot:
+def _robot(declared: Robot, model: Identification) -> Robot:
     """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
     flexible = [e for e in declared.effects if e.traits.virtual]
     stand_ins = {e.label for e in flexible}  # of the flexible ones, on the rigid tree
-    effects = [e for e in _effects(model, theta) if e.label not in stand_ins]
+    effects = [e for e in model.effects if e.label not in stand_ins]
     if not model.links_fitted:
         joints = set(model.regression.joints)
         resting = [e for e in declared.effects if not e.traits.virtual and not set(e.joints) <= joints]
         return declared.with_effects([*flexible, *resting, *effects])
     rigid = model.regression.robot
     kept = [e for e in flexible if set(e.joints) <= set(rigid.joints)]
-    return with_link_parameters(rigid, theta[: len(model.link_parameters)]).with_effects([*kept, *effects])
-
-
-def _effects(model: Identification, theta: Array) -> list[Effect]:
-    out = []
-    for i, effect in enumerate(model.effects):
-        first = model.first_column(i)
-        out.append(effect.with_coefficients(theta[first : first + len(effect.coefficients)]))
-    return out
+    return with_link_parameters(rigid, model.link_parameters).with_effects([*kept, *effects])
 
 
 def _consistency(
@@ -330,7 +319,9 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
     leading, rest = order[:rank], order[rank:]
     mixed = linalg.solve_triangular(upper[:, :rank], upper[:, rank:])
     mixed = mixed * scale[rest] / scale[leading][:, None]
-    names, units = model.coefficient_names, _units(model)
+    bodies = model.regression.robot.bodies if model.links_fitted else ()
+    names = model.coefficient_names
+    units = [*LINK_UNITS * len(bodies), *(unit for e in model.effects for unit in e.coefficient_units)]
     p = len(model.theta)
     combination = np.zeros((rank, p))
     combination[np.arange(rank), leading] = 1.0
@@ -346,11 +337,6 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
         value = float(combination[row] @ model.theta)
         out.append(BaseParameter(terms, value, float(stds[row]), units[leading[row]]))
     return tuple(out)
-
-
-def _units(model: Identification) -> list[str]:
-    bodies = model.regression.robot.bodies if model.links_fitted else ()
-    return [*LINK_UNITS * len(bodies), *(unit for e in model.effects for unit in e.coefficient_units)]
 
 
 # ---- errors -----------------------------------------------------------------------------------------------------
@@ -416,11 +402,7 @@ def prediction_table(prediction: IdentifiedPrediction) -> str:
     joints = prediction.recording.joints
     names = ["time", *(f"{prefix}{joint}" for prefix in ("tau_", "tau_model_") for joint in joints)]
     values = np.column_stack([prediction.recording.time, prediction.measured, prediction.predicted])
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(values.tolist())
-    return out.getvalue()
+    return "".join(",".join(map(str, row)) + "\n" for row in (names, *values.tolist()))
 
 
 def write_identified(result: Identified, folder: Path) -> None:

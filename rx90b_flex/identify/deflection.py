@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.identify.coloured import absorbed_by_fit, residual_spectrum, widening
 from rx90b_flex.identify.least_squares import CORRELATION_S
+from rx90b_flex.identify.linear_fit import LinearFit, weighted_mean
 from rx90b_flex.signals import Recording, decimation_factor, lowpass, motion
 
 SLOWEST = (
@@ -32,7 +33,6 @@ WEAKEST = (
     4.0  # standard deviations by which the model's torque must stand out beside friction, inertia and position errors
 )
 LAWFUL = 3.0  # standard deviations above zero at which an inertia needs no help to be positive
-SMALLEST = 1.0e-12  # length of a column over the longest one's below which there is nothing in it
 ROUNDS = 5  # of reading the second encoder earlier by what the fit before found
 BLOCKS = 8  # to hold out in turn, at the least
 FEWEST_PER_BLOCK = 8  # samples
@@ -82,6 +82,10 @@ class GearRun:
         """The same where the joint is slow: friction near rest is another than in motion (Stribeck, presliding)."""
         slow = SLOW_FRICTION * max(float(np.abs(self.velocity).max()), 1e-12)
         return np.asarray(self.direction * np.exp(-np.abs(self.velocity) / slow))
+
+    def columns(self, names: Sequence[str]) -> Array:
+        """Signals by their names, (N, k): the columns that all recordings share."""
+        return np.column_stack([getattr(self, name) for name in names])
 
 
 def gear_run(
@@ -211,11 +215,6 @@ def nuisance(run: GearRun, orders: Sequence[float], turning: bool) -> Array:
 # ---- the fit --------------------------------------------------------------------------------------------------------
 
 
-def base_column(run: GearRun, name: str) -> Array:
-    """A column that all recordings share, (N,): a signal of that name."""
-    return np.asarray(getattr(run, name))
-
-
 @dataclass(frozen=True, eq=False)
 class GearData:
     """One gear in several recordings, with what its encoders do wrong in each.
@@ -280,19 +279,16 @@ class GearData:
 
     def stacked(self, names: Sequence[str]) -> Array:
         """Shared columns, less what position errors explain of them, (rows, k)."""
-        return self.apart([np.column_stack([base_column(r, n) for n in names]) for r in self.runs])
+        return self.apart([r.columns(names) for r in self.runs])
 
     def only(self, role: str) -> GearData:
         """The recordings of one role."""
-        return self._kept([i for i, r in enumerate(self.runs) if r.role == role])
+        return self.of_runs([i for i, r in enumerate(self.runs) if r.role == role])
 
-    def single(self, place: int) -> GearData:
-        """One recording."""
-        return self._kept([place])
-
-    def _kept(self, kept: Sequence[int]) -> GearData:
-        runs, errors = tuple(self.runs[i] for i in kept), tuple(self.errors[i] for i in kept)
-        return GearData(self.joint, runs, errors, self.orders, self.lag_s, self.noise, self.slow)
+    def of_runs(self, places: Sequence[int]) -> GearData:
+        """Some of the recordings."""
+        runs, errors = tuple(self.runs[i] for i in places), tuple(self.errors[i] for i in places)
+        return dataclasses.replace(self, runs=runs, errors=errors)
 
     def blocks(self) -> tuple[slice, ...]:
         """Consecutive parts of the runs to hold out in turn."""
@@ -347,13 +343,11 @@ class GearFit:
         return float(np.sqrt((self.residual[: self.data.rows] ** 2).mean()))
 
     def value(self, name: str) -> float:
-        """A coefficient; zero where it was not fitted."""
-        return float(self.theta[self.names.index(name)]) if name in self.names else 0.0
+        """A coefficient."""
+        return float(self.theta[self.names.index(name)])
 
     def std(self, name: str) -> float:
-        """Standard deviation of a coefficient; infinite where it was not fitted."""
-        if name not in self.names:
-            return np.inf
+        """Standard deviation of a coefficient."""
         i = self.names.index(name)
         return float(np.sqrt(max(self.covariance[i, i], 0.0)))
 
@@ -369,8 +363,6 @@ class GearFit:
 
     def lawful(self) -> GearFit:
         """Given that the rotor's inertia is not negative: mean and covariance of the normal distribution cut off there."""
-        if "acceleration" not in self.names:
-            return self
         i = self.names.index("acceleration")
         mean, spread = float(self.theta[i]), float(self.covariance[i, i])
         cut = -mean / max(np.sqrt(spread), 1e-300)
@@ -382,20 +374,17 @@ class GearFit:
         theta = self.theta + along * ratio * np.sqrt(spread)
         covariance = self.covariance - (1.0 - narrower) * spread * np.outer(along, along)
         rest = self.data.target - self.data.stacked(self.names) @ theta
-        return GearFit(self.data, self.names, theta, covariance, rest, self.strength)
+        return dataclasses.replace(self, theta=theta, covariance=covariance, residual=rest)
 
 
 def fit_columns(data: GearData, names: Sequence[str], columns: Array) -> GearFit:
     """Least squares on columns (rows, k) that have position errors projected out; a column of nothing gets zero."""
-    scale = np.sqrt((columns**2).sum(axis=0))
-    scale = np.where(scale > SMALLEST * scale.max(initial=0.0), scale, np.inf)
-    inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12) / np.outer(scale, scale)
-    theta = inverse @ (columns.T @ data.target)
-    rest = data.target - columns @ theta
-    return GearFit(data, tuple(names), theta, inverse @ data.scatter(columns, rest) @ inverse, rest)
+    fit = LinearFit.of(columns, data.target)
+    covariance = fit.inverse @ data.scatter(columns, fit.residual) @ fit.inverse
+    return GearFit(data, tuple(names), fit.theta, covariance, fit.residual)
 
 
-def fit_gear(data: GearData, names: Sequence[str] = (*LOAD, *BASE)) -> GearFit:
+def fit_gear(data: GearData) -> GearFit:
     """Fit the deflection of a gear.
 
     A gear of compliance c (1 / stiffness) turns by ``-c`` times the torque that passes it, link less motor: the drive's torque
@@ -408,47 +397,34 @@ def fit_gear(data: GearData, names: Sequence[str] = (*LOAD, *BASE)) -> GearFit:
     second encoder is read later than the motor's, viscous friction behind the gear included. How well the model's torque is told
     from friction, inertia and the zero limits how well c can be known, and counts in its uncertainty.
     """
-    fit = fit_columns(data, names, data.stacked(names))
-    if "torque" not in names:
-        return fit
-    strength = _strength(data, names)
-    covariance = fit.covariance.copy()
-    i = names.index("torque")
+    names = (*LOAD, *BASE)
+    fit, strength = fit_columns(data, names, data.stacked(names)), _strength(data)
+    covariance, i = fit.covariance.copy(), names.index("torque")
     covariance[i, i] += (fit.compliance / max(strength, 1e-3)) ** 2
     return dataclasses.replace(fit, covariance=covariance, strength=strength)
 
 
-def _strength(data: GearData, names: Sequence[str]) -> float:
+def _strength(data: GearData) -> float:
     """The model's torque in the measured one, beside friction and inertia: its coefficient over its standard deviation."""
     rows = np.concatenate([r.measured[r.used] - r.measured[r.used].mean() for r in data.runs])
-    kept = [n for n in names if n != "remainder"]
-    columns = np.concatenate([np.column_stack([base_column(r, n)[r.used] for n in kept]) for r in data.runs])
-    columns = columns - columns.mean(axis=0)
-    scale = np.maximum(np.sqrt((columns**2).sum(axis=0)), 1e-300)
-    inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12) / np.outer(scale, scale)
-    theta = inverse @ (columns.T @ rows)
-    rest = rows - columns @ theta
-    if not rest.any():
+    kept = [n for n in (*LOAD, *BASE) if n != "remainder"]
+    columns = np.concatenate([r.columns(kept)[r.used] for r in data.runs])
+    fit = LinearFit.of(columns - columns.mean(axis=0), rows)
+    if not fit.residual.any():
         return np.inf
-    longest = int(CORRELATION_S * data.runs[0].rate_hz)
-    spectrum = residual_spectrum(rest, data.spans, np.zeros(1), longest)
-    score = np.asarray(sum(spectrum.product(columns[s]) for s in data.spans))
     i = kept.index("torque")
-    spread = float((inverse @ score @ inverse)[i, i])
-    return float(abs(theta[i]) / np.sqrt(max(spread, 1e-300)))
+    spread = float(fit.coloured_covariance(data.spans, int(CORRELATION_S * data.runs[0].rate_hz))[i, i])
+    return float(abs(fit.theta[i]) / np.sqrt(max(spread, 1e-300)))
 
 
 def each_recording(data: GearData) -> list[GearFit]:
     """The fit of each recording by itself: its own inertia, friction and position errors."""
-    return [fit_gear(data.single(i)).lawful() for i in range(len(data.runs))]
+    return [fit_gear(data.of_runs([i])).lawful() for i in range(len(data.runs))]
 
 
 def agreement(estimates: Sequence[tuple[float, float]]) -> float:
     """Probability that independent estimates (value, standard deviation) of one number differ as much as these or more."""
-    value, std = np.array(estimates).T
-    weight = std**-2.0
-    mean = (weight @ value) / weight.sum()
-    return float(stats.chi2.sf((((value - mean) / std) ** 2).sum(), max(len(value) - 1, 1)))
+    return weighted_mean(*np.array(estimates).T)[2]
 
 
 def gear_data(
@@ -480,25 +456,20 @@ def gear_data(
         if not runs:
             return None
         if orders is None and number > 0:  # the lag, which all orders would mix with, is out
-            orders = position_orders(runs, [np.column_stack([nuisance(r, (), turning), *_shared(r)]) for r in runs])
+            orders = position_orders(
+                runs, [np.column_stack([nuisance(r, (), turning), r.columns((*LOAD, *BASE))]) for r in runs]
+            )
         errors = tuple(nuisance(r, orders or (), turning) for r in runs)
         slow = nuisance(runs[0], (), turning).shape[1] - 1
         data = GearData(joint, runs, errors, orders or (), lag, noise, slow)
-        data = dataclasses.replace(data, noise=_independent_noise(fit_gear(data)))
+        # of a sample if all were independent and told no more together than samples `ALIKE_S` apart do
+        alone = fit_gear(data).rms * float(np.sqrt(max(1.0, ALIKE_S * runs[0].rate_hz)))
+        data = dataclasses.replace(data, noise=alone)
         noise, step = data.noise, -fit_gear(data).value("velocity")
         if orders is not None and abs(step) < 1e-6 / cutoff_hz:
             break
         lag += step
     return data
-
-
-def _independent_noise(fit: GearFit) -> float:
-    """Noise of a sample if all were independent and told no more together than samples `ALIKE_S` apart do, rad."""
-    return fit.rms * float(np.sqrt(max(1.0, ALIKE_S * fit.data.runs[0].rate_hz)))
-
-
-def _shared(run: GearRun) -> list[Array]:
-    return [base_column(run, name) for name in (*LOAD, *BASE)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -527,12 +498,10 @@ def loops(fit: GearFit) -> list[GearLoop]:
     out = []
     for run, error in zip(fit.data.runs, fit.data.errors, strict=True):
         through = through_gear(run, fit)[run.used]
-        rest = run.deflection - sum(fit.value(n) * base_column(run, n) for n in fit.names)
-        own = np.linalg.lstsq(error[run.used], rest[run.used], rcond=1e-10)[0]
-        clean = rest[run.used] - error[run.used] @ own - fit.compliance * (through - through.mean())
-        raw = (
-            run.deflection[run.used] - fit.data.lag_s * run.velocity[run.used]
-        )  # as it was before the lag was taken out
+        rest = (run.deflection - run.columns(fit.names) @ fit.theta)[run.used]
+        own = np.linalg.lstsq(error[run.used], rest, rcond=1e-10)[0]
+        clean = rest - error[run.used] @ own - fit.compliance * (through - through.mean())
+        raw = (run.deflection - fit.data.lag_s * run.velocity)[run.used]  # as it was before the lag was taken out
         out.append(
             GearLoop(run.name, run.role, run.measured[run.used], raw - raw.mean(), through - through.mean(), clean)
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.showing import Showing
 
 if TYPE_CHECKING:
@@ -52,15 +52,22 @@ class FrequencyResponse(Showing):
     degrees_of_freedom: float = np.inf
 
     def __post_init__(self) -> None:
-        lines, n = len(self.hz), len(self.joints)
-        shapes = {"value": (lines, n, n), "covariance": (lines, n * n, n * n)}
+        lines, rows, n = len(self.hz), self._rows, len(self.joints)
+        shapes = {"value": (lines, rows, n), "covariance": (lines, rows * n, rows * n)}
         for name, expected in shapes.items():
             if np.shape(getattr(self, name)) != expected:
                 raise ValueError(f"{name} has shape {np.shape(getattr(self, name))}; expected {expected}")
 
+    @property
+    def _rows(self) -> int:
+        return len(self.joints)
+
     def band(self, low_hz: float, high_hz: float) -> FrequencyResponse:
         """The lines between two frequencies, both included."""
-        kept = (self.hz >= low_hz) & (self.hz <= high_hz)
+        return self.lines((self.hz >= low_hz) & (self.hz <= high_hz))
+
+    def lines(self, kept: Mask) -> FrequencyResponse:
+        """Some of the lines."""
         noise = None if self.noise_covariance is None else self.noise_covariance[kept]
         return FrequencyResponse(
             self.hz[kept],
@@ -74,8 +81,14 @@ class FrequencyResponse(Showing):
 
     def std(self) -> Array:
         """Standard deviation of each entry, ``sqrt(E |d|^2)``, shape (F, n, n)."""
-        variance = np.einsum("faa->fa", self.covariance).real
-        return np.sqrt(variance).reshape(self.value.shape)
+        return self._deviation(self.covariance)
+
+    def noise_std(self) -> Array | None:
+        """The part of measurement noise alone; None where it is not known."""
+        return None if self.noise_covariance is None else self._deviation(self.noise_covariance)
+
+    def _deviation(self, covariance: ComplexArray) -> Array:
+        return np.sqrt(np.einsum("faa->fa", covariance).real).reshape(self.value.shape)
 
     def bode(self, *others: FrequencyResponse | Linearization) -> Figure:
         """Magnitude and phase of every entry with their 95 % bands, and those of other responses or of a linearised robot."""

@@ -8,11 +8,11 @@ periods differ by noise alone, realisations by noise and distortion together.
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.mains import without_mains
 from rx90b_flex.signals import Campaign, Recording
+from rx90b_flex.signals.filters import periods as whole_periods
 from rx90b_flex.signals.stated import Accelerometer
 
 SHAKEN = 1e-6  # rad by which references of runs must differ to be an excitation
@@ -73,8 +74,18 @@ class Spectra:
     torque_noise: Array
     acceleration_noise: Array
 
+    @property
+    def torque_snr(self) -> Array:
+        """Torque at the excited lines over its noise, one period each, (F, n); NaN with one period."""
+        return _over(self.torque[self.excited], self.torque_noise[self.excited])
 
-@dataclass(frozen=True, eq=False)
+    @property
+    def acceleration_snr(self) -> Array:
+        """The same of the acceleration."""
+        return _over(self.acceleration[self.excited], self.acceleration_noise[self.excited])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredResponse(FrequencyResponse):
     """A nonparametric estimate and what it was made of. F lines, n joints, R realisations, E experiments.
 
@@ -94,8 +105,6 @@ class MeasuredResponse(FrequencyResponse):
     equation_covariance : complex array, shape (F, n*n, n*n)
         The source's total covariance, (6.33) on (6.31), for comparison. It takes errors of different experiments as independent; but
         experiments that share a multisine share its distortion, so that it is several times too large off the diagonal.
-    torque_snr, acceleration_snr : array, shape (F, n)
-        Root mean square of a joint's line over that of its noise, one period each; NaN with one period.
     acceleration_distortion : array, shape (F, n)
         Root mean square of the line over that of noise and distortion of a realisation.
     spectra : Spectra
@@ -107,21 +116,19 @@ class MeasuredResponse(FrequencyResponse):
         What was left out or could not be estimated, and why.
     """
 
-    realisations: ComplexArray = dataclasses.field(kw_only=True)
-    h1: ComplexArray = dataclasses.field(kw_only=True)
-    arithmetic_mean: ComplexArray = dataclasses.field(kw_only=True)
-    torque: ComplexArray = dataclasses.field(kw_only=True)
-    acceleration: ComplexArray = dataclasses.field(kw_only=True)
-    equation_noise: ComplexArray | None = dataclasses.field(kw_only=True)
-    equation_total: ComplexArray = dataclasses.field(kw_only=True)
-    equation_covariance: ComplexArray = dataclasses.field(kw_only=True)
-    torque_snr: Array = dataclasses.field(kw_only=True)
-    acceleration_snr: Array = dataclasses.field(kw_only=True)
-    acceleration_distortion: Array = dataclasses.field(kw_only=True)
-    spectra: Spectra = dataclasses.field(kw_only=True)
-    places: tuple[Place, ...] = dataclasses.field(kw_only=True)
-    periods: int = dataclasses.field(kw_only=True)
-    remarks: tuple[str, ...] = dataclasses.field(kw_only=True)
+    realisations: ComplexArray
+    h1: ComplexArray
+    arithmetic_mean: ComplexArray
+    torque: ComplexArray
+    acceleration: ComplexArray
+    equation_noise: ComplexArray | None
+    equation_total: ComplexArray
+    equation_covariance: ComplexArray
+    acceleration_distortion: Array
+    spectra: Spectra
+    places: tuple[Place, ...]
+    periods: int
+    remarks: tuple[str, ...]
 
     @property
     def distortion_covariance(self) -> ComplexArray | None:
@@ -155,19 +162,16 @@ def group_poses(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...],
     A recording's pose is its mean motor angle over whole periods; it belongs to the first pose whose first recording is within
     `POSE_SPREAD` in every joint.
     """
-    heads: list[Array] = []
-    groups: list[list[Recording]] = []
+    groups: list[tuple[Array, list[Recording]]] = []
     for r in recordings:
         mean = _periods(r.position, r).mean(axis=(0, 1))
-        near = [
-            i for i, head in enumerate(heads) if head.shape == mean.shape and np.abs(mean - head).max() <= POSE_SPREAD
-        ]
-        if near:
-            groups[near[0]].append(r)
+        for head, group in groups:
+            if head.shape == mean.shape and np.abs(mean - head).max() <= POSE_SPREAD:
+                group.append(r)
+                break
         else:
-            heads.append(mean)
-            groups.append([r])
-    return tuple(map(tuple, groups))
+            groups.append((mean, [r]))
+    return tuple(tuple(group) for _, group in groups)
 
 
 def group_recordings(recordings: Sequence[Recording]) -> tuple[Place, ...]:
@@ -219,28 +223,24 @@ def _from_excitations(recordings: Sequence[Recording], waves: Sequence[Array]) -
     unit = np.divide(spectra, size[:, None, :], out=np.zeros_like(spectra), where=used[:, None, :])
     places: list[Place] = []
     heads: list[ComplexArray] = []  # of each realisation: its different multisines, (lines, joints) of its runs so far
-    members: list[list[tuple[int, int, int]]] = []  # run, experiment, sign
-    for run in range(len(recordings)):
+    for run, recording in enumerate(recordings):
         alike = [np.abs(head.conj().T @ unit[run]).max() for head in heads]
-        if alike and max(alike) > SAME:
-            realisation = int(np.argmax(alike))
+        realisation = int(np.argmax(alike)) if max(alike, default=0.0) > SAME else len(heads)
+        if realisation < len(heads):
             heads[realisation] = np.hstack([heads[realisation], unit[run]])
         else:
-            realisation = len(heads)
             heads.append(unit[run])
-            members.append([])
-        known = members[realisation]
-        for other, experiment, sign in known:
-            if np.abs(spectra[run] + spectra[other]).max() < OPPOSITE * np.abs(spectra[run]).max():
-                found = (run, experiment, -sign)
-                break
-            if np.abs(spectra[run] - spectra[other]).max() < OPPOSITE * np.abs(spectra[run]).max():
-                found = (run, experiment, sign)
-                break
+        known = [(other, p) for other, p in enumerate(places) if p.realisation == realisation]
+        near = OPPOSITE * np.abs(spectra[run]).max()
+        signs = (
+            (p, s) for other, p in known for s in (-1, 1) if np.abs(spectra[run] - s * spectra[other]).max() < near
+        )
+        for same, sign in signs:
+            places.append(Place(recording.name, realisation, same.experiment, sign * same.sign))
+            break
         else:
-            found = (run, max((e for _, e, _ in known), default=-1) + 1, 1)
-        known.append(found)
-        places.append(Place(recordings[run].name, realisation, found[1], found[2]))
+            new = max((p.experiment for _, p in known), default=-1) + 1
+            places.append(Place(recording.name, realisation, new, 1))
     return tuple(places)
 
 
@@ -325,20 +325,23 @@ def estimate_frequency_response(
     struck: list[float] = []
     if mains_hz is not None:
         recordings, struck = _without_mains(recordings, mains_hz, remarks)
-    pairs = _sign_pairs(recordings, _long_enough(recordings, design, remarks), remarks)
-    complete = _complete(pairs, chosen, remarks)
-    torque, angle = _spectra_of(recordings, complete, columns)  # (R, E, M, L, n)
+    complete = _complete(_experiments(recordings, _long_enough(recordings, design, remarks), remarks), chosen, remarks)
+    torque, angle = (_spectrum_of(recordings, complete, x, columns) for x in ("torque", "position"))  # (R, E, M, L, n)
     period = first.period_samples or 1
     all_hz = np.arange(period // 2 + 1) * first.sample_rate_hz / period
     acceleration = -((2.0 * np.pi * all_hz[:, None]) ** 2) * angle
     lines = _lines(first, None if waves is None else [x[:, columns] for x in waves], hz, band_hz, all_hz, remarks)
     lines = np.setdiff1d(lines, np.round(np.array(struck) / all_hz[1]).astype(int))
-    feedforward = None if waves is None else _excitation_spectra(waves, complete, columns)
+    feedforward = None
+    if waves is not None:
+        excited = [[_spectrum_of_wave(waves[one.first])[lines][:, columns] for one in group] for group in complete]
+        feedforward = np.stack(excited)  # (R, E, F, n)
     u, y = (np.moveaxis(x, (1, 2, 3, 4), (4, 1, 2, 3)) for x in (torque[..., lines, :], acceleration[..., lines, :]))
-    lines, kept = _regular(u, None if feedforward is None else feedforward[:, :, lines], lines, all_hz, remarks)
+    lines, kept = _regular(u, feedforward, lines, all_hz, remarks)
     u, y = u[:, :, kept], y[:, :, kept]  # (R, M, F, n, E)
     spectra = _line_spectra(torque, acceleration, lines, all_hz)
-    return _estimate(u, y, all_hz[lines], chosen, _pose(recordings), neighbours, spectra, design, remarks)
+    pose = np.mean([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings], axis=0)
+    return _estimate(u, y, all_hz[lines], chosen, pose, neighbours, spectra, design, remarks)
 
 
 def _estimate(
@@ -392,9 +395,7 @@ def _estimate(
         equation_noise=noise,
         equation_total=total,
         equation_covariance=_kron(total, spread) / realisations,
-        torque_snr=_ratio(mean_u, u),
-        acceleration_snr=_ratio(mean_y, y),
-        acceleration_distortion=_over(_level(mean_y), np.einsum("fjj->fj", total).real),
+        acceleration_distortion=_over(spectra.acceleration[spectra.excited], np.sqrt(np.einsum("fjj->fj", total).real)),
         spectra=spectra,
         places=places,
         periods=periods,
@@ -418,19 +419,8 @@ def _equation_total(single: ComplexArray, mean_u: ComplexArray) -> ComplexArray:
 
 
 def _total_covariance(single: ComplexArray, neighbours: int | None, remarks: list[str]) -> tuple[ComplexArray, float]:
-    """As `_over_realisations`, over the lines that are asked for or that it needs; said where it cannot be inverted."""
+    """As `_over_realisations`, over the lines that are asked for or that it needs; said where these are more or do not do."""
     realisations, lines, n, _ = single.shape
-    covariance, freedom = _over_realisations(single, _neighbours(realisations, neighbours, lines, n, remarks))
-    if freedom < n * n:
-        remarks.append(
-            f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
-            "cannot be inverted; record more realisations or let more neighbours count"
-        )
-    return covariance, freedom
-
-
-def _neighbours(realisations: int, neighbours: int | None, lines: int, n: int, remarks: list[str]) -> int:
-    """How many lines on either side count for each line's covariance; said where these are more than usual."""
     count = NEIGHBOURS if neighbours is None else neighbours
     if neighbours is None and (2 * count + 1) * (realisations - 1) < ENOUGH * n * n:
         count = -(-(-(-ENOUGH * n * n // (realisations - 1)) - 1) // 2)
@@ -438,7 +428,13 @@ def _neighbours(realisations: int, neighbours: int | None, lines: int, n: int, r
             f"{realisations} realisations: {min(2 * count + 1, lines)} neighbouring lines count for each line's covariance, "
             f"with more realisations {2 * NEIGHBOURS + 1} would do"
         )
-    return count
+    covariance, freedom = _over_realisations(single, count)
+    if freedom < n * n:
+        remarks.append(
+            f"{realisations} realisations: {freedom:g} degrees of freedom are fewer than the {n * n} entries, and the covariance "
+            "cannot be inverted; record more realisations or let more neighbours count"
+        )
+    return covariance, freedom
 
 
 def _over_realisations(single: ComplexArray, neighbours: int) -> tuple[ComplexArray, float]:
@@ -448,12 +444,16 @@ def _over_realisations(single: ComplexArray, neighbours: int) -> tuple[ComplexAr
     as_torque = np.linalg.solve(value, single - value).reshape(realisations, lines, n * n)
     own = np.einsum("rfa,rfb->fab", as_torque, as_torque.conj()) / (realisations * (realisations - 1))
     width = min(2 * neighbours + 1, lines)
-    # at the ends of the band the window stays as wide, and lies to one side
-    first = np.clip(np.arange(lines) - width // 2, 0, lines - width)
-    smooth = np.lib.stride_tricks.sliding_window_view(own, width, axis=0).mean(axis=-1)[first]
+    smooth = _over_lines(own, width)
     back = np.einsum("fjk,ab->fjakb", value, np.eye(n)).reshape(lines, n * n, n * n)
     covariance = back @ smooth @ back.conj().swapaxes(1, 2)
     return np.asarray(0.5 * (covariance + covariance.conj().swapaxes(1, 2))), float(width * (realisations - 1))
+
+
+def _over_lines(x: ComplexArray, width: int) -> ComplexArray:
+    """Means over so many lines (F, ...): at the ends of the band the window stays as wide, and lies to one side."""
+    first = np.clip(np.arange(len(x)) - width // 2, 0, len(x) - width)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(x, width, axis=0).mean(axis=-1)[first])
 
 
 def _kron(left: ComplexArray, right: ComplexArray) -> ComplexArray:
@@ -467,40 +467,28 @@ def _h1(u: ComplexArray, y: ComplexArray) -> ComplexArray:
     return np.asarray(np.sum(y @ adjoint, axis=(0, 1)) @ np.linalg.inv(np.sum(u @ adjoint, axis=(0, 1))))
 
 
-def _level(x: ComplexArray) -> Array:
-    """Root mean square of each joint's line over realisations and experiments, (R, F, n, E) to (F, n)."""
-    return np.asarray(np.sqrt(np.mean(np.abs(x) ** 2, axis=(0, 3))))
-
-
-def _ratio(mean: ComplexArray, single: ComplexArray) -> Array:
-    periods = single.shape[1]
-    if periods < 2:
-        return np.full(mean.shape[1:3], np.nan)
-    deviation = np.sum(np.abs(single - mean[:, None]) ** 2, axis=1) / (periods - 1)
-    return _over(_level(mean), np.mean(deviation, axis=(0, 3)))
-
-
-def _over(level: Array, variance: Array) -> Array:
-    return np.divide(level, np.sqrt(variance), out=np.full_like(level, np.inf), where=variance > 0)
+def _over(level: Array, noise: Array) -> Array:
+    return np.divide(level, noise, out=np.full_like(level, np.inf), where=~(noise <= 0.0))
 
 
 # ---- from recordings to spectra -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Pair:
-    """Recordings of one experiment by sign, as places in the list of recordings; None where that sign is missing."""
+class _SignedRuns:
+    """Recordings of one experiment by sign, as places in the list of recordings."""
 
     realisation: int
-    experiment: int
-    plus: int | None
-    minus: int | None
+    runs: dict[int, int]
+
+    @property
+    def first(self) -> int:
+        """The run of positive sign where there is one."""
+        return self.runs[max(self.runs)]
 
 
 def _periods(x: Array, recording: Recording) -> Array:
-    samples = recording.period_samples or len(x)
-    count = len(x) // samples
-    return x[: count * samples].reshape(count, samples, *x.shape[1:])
+    return whole_periods(x, recording.period_samples or len(x))
 
 
 def _check_alike(recordings: Sequence[Recording]) -> None:
@@ -545,10 +533,6 @@ def _without_mains(
     return clean, struck
 
 
-def _pose(recordings: Sequence[Recording]) -> Array:
-    return np.asarray(np.mean([_periods(r.position, r).mean(axis=(0, 1)) for r in recordings], axis=0))
-
-
 def _excited_joints(joints: tuple[str, ...], waves: Sequence[Array] | None) -> tuple[str, ...]:
     if waves is None:
         return joints
@@ -558,39 +542,40 @@ def _excited_joints(joints: tuple[str, ...], waves: Sequence[Array] | None) -> t
 
 def _long_enough(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[Place]:
     """Places of the recordings that have as many periods as most: one that was cut short would cost all others theirs."""
-    periods = {r.name: r.samples // (r.period_samples or r.samples) for r in recordings}
-    usual = Counter(periods.values()).most_common(1)[0][0]
-    short = {name: count for name, count in periods.items() if count < usual}
+    counts = {r.name: r.samples // (r.period_samples or r.samples) for r in recordings}
+    usual = Counter(counts.values()).most_common(1)[0][0]
+    short = {name: count for name, count in counts.items() if count < usual}
     remarks += [f"recording {name} has {count} of {usual} periods and is left out" for name, count in short.items()]
     return [p for p in places if p.recording not in short]
 
 
-def _sign_pairs(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_Pair]:
+def _experiments(recordings: Sequence[Recording], places: Sequence[Place], remarks: list[str]) -> list[_SignedRuns]:
+    """Those that were run with both signs; all where none was."""
     rows = {r.name: i for i, r in enumerate(recordings)}
     found: dict[tuple[int, int], dict[int, int]] = {}
     for p in places:
         if p.recording not in rows:
             raise ValueError(f"places name recording {p.recording!r}; there are {', '.join(list(rows)[:4])}, ...")
         found.setdefault((p.realisation, p.experiment), {})[p.sign] = rows[p.recording]
-    pairs = [_Pair(m, k, signs.get(1), signs.get(-1)) for (m, k), signs in sorted(found.items())]
-    if all(pair.plus is None or pair.minus is None for pair in pairs):
+    every = [_SignedRuns(m, signs) for (m, _), signs in sorted(found.items())]
+    pairs = [one for one in every if len(one.runs) == 2]
+    if not pairs:
         remarks.append(
             "no experiment was run with both signs: the response to the references stays in the lines they share"
         )
-        return pairs
-    for pair in pairs:
-        if pair.plus is None or pair.minus is None:
-            there = recordings[pair.plus if pair.plus is not None else pair.minus or 0].name
-            remarks.append(
-                f"realisation {pair.realisation + 1}: {there} lacks the run of opposite sign and is left out"
-            )
-    return [pair for pair in pairs if pair.plus is not None and pair.minus is not None]
+        return every
+    remarks += [
+        f"realisation {one.realisation + 1}: {recordings[one.first].name} lacks the run of opposite sign and is left out"
+        for one in every
+        if len(one.runs) < 2
+    ]
+    return pairs
 
 
-def _complete(pairs: list[_Pair], joints: tuple[str, ...], remarks: list[str]) -> list[list[_Pair]]:
+def _complete(experiments: list[_SignedRuns], joints: tuple[str, ...], remarks: list[str]) -> list[list[_SignedRuns]]:
     """Experiments of each realisation that has as many as the others, in one order."""
     inputs = len(joints)
-    groups = [[p for p in pairs if p.realisation == m] for m in sorted({p.realisation for p in pairs})]
+    groups = [list(group) for _, group in groupby(experiments, key=lambda one: one.realisation)]
     expected = Counter(len(group) for group in groups).most_common(1)[0][0]
     complete = [group for group in groups if len(group) == expected]
     if expected < inputs:
@@ -629,7 +614,7 @@ def estimate_accelerations(
         if r.acceleration is None or r.acceleration.shape[1] != rows:
             raise ValueError(f"recording {r.name!r} has no {rows} columns of accelerometers")
     columns = [recordings[0].joints.index(j) for j in response.joints]
-    groups = _complete(_sign_pairs(recordings, _long_enough(recordings, response.places, []), []), response.joints, [])
+    groups = _complete(_experiments(recordings, _long_enough(recordings, response.places, []), []), response.joints, [])
     period = recordings[0].period_samples or 1
     lines = np.round(response.hz * period / recordings[0].sample_rate_hz).astype(int)
     used, shown = (
@@ -645,8 +630,7 @@ def estimate_accelerations(
     apart = (single - value) / size
     own = np.einsum("rfjk,rfjl->fjkl", apart, apart.conj()) / (realisations * (realisations - 1))
     width = min(count, -(-PLENTY * inputs // (realisations - 1)))
-    first = np.clip(np.arange(count) - width // 2, 0, count - width)
-    smooth = np.lib.stride_tricks.sliding_window_view(own, width, axis=0).mean(axis=-1)[first]
+    smooth = _over_lines(own, width)
     excess = np.einsum("fjkk->fj", own).real / np.einsum("fjkk->fj", smooth).real
     freedom = width * (realisations - 1)
     # the inverse of an estimated covariance is too large by this, on average
@@ -664,37 +648,21 @@ def estimate_accelerations(
     )
 
 
-def _spectra_of(
-    recordings: Sequence[Recording], groups: list[list[_Pair]], columns: list[int]
-) -> tuple[ComplexArray, ComplexArray]:
-    """Line amplitudes of torque and angle of every period, signs subtracted, each (R, E, M, L, n)."""
-    return _spectrum_of(recordings, groups, "torque", columns), _spectrum_of(recordings, groups, "position", columns)
-
-
 def _spectrum_of(
-    recordings: Sequence[Recording], groups: list[list[_Pair]], field: str, columns: list[int]
+    recordings: Sequence[Recording], groups: list[list[_SignedRuns]], field: str, columns: list[int]
 ) -> ComplexArray:
     """Line amplitudes of some columns of a signal in every period, signs subtracted, (R, E, M, L, columns)."""
-    used = {i for group in groups for p in group for i in (p.plus, p.minus) if i is not None}
+    used = {i for group in groups for one in group for i in one.runs.values()}
     count = min(recordings[i].samples // (recordings[i].period_samples or 1) for i in used)
 
     def spectrum(i: int) -> ComplexArray:
         wave = _periods(getattr(recordings[i], field)[:, columns], recordings[i])[:count]
         return np.asarray(np.fft.rfft(wave, axis=1) * (2.0 / wave.shape[1]))
 
-    def difference(pair: _Pair) -> ComplexArray:
-        if pair.plus is None or pair.minus is None:
-            sign, only = (1.0, pair.plus) if pair.plus is not None else (-1.0, pair.minus)
-            return sign * spectrum(only or 0)
-        return 0.5 * (spectrum(pair.plus) - spectrum(pair.minus))
+    def difference(one: _SignedRuns) -> ComplexArray:
+        return np.asarray(sum(sign * spectrum(i) for sign, i in one.runs.items()) / len(one.runs))
 
-    return np.stack([[difference(p) for p in group] for group in groups])
-
-
-def _excitation_spectra(waves: Sequence[Array], groups: list[list[_Pair]], columns: list[int]) -> ComplexArray:
-    """Spectra of what excited, (R, E, L, n)."""
-    rows = [[p.plus if p.plus is not None else p.minus or 0 for p in group] for group in groups]
-    return np.stack([[_spectrum_of_wave(waves[i])[:, columns] for i in row] for row in rows])
+    return np.stack([[difference(one) for one in group] for group in groups])
 
 
 def _lines(
@@ -774,14 +742,10 @@ def _condition(matrix: ComplexArray) -> Array:
 def _line_spectra(torque: ComplexArray, acceleration: ComplexArray, lines: NDArray[np.intp], all_hz: Array) -> Spectra:
     kept = np.arange(1, len(all_hz) - 1)  # without the constant and Nyquist
     excited = np.isin(kept, lines)
-    levels = []
+    levels, noises = [], []
     for x in (torque[..., kept, :], acceleration[..., kept, :]):
-        mean = x.mean(axis=2, keepdims=True)
-        periods = x.shape[2]
-        noise = (
-            np.sum(np.abs(x - mean) ** 2, axis=2) / (periods - 1)
-            if periods > 1
-            else np.full(mean[:, :, 0].shape, np.nan)
-        )
-        levels += [np.sqrt(np.mean(np.abs(mean) ** 2, axis=(0, 1, 2))), np.sqrt(noise.mean(axis=(0, 1)))]
-    return Spectra(all_hz[kept], excited, levels[0], levels[2], levels[1], levels[3])
+        mean, count = x.mean(axis=2, keepdims=True), x.shape[2]
+        noise = np.sum(np.abs(x - mean) ** 2, axis=2) / (count - 1) if count > 1 else np.full(x[:, :, 0].shape, np.nan)
+        levels.append(np.sqrt(np.mean(np.abs(mean) ** 2, axis=(0, 1, 2))))
+        noises.append(np.sqrt(noise.mean(axis=(0, 1))))
+    return Spectra(all_hz[kept], excited, *levels, *noises)

@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -23,7 +23,7 @@ from scipy.signal import resample
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.accelerometers import AccelerationResponse
-from rx90b_flex.identify.frequency_response import ComplexArray
+from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
 from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_data import Feedback, GreyBoxOptions, PoseResponse
@@ -35,6 +35,7 @@ from rx90b_flex.identify.validation import Validation, validate
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
+from rx90b_flex.signals.filters import periods
 from rx90b_flex.signals.folders import MOTOR_SIGNALS, fill_folder
 from rx90b_flex.signals.stated import Accelerometer
 from rx90b_flex.signals.tables import read_table
@@ -51,23 +52,13 @@ LOW, HIGH = 0.3, 3.0  # a drive stiffness or inertia from poles and zeros this f
 
 
 @dataclass(frozen=True)
-class FrfOptions:
-    """What the user may choose.
+class FrfOptions(GreyBoxOptions):
+    """What the user may choose: of the grey box, whose lines are those of all stages, and of the others.
 
     Attributes
     ----------
-    band_hz : (low, high)
-        Lines used.
     controller : Path or None
         Controller file; else ``controller.toml`` beside the campaign, if there is one.
-    link_mass_std : float
-        Relative standard deviation of the links' masses; 0: known.
-    bending_alike_std : float
-        To which a joint is equally stiff about both its bending axes, as in table 4.1; 0: not assumed.
-    hinge_std : float, or mapping of joint to float
-        Standard deviation to which the places of hinges are known, m (`GreyBoxOptions.hinge_std`); 0: known.
-    starts, seed : int
-        Of the grey box.
     modes : tuple of int
         Numbers of modes that the transfer functions try.
     start_hz : tuple of float
@@ -84,13 +75,9 @@ class FrfOptions:
         Processes for these simulations, and for the report's figures.
     """
 
-    band_hz: tuple[float, float] = (8.0, 80.0)
-    controller: Path | None = None
-    link_mass_std: float = 0.0
-    bending_alike_std: float = 0.1
-    hinge_std: float | Mapping[str, float] = 0.0
     starts: int = 8
-    seed: int = 0
+    bending_alike_std: float = 0.1
+    controller: Path | None = None
     modes: tuple[int, ...] = tuple(range(2, 9))
     start_hz: tuple[float, ...] = ()
     delays: str = "none"
@@ -180,20 +167,27 @@ class MotorIdentification(Showing):
 
 @dataclass
 class _Stages:
-    """Does stages one after the other, notes their time and what could not be done."""
+    """Does stages one after the other, notes their time and what could not be done.
+
+    Those of one pose have its name before theirs, and their parts lie within the pose's.
+    """
 
     tell: Progress
     left_out: list[LeftOut] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    before: str = ""
+    part: tuple[float, float] = (0.0, 1.0)
 
-    def run(self, name: str, part: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
-        self.tell(name, part)
+    def run(self, name: str, part: float, work: Callable[..., T], *needs: object) -> T | None:
+        """What `work` makes of the results that it needs; None where one of these is missing, or it cannot be done."""
+        name = self.before + name
+        self.tell(name, self.part[0] + self.part[1] * part)
         if any(need is None for need in needs):
             self.left_out.append(LeftOut(name, "the stage that it builds on was left out"))
             return None
         began = time.perf_counter()
         try:
-            return work()
+            return work(*needs)
         except ValueError as error:
             self.left_out.append(LeftOut(name, " ".join(str(error).split())))
             return None
@@ -235,7 +229,8 @@ def identify_from_motors(
     remarks: list[str] = []
     groups = group_poses(with_references(campaign, options.references, remarks))
     poses = _at_poses(groups, robot, campaign.accelerometers, options, stages)
-    remarks += [_of(at.name, remark, len(groups)) for at in poses for remark in at.measured.remarks]
+    several = len(groups) > 1
+    remarks += [f"{at.name}: {remark}" if several else remark for at in poses for remark in at.measured.remarks]
     if controller is None:
         remarks.append(
             f"no controller file (no {CONTROLLER} beside the campaign): the poses are averaged as in open loop, and a replay is "
@@ -247,7 +242,7 @@ def identify_from_motors(
     replayed = None
     if options.replay:
         replayed = stages.run(
-            "replay", 0.75, lambda: _replay(together, robot, _there(grey), controller, options, tell), [grey]
+            "replay", 0.75, lambda fit: _replay(together, robot, fit, controller, options, tell), grey
         )
     if replayed is not None and controller is not None:
         remarks += _torques_off(replayed, together)
@@ -326,18 +321,15 @@ def with_reference(recording: Recording, folder: Path) -> Recording:
 
 def _as_logged(recording: Recording, wave: Array, file: Path) -> Array:
     """A period (N, 3 n) of positions, speeds and torques begun where the log shows them to begin."""
-    fed, asked = recording.feedforward_torque, recording.reference_position
-    number, size = len(recording.joints), len(wave)
+    fed, number, size = recording.feedforward_torque, len(recording.joints), len(wave)
+    shown, own, what, how = recording.reference_position, slice(0, number), "references", "given"
     if fed is not None and np.ptp(fed[:size], axis=0).any():
-        rolled, off = _begun_with(fed[:size], wave, slice(2 * number, None))
-        if off > OTHER_TORQUES:
-            raise ValueError(f"{file}: its torques are not those that {recording.name} was fed ({off:.0%} off)")
-        return rolled
-    if asked is None:
+        shown, own, what, how = fed, slice(2 * number, None), "torques", "fed"
+    if shown is None:
         return wave
-    rolled, off = _begun_with(asked[:size], wave, slice(0, number))
+    rolled, off = _begun_with(shown[:size], wave, own)
     if off > OTHER_TORQUES:
-        raise ValueError(f"{file}: its references are not those that {recording.name} was given ({off:.0%} off)")
+        raise ValueError(f"{file}: its {what} are not those that {recording.name} was {how} ({off:.0%} off)")
     return rolled
 
 
@@ -351,10 +343,6 @@ def _begun_with(shown: Array, wave: Array, own: slice) -> tuple[Array, float]:
     return rolled, float(np.linalg.norm(left) / max(float(np.linalg.norm(shown)), 1e-300))
 
 
-def _of(pose: str, text: str, poses: int) -> str:
-    return text if poses == 1 else f"{pose}: {text}"
-
-
 def _at_poses(
     groups: Sequence[tuple[Recording, ...]],
     robot: Robot,
@@ -363,12 +351,13 @@ def _at_poses(
     stages: _Stages,
 ) -> list[AtPose]:
     """All stages of each pose that has a frequency response; one must."""
-    count = len(groups)
-    tried = [
-        _at_pose(f"pose {place + 1}", group, robot, sensors, options, stages, (place / count, count))
-        for place, group in enumerate(groups)
-    ]
-    poses = [at for at in tried if at is not None]
+    count, poses = len(groups), []
+    for place, group in enumerate(groups):
+        name = f"pose {place + 1}"
+        before, part = f"{name}: " if count > 1 else "", (0.1 + 0.5 * place / count, 0.5 / count)
+        own = dataclasses.replace(stages, before=before, part=part)
+        at = _at_pose(name, group, robot, sensors, options, own)
+        poses += [] if at is None else [at]
     if not poses:
         first = stages.left_out[0].why
         raise ValueError(first if count == 1 else f"{count} poses, none has a response; the first: {first}")
@@ -382,34 +371,26 @@ def _at_pose(
     sensors: tuple[Accelerometer, ...],
     options: FrfOptions,
     stages: _Stages,
-    part: tuple[float, int],
 ) -> AtPose | None:
-    """All stages of one pose; `part` is what of the poses is done, and their number. None without a frequency response."""
-    done, count = part
-
-    def run(stage: str, progress: float, work: Callable[[], T], needs: Iterable[object] = ()) -> T | None:
-        return stages.run(_of(name, stage, count), 0.1 + 0.5 * (done + progress / count), work, needs)
-
-    measured = run(
+    """All stages of one pose; None without a frequency response."""
+    measured = stages.run(
         "frequency response",
         0.0,
         lambda: estimate_frequency_response(recordings, band_hz=options.band_hz, mains_hz=options.mains_hz),
     )
     if measured is None:
         return None
-    transfer = run(
+    transfer = stages.run(
         "transfer functions",
         0.3,
-        lambda: fit_transfer_functions(
-            _there(measured), options.modes, delays=options.delays, start_hz=options.start_hz
-        ),
+        lambda: fit_transfer_functions(measured, options.modes, delays=options.delays, start_hz=options.start_hz),
     )
-    validation = run("validation", 0.9, lambda: validate(_there(transfer)), [transfer])
-    drives = run("inverse eigenvalue problem", 0.95, lambda: identify_drives(_there(transfer)), [transfer])
+    validation = stages.run("validation", 0.9, validate, transfer)
+    drives = stages.run("inverse eigenvalue problem", 0.95, identify_drives, transfer)
     accelerations = None
     if sensors:
-        accelerations = run(
-            "accelerometers", 0.97, lambda: estimate_accelerations(recordings, _there(measured), sensors)
+        accelerations = stages.run(
+            "accelerometers", 0.97, lambda: estimate_accelerations(recordings, measured, sensors)
         )
     pose = mean_motion(recordings, robot.joints).mean(axis=0)
     return AtPose(name, pose, recordings, measured, transfer, validation, drives, accelerations)
@@ -425,18 +406,11 @@ def _alike(poses: Sequence[AtPose], remarks: list[str]) -> tuple[int, ...]:
     return tuple(i for i, p in enumerate(poses) if p.measured.joints == joints)
 
 
-def _there(result: T | None) -> T:
-    assert result is not None
-    return result
-
-
 def _controller(campaign: Path, file: Path | None) -> CS8 | None:
     from rx90b_flex.simulate.cs8 import load_cs8
 
     beside = campaign.parent / CONTROLLER
-    if file is not None:
-        return load_cs8(file)
-    return load_cs8(beside) if beside.exists() else None
+    return load_cs8(file or beside) if file is not None or beside.exists() else None
 
 
 def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
@@ -452,13 +426,11 @@ def feedback_of(controller: CS8, joints: tuple[str, ...]) -> Feedback:
 
 def mean_motion(recordings: Iterable[Recording], joints: tuple[str, ...]) -> Array:
     """One period of the drives' mean motion over recordings, shape (N, joints of the robot), rad; joints not recorded at zero."""
-    periods = []
+    each = []
     for r in recordings:
-        size = r.period_samples or r.samples
-        whole = r.samples // size * size
-        periods.append(r.position[:whole].reshape(-1, size, len(r.joints)).mean(axis=0))
+        each.append(periods(r.position, r.period_samples or r.samples).mean(axis=0))
         names = r.joints
-    mean = np.mean(periods, axis=0)
+    mean = np.mean(each, axis=0)
     out = np.zeros((len(mean), len(joints)))
     out[:, [joints.index(name) for name in names]] = mean
     return out
@@ -475,12 +447,8 @@ def _grey_box(
         )
         for p in poses
     ]
-    chosen = GreyBoxOptions(
-        options.band_hz, options.starts, seed=options.seed,
-        link_mass_std=options.link_mass_std, bending_alike_std=options.bending_alike_std, hinge_std=options.hinge_std,
-    )  # fmt: skip
     start = _start(robot, [p.drives for p in poses if p.drives is not None])
-    return grey_box(robot, measured, chosen, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
+    return grey_box(robot, measured, options, start=start, progress=lambda text, part: tell(text, 0.6 + 0.15 * part))
 
 
 def _replay(
@@ -556,7 +524,9 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
         "joints": list(result.robot.joints),
         "band_hz": list(result.options.band_hz),
         "accelerometers": [
-            {"link": s.link, "position": list(s.position)} for p in result.poses[:1] for s in _sensors(p)
+            {"link": s.link, "position": list(s.position)}
+            for p in result.poses[:1]
+            for s in (() if p.accelerations is None else p.accelerations.sensors)
         ],
         "poses": [
             {
@@ -577,20 +547,12 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
     }
 
 
-def _sensors(at: AtPose) -> tuple[Accelerometer, ...]:
-    return () if at.accelerations is None else at.accelerations.sensors
-
-
 def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
-    noise = measured.noise_covariance
+    noise = measured.noise_std()
     return {
-        "joints": list(measured.joints),
-        "hz": measured.hz.tolist(),
-        "real": measured.value.real.tolist(),
-        "imag": measured.value.imag.tolist(),
-        "std": measured.std().tolist(),
-        "noise_std": None if noise is None else _std(noise, measured.value.shape).tolist(),
-        "degrees_of_freedom": measured.degrees_of_freedom if np.isfinite(measured.degrees_of_freedom) else None,
+        **_values_json(measured),
+        "noise_std": None if noise is None else noise.tolist(),
+        "degrees_of_freedom": _known(measured.degrees_of_freedom),
         "realisations": len(measured.realisations),
         "periods": measured.periods,
         "experiments": int(measured.torque.shape[2]),
@@ -602,18 +564,21 @@ def _replayed_json(result: MotorIdentification, place: int) -> dict[str, Any] | 
     if result.replayed is None or place not in result.fitted:
         return None
     replayed = result.replayed.responses[result.fitted.index(place)]
+    return {**_values_json(replayed), "degrees_of_freedom": _known(replayed.degrees_of_freedom)}
+
+
+def _values_json(response: FrequencyResponse) -> dict[str, Any]:
     return {
-        "joints": list(replayed.joints),
-        "hz": replayed.hz.tolist(),
-        "real": replayed.value.real.tolist(),
-        "imag": replayed.value.imag.tolist(),
-        "std": replayed.std().tolist(),
-        "degrees_of_freedom": replayed.degrees_of_freedom if np.isfinite(replayed.degrees_of_freedom) else None,
+        "joints": list(response.joints),
+        "hz": response.hz.tolist(),
+        "real": response.value.real.tolist(),
+        "imag": response.value.imag.tolist(),
+        "std": response.std().tolist(),
     }
 
 
-def _std(covariance: ComplexArray, shape: tuple[int, ...]) -> Array:
-    return np.asarray(np.sqrt(np.einsum("faa->fa", covariance).real).reshape(shape))
+def _known(number: float) -> float | None:
+    return number if np.isfinite(number) else None
 
 
 def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
@@ -623,8 +588,15 @@ def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
 def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[str, Any] | None:
     if fit is None:
         return None
-    resonances = list(_resonances_json(fit))
-    zeros = {joint: list(_zeros_json(fit, j)) for j, joint in enumerate(fit.response.joints)}
+    # each with why it does not count
+    resonances = [(_mode_json(*row), why) for *row, why in fit.mode_rows()]
+    zeros = {
+        joint: [
+            (_quantity(f, s, "Hz"), why)
+            for f, s, why in zip(*fit.antiresonances(j), fit.refused_antiresonances(j), strict=True)
+        ]
+        for j, joint in enumerate(fit.response.joints)
+    }
     refused = [{"kind": "resonance", **one, "why": why} for one, why in resonances if why]
     refused += [
         {"kind": "antiresonance", "joint": joint, **one, "why": why}
@@ -639,7 +611,8 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
         "residual_terms": list(fit.residual_terms),
         "residual_flexibility": _flexibility_json(fit),
         "stabilisation": _stabilisation_json(fit),
-        "torque_delays": _delays_json(fit),
+        # one for all torques, or one a torque in the order of the joints; null where none was fitted
+        "torque_delays": [_quantity(value, std, "s") for value, std in zip(*fit.torque_delays(), strict=True)] or None,
         "cost": float(fit.cost),
         "validation": None
         if tests is None
@@ -647,17 +620,8 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
     }
 
 
-def _resonances_json(fit: TransferFit) -> Iterable[tuple[dict[str, Any], str]]:
-    """Each mode, and why it does not count."""
-    for f, s, z, z_std, why in fit.mode_rows():
-        yield {**_quantity(f, s, "Hz"), "damping_ratio": float(z), "damping_ratio_std": float(z_std)}, why
-
-
-def _zeros_json(fit: TransferFit, drive: int) -> Iterable[tuple[dict[str, Any], str]]:
-    """Each antiresonance of a drive point, and why it does not count."""
-    hz, std = fit.antiresonances(drive)
-    for f, s, why in zip(hz, std, fit.refused_antiresonances(drive), strict=True):
-        yield _quantity(f, s, "Hz"), why
+def _mode_json(hz: float, std: float, damping: float, damping_std: float) -> dict[str, Any]:
+    return {**_quantity(hz, std, "Hz"), "damping_ratio": float(damping), "damping_ratio_std": float(damping_std)}
 
 
 def _flexibility_json(fit: TransferFit) -> dict[str, Any] | None:
@@ -674,30 +638,12 @@ def _stabilisation_json(fit: TransferFit) -> list[dict[str, Any]]:
         {
             "modes": one.modes,
             "poles": [
-                {
-                    **_quantity(f, s, "Hz"),
-                    "damping_ratio": float(z),
-                    "damping_ratio_std": float(z_std),
-                    "stable": bool(held),
-                }
-                for f, s, z, z_std, held in zip(
-                    one.resonances_hz,
-                    one.resonances_std_hz(),
-                    one.model.damping_ratio,
-                    one.damping_std(),
-                    stable(place, fit.candidates),
-                    strict=True,
-                )
+                {**_mode_json(*row), "stable": bool(held)}
+                for *row, held in zip(*one.modes_told(), stable(place, fit.candidates), strict=True)
             ],
         }
         for place, one in enumerate(fit.candidates)
     ]
-
-
-def _delays_json(fit: TransferFit) -> list[dict[str, Any]] | None:
-    """One for all torques, or one a torque in the order of the joints; null where none was fitted."""
-    values, stds = fit.torque_delays()
-    return [_quantity(value, std, "s") for value, std in zip(values, stds, strict=True)] or None
 
 
 def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:

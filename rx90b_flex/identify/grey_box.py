@@ -30,6 +30,7 @@ UNDETERMINED = (
     0.5  # relative standard deviation from the data alone beyond which a direction or parameter is called undetermined
 )
 VAGUE = 0.1  # the same, beyond which a direction is worth naming
+SPREAD = 0.4  # standard deviation of drawn starts, of the logarithms
 NAMED = 0.4  # entries of a direction that are named, over its largest
 Progress = Callable[[str, float], None]
 
@@ -94,7 +95,6 @@ class Start:
     """One start of the search: where from, and the cost at which it ended."""
 
     name: str
-    coarse_cost: float
     cost: float | None  # None: not among the best, not followed to its end
 
 
@@ -263,14 +263,9 @@ def _starts(problem: GreyProblem, options: GreyBoxOptions, start: Mapping[str, f
         begin.insert(0, ("given start", other))
     rng = np.random.default_rng(options.seed)
     centre = begin[0][1]
-    return begin + [(f"drawn {k + 1}", centre + _drawn(problem, options.spread, rng)) for k in range(options.starts)]
-
-
-def _drawn(problem: GreyProblem, spread: float, rng: np.random.Generator) -> Array:
-    """A random step of the logarithms, no larger than priors allow."""
-    return np.asarray(
-        rng.standard_normal(len(problem.declared)) * np.minimum(spread, [p.prior_std for p in problem.parameters])
-    )
+    reach = np.minimum(SPREAD, [p.prior_std for p in problem.parameters])  # no larger than priors allow
+    drawn = rng.standard_normal((options.starts, len(centre))) * reach
+    return begin + [(f"drawn {k + 1}", centre + step) for k, step in enumerate(drawn)]
 
 
 FOLLOWED = 4  # best starts that are followed to their end
@@ -301,7 +296,7 @@ def _search(
         x = problem.minimum(found[k][2], 60)
         ends[k] = (problem.cost(x), x)
     best = min(ends, key=lambda k: ends[k][0])
-    starts = tuple(Start(name, cost, ends[k][0] if k in ends else None) for k, (cost, name, _) in enumerate(found))
+    starts = tuple(Start(name, ends[k][0] if k in ends else None) for k, (_, name, _) in enumerate(found))
     return problem, ends[best][1], starts
 
 
@@ -331,18 +326,11 @@ def _result(
     values, std, alone = np.exp(x), np.zeros(len(x)), np.zeros(len(x))
     std[free], alone[free] = np.sqrt(np.diag(covariance)), _std_without_prior(information)
     reach = float(stats.norm.ppf(0.975))
+    low, high = values * np.exp(-reach * std), values * np.exp(reach * std)
+    numbers = (x.tolist() for x in (values, values * std, low, high, alone))
     estimates = tuple(
-        GreyEstimate(
-            p.name,
-            p.unit,
-            v,
-            v * s,
-            v * math.exp(-reach * s),
-            v * math.exp(reach * s),
-            p.declared,
-            bool(a < UNDETERMINED),
-        )
-        for p, v, s, a in zip(parameters, values.tolist(), std.tolist(), alone.tolist(), strict=True)
+        GreyEstimate(p.name, p.unit, v, s, below, above, p.declared, bool(vague < UNDETERMINED))
+        for p, v, s, below, above, vague in zip(parameters, *numbers, strict=True)
     )
     names = [parameters[i].name for i in free]
     return GreyBox(
@@ -392,17 +380,14 @@ def _expected_cost(problem: GreyProblem, fitted: int) -> tuple[float, float]:
     """Mean and standard deviation of the cost of a right model; covariances from few realisations make it larger."""
     mean, variance = 0.0, 0.0
     for r in (t.response for t in problem.terms):
-        size, lines = r.value[0].size, len(r.hz)
-        _, freedom = smoothed_covariance(r)
-        larger = 1.0 if not np.isfinite(freedom) else freedom / max(freedom - size, 1.0)
+        size, lines, (_, freedom) = r.value[0].size, len(r.hz), smoothed_covariance(r)
+        larger = freedom / max(freedom - size, 1.0) if np.isfinite(freedom) else 1.0
         mean += larger * size * lines
-        # neighbours share a smoothed covariance, so its error does not average out over them
-        shared = (
-            0.0
-            if not np.isfinite(freedom)
-            else (larger * size * lines) ** 2 / (freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size)
-        )
-        variance += larger**2 * size * lines + shared
+        variance += larger**2 * size * lines
+        if np.isfinite(freedom):
+            # neighbours share a smoothed covariance, so its error does not average out over them
+            alone = freedom * lines / max(freedom / r.degrees_of_freedom, 1.0) * size
+            variance += (larger * size * lines) ** 2 / alone
     return mean - 0.5 * fitted, math.sqrt(variance)
 
 

@@ -34,8 +34,8 @@ class GreyBoxOptions:
     ----------
     band_hz : (low, high)
         Lines used.
-    starts, spread, seed : int, float, int
-        Starts beside the declared values, and the standard deviation of their logarithms about these.
+    starts, seed : int
+        Starts beside the declared values, drawn about these.
     link_mass_std : float
         Relative standard deviation to which the links' masses are known; then one factor a link is fitted too. 0: known exactly.
     bending_alike_std : float
@@ -58,7 +58,6 @@ class GreyBoxOptions:
 
     band_hz: tuple[float, float] = (8.0, 80.0)
     starts: int = 16
-    spread: float = 0.4
     seed: int = 0
     link_mass_std: float = 0.0
     bending_alike_std: float = 0.0

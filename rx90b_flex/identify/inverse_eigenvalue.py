@@ -74,22 +74,23 @@ def drive_parameters(
     given = _given_inertia(drive_inertia, rigid_inertia)
     w_std = _deviations("resonances_std_hz", resonances_std_hz, w)
     mu_std = _deviations("antiresonances_std_hz", antiresonances_std_hz, mu)
-    difference = float((w**2).sum() - (mu**2).sum())
-    if difference <= 0:
+    if not (w**2).sum() > (mu**2).sum():
         raise ValueError("the antiresonances lie above the resonances: their squares leave no positive stiffness")
-    factor = 1.0 if drive_inertia is not None else float(np.prod((mu / w) ** 2))
-    inertia = float(given * factor)
-    # relative derivatives of the inertia, then of the stiffness J * difference, by each frequency
-    free = 0.0 if drive_inertia is not None else 1.0
-    by_w, by_mu = -2 * free / w, 2 * free / mu
-    relative = (inertia_std / given) ** 2 + ((by_w * w_std) ** 2).sum() + ((by_mu * mu_std) ** 2).sum()
-    stiff = (
-        (inertia_std / given) ** 2
-        + (((by_w + 2 * w / difference) * w_std) ** 2).sum()
-        + (((by_mu - 2 * mu / difference) * mu_std) ** 2).sum()
-    )
-    stiffness = inertia * difference
-    return DriveParameters(inertia, stiffness, float(inertia * np.sqrt(relative)), float(stiffness * np.sqrt(stiff)))
+    values, slopes = _drive(given, w, mu, rigid=drive_inertia is None)
+    relative = np.concatenate([[inertia_std / given], w_std / w, mu_std / mu])
+    return DriveParameters(*values.tolist(), *(values * np.linalg.norm(slopes * relative, axis=1)).tolist())
+
+
+def _drive(given: float, w: Array, mu: Array, rigid: bool) -> tuple[Array, Array]:
+    """Inertia and stiffness, (2,), of an inertia (of the drive or rigid) and frequencies, rad/s; slopes of their logarithms.
+
+    The slopes (2, 1 + 2 n) are by the logarithms of the inertia and of each frequency.
+    """
+    difference = float((w**2).sum() - (mu**2).sum())
+    inertia = given * float(np.prod((mu / w) ** 2)) if rigid else given
+    of_inertia = np.concatenate([[1.0], np.full(len(w), -2.0 * rigid), np.full(len(mu), 2.0 * rigid)])
+    of_stiffness = of_inertia + np.concatenate([[0.0], 2 * w**2, -2 * mu**2]) / difference
+    return np.array([inertia, inertia * difference]), np.stack([of_inertia, of_stiffness])
 
 
 def drive_damping(poles: ArrayLike, zeros: ArrayLike, drive_inertia: float) -> float:
@@ -158,14 +159,10 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
             )
         w, mu = (2 * np.pi * x[:count] for x in (resonances[kept], zeros[above]))
         by_w, by_mu = (2 * np.pi * x[:count] for x in (by_resonance[kept], by_zero[above]))
-        inertia = float(np.prod((mu / w) ** 2) / inverse[j, j])
-        difference = float((w**2).sum() - (mu**2).sum())
-        by_log = 2 * (by_mu / mu[:, None] - by_w / w[:, None]).sum(axis=0) - by_inverse[j, j] / inverse[j, j]
-        by_stiffness = inertia * (2 * (w @ by_w - mu @ by_mu) + difference * by_log)
-        inertia_std, stiffness_std = (
-            float(np.sqrt(by @ fit.covariance @ by)) for by in (inertia * by_log, by_stiffness)
-        )
-        drives.append(DriveParameters(inertia, inertia * difference, inertia_std, stiffness_std))
+        values, slopes = _drive(1.0 / inverse[j, j], w, mu, rigid=True)
+        relative = np.vstack([-by_inverse[j, j] / inverse[j, j], by_w / w[:, None], by_mu / mu[:, None]])
+        stds = fit.spread(values[:, None] * (slopes @ relative))
+        drives.append(DriveParameters(*values.tolist(), *stds.tolist()))
         counts.append(count)
     by_mass = -np.einsum("ij,jkp,kl->ilp", mass, by_inverse, mass)
     rate, by_rate = fit.decay_derivatives()
@@ -174,14 +171,10 @@ def identify_drives(fit: TransferFit) -> DriveIdentification:
         tuple(drives),
         tuple(counts),
         mass,
-        _spread(by_mass, fit.covariance),
+        fit.spread(by_mass),
         rate[fit.counted],
-        _spread(by_rate[fit.counted], fit.covariance),
+        fit.spread(by_rate[fit.counted]),
     )
-
-
-def _spread(derivatives: Array, covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("...p,pq,...q->...", derivatives, covariance, derivatives)), dtype=float)
 
 
 def _given_inertia(drive: float | None, rigid: float | None) -> float:

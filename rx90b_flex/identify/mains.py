@@ -13,6 +13,7 @@ from scipy import optimize
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.filters import periods
 
 REACH_HZ = 0.2  # by which mains may be off the frequency given: grids stay within it
 FINENESS = 4  # places a resolution cell, one over the recording's length, where the search begins
@@ -67,8 +68,8 @@ def without_mains(recording: Recording, near_hz: float) -> tuple[Recording, Main
     time = np.arange(recording.samples) / recording.sample_rate_hz
 
     def differing(x: Array) -> Array:
-        periods = x[: count * size].reshape(count, size, -1)
-        return np.asarray((periods - periods.mean(axis=0)).reshape(count * size, -1))
+        each = periods(x, size)
+        return np.asarray((each - each.mean(axis=0)).reshape(count * size, -1))
 
     def waves(hz: float) -> Array:
         return np.column_stack([np.cos(2.0 * np.pi * hz * time), np.sin(2.0 * np.pi * hz * time)])

@@ -130,8 +130,11 @@ def consistent_parameters(
     scaled_prior, from_scaled = _scaled(prior, links, unit)
     root = information_root(information)
     step, spread = _whitened(root @ from_scaled, root @ (estimate - prior), pull)
-    scaled, status = _nearest(scaled_prior + step, spread, margin, least / unit)
-    parameters = from_scaled @ scaled
+    free, status = scaled_prior + step, "consistent"
+    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
+    if (lowest < margin).any() or (free[links:] < least / unit).any():
+        free, status = _project(free, spread, margin, least / unit)
+    parameters = from_scaled @ free
     parameters[links:] = np.maximum(parameters[links:], least)  # where the solver was a rounding below
     increase = float(np.sum((root @ (parameters - estimate)) ** 2))
     return ConsistentParameters(parameters, increase, len(root), status)
@@ -233,15 +236,6 @@ def _declared(robot: Robot, effect: Effect) -> Effect:
     return same[0] if same else effect
 
 
-def _nearest(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:
-    """As `_project`; `free` itself, and ``consistent``, where it can be."""
-    links = len(free) - len(least)
-    lowest = np.linalg.eigvalsh(_symmetric(free[:links]))[:, 0]
-    if (lowest >= margin).all() and (free[links:] >= least).all():
-        return free, "consistent"
-    return _project(free, spread, margin, least)
-
-
 def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[Array, str]:
     """Minimise |z| so that the bodies in ``free + spread z`` are consistent and the rest is not below `least`.
 
@@ -285,20 +279,13 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
 
 def _sizes(prior: Array) -> list[tuple[float, float]]:
     """Mass (kg) and radius about the joint (m) by which each body is scaled."""
-    known = [_size(body) for body in prior]
-    with_mass = [size for size in known if size is not None]
-    typical = DEFAULT_SIZE
-    if with_mass:
-        typical = float(np.median([m for m, _ in with_mass])), float(np.median([length for _, length in with_mass]))
-    return [typical if size is None else size for size in known]
-
-
-def _size(body: Array) -> tuple[float, float] | None:
-    mass = float(body[0])
-    if mass <= 0:
-        return None
-    second_moment = 0.5 * float(body[4:7].sum())  # trace of Sigma
-    return mass, max(np.sqrt(max(second_moment, 0.0) / mass), SMALLEST_LENGTH)
+    some = prior[:, 0] > 0
+    sizes = np.tile(DEFAULT_SIZE, (len(prior), 1))
+    if some.any():
+        mass, second_moment = prior[some, 0], 0.5 * prior[some, 4:7].sum(axis=1)  # trace of Sigma
+        own = np.column_stack([mass, np.maximum(np.sqrt(np.maximum(second_moment, 0.0) / mass), SMALLEST_LENGTH)])
+        sizes[some], sizes[~some] = own, np.median(own, axis=0)
+    return [(float(mass), float(length)) for mass, length in sizes]
 
 
 def _scaled_coordinates(mass: float, length: float) -> Array:

@@ -34,12 +34,12 @@ from rx90b_flex.identify.grey_data import FRICTION_ERROR, SMOOTHED, GreyBoxOptio
 from rx90b_flex.identify.grey_model import SLOPE, late, response_derivatives
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.filters import periods
 from rx90b_flex.simulate import CS8, Trajectory, design_cs8
 from rx90b_flex.simulate.perturbation import NEAR_RAD, perturb_lanes
 from rx90b_flex.simulate.trajectories import from_recording
 
 STEP = 0.05  # relative, of a friction coefficient, for the derivative of the distortion
-TAIL_S = 0.16  # simulated beyond the last period, for the log's filter
 # Of the distortion's mean, what a replay is not trusted with: the perturbation method's is 2 to 16 % (by entry) off that of the full
 # simulation on the campaign of section 6.6.2.
 REPLAY_ERROR = 0.1
@@ -86,8 +86,7 @@ class Replay:
         ValueError
             No references in a recording, ones of different motions, or no period.
         """
-        used = {p.recording for p in measured.places}
-        kept = tuple(r for r in recordings if r.name in used)
+        kept = _used(recordings, measured)
         for r in kept:
             if r.reference_position is None or r.reference_velocity is None or r.period_samples is None:
                 raise ValueError(
@@ -99,7 +98,7 @@ class Replay:
             raise ValueError(
                 f"recordings {kept[0].name!r} and {apart[0]!r} differ in their references; replay one motion at a time"
             )
-        sent = tuple(_two_periods(r, controller.reference_rate_hz) for r in kept)
+        sent = tuple(_two_periods(_sent(r, controller.reference_rate_hz)) for r in kept)
         return cls(sent, tuple(_period(r, r, 0) for r in kept), measured, controller)
 
     @classmethod
@@ -114,8 +113,7 @@ class Replay:
         ValueError
             A recording without a period.
         """
-        used = {p.recording for p in measured.places}
-        kept = tuple(r for r in recordings if r.name in used)
+        kept = _used(recordings, measured)
         for r in kept:
             if r.period_samples is None:
                 raise ValueError(f"recording {r.name!r} lacks a period; without it it cannot be replayed")
@@ -137,7 +135,7 @@ class Replay:
             ordered = _mean_period(r.torque, samples) + np.fft.irfft(back, samples, axis=0)
             torque = _resampled(ordered, FINER * samples)
             once = Trajectory(r.name, r.joints, rate, path, speed, torque, period)
-            trajectories.append(once.repeated(3).part(0.0, 2.0 * period + TAIL_S))
+            trajectories.append(_two_periods(once))
         return cls(tuple(trajectories), tuple(_period(r, r, 0) for r in kept), measured, controller)
 
     def by_steps(self, response: Callable[[Array], ComplexArray]) -> ComplexArray:
@@ -186,9 +184,18 @@ class Replay:
         return np.asarray(np.sqrt(apart / size))
 
 
+def _used(recordings: Sequence[Recording], measured: MeasuredResponse) -> tuple[Recording, ...]:
+    names = {p.recording for p in measured.places}
+    return tuple(r for r in recordings if r.name in names)
+
+
 def _mean_period(signal: Array, samples: int) -> Array:
-    whole = len(signal) // samples * samples
-    return np.asarray(signal[:whole].reshape(-1, samples, signal.shape[1]).mean(axis=0))
+    return np.asarray(periods(signal, samples).mean(axis=0))
+
+
+def _two_periods(once: Trajectory) -> Trajectory:
+    """Of one period: one in which the transient dies, one that counts, and a tail."""
+    return dataclasses.replace(once.repeated(2).with_tail(), period_s=None)
 
 
 def _leading(robot: Robot, pose: Array, log_hz: float, limit: float) -> CS8:
@@ -213,8 +220,8 @@ def _gains(controller: CS8, hz: Array) -> ComplexArray:
     return np.asarray(position + velocity * s + integral / s)
 
 
-def _two_periods(recording: Recording, rate_hz: float) -> Trajectory:
-    """Two periods and a tail of what was sent, at the rate at which a controller takes references."""
+def _sent(recording: Recording, rate_hz: float) -> Trajectory:
+    """One period of what was sent, at the rate at which a controller takes references."""
     period, samples = recording.period_s or 0.0, recording.period_samples or 0
     count = round(period * rate_hz)
     if abs(period * rate_hz - count) > 1e-6 * max(count, 1):
@@ -223,9 +230,8 @@ def _two_periods(recording: Recording, rate_hz: float) -> Trajectory:
         )
     logged = from_recording(recording)
     parts = (logged.position, logged.velocity, logged.torque)
-    one = [None if x is None else _resampled(x[:samples], count) for x in parts]
-    once = Trajectory(recording.name, recording.joints, rate_hz, one[0], one[1], one[2], period)
-    return once.repeated(3).part(0.0, 2.0 * period + TAIL_S)
+    position, velocity, torque = (_resampled(x[:samples], count) for x in parts)
+    return Trajectory(recording.name, recording.joints, rate_hz, position, velocity, torque, period)
 
 
 def _resampled(period: Array, count: int) -> Array:
@@ -238,17 +244,11 @@ def _period(measured: Recording, of: Recording, number: int) -> Recording:
     samples, own = measured.period_samples or 0, round((measured.period_s or 0.0) * of.sample_rate_hz)
     rows = slice(number * own, (number + 1) * own)
     torque = measured.feedforward_torque
-    return dataclasses.replace(
-        measured,
-        time=measured.time[:samples],
-        position=_resampled(of.position[rows], samples),
-        torque=_resampled(of.torque[rows], samples),
-        velocity=None,
-        link_position=None,
-        reference_position=None,
-        reference_velocity=None,
-        feedforward_torque=None if torque is None else torque[:samples],
-    )
+    position, moved = (_resampled(x[rows], samples) for x in (of.position, of.torque))
+    return Recording(
+        measured.name, measured.role, measured.time[:samples], measured.sample_rate_hz, measured.joints, position, moved,
+        feedforward_torque=None if torque is None else torque[:samples], period_s=measured.period_s,
+    )  # fmt: skip
 
 
 def linear_response(
@@ -556,14 +556,12 @@ def _settled(before: GreyBox, now: GreyBox) -> bool:
 
 def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
     """Coefficients of frictions beside their declared values."""
-    names = [
-        (f"{e.label} {n}", u) for e in declared for n, u in zip(e.coefficient_names, e.coefficient_units, strict=True)
+    known = [
+        (f"{e.label} {name}", unit, float(c))
+        for e in declared
+        for name, unit, c in zip(e.coefficient_names, e.coefficient_units, e.coefficients, strict=True)
     ]
-    before = [float(c) for e in declared for c in e.coefficients]
-    return tuple(
-        FrictionEstimate(name, unit, d, v, s)
-        for (name, unit), d, v, s in zip(names, before, values.tolist(), std.tolist(), strict=True)
-    )
+    return tuple(FrictionEstimate(*k, v, s) for k, v, s in zip(known, values.tolist(), std.tolist(), strict=True))
 
 
 def _spread(realisations: ComplexArray) -> Array:

@@ -118,11 +118,10 @@ def stable(place: int, candidates: Sequence[CandidateModel]) -> NDArray[np.bool_
     """Which modes of a candidate are known well enough and found again at the next higher order (of the highest: the next lower)."""
     one = candidates[place]
     rest = candidates[place + 1 : place + 2] or candidates[max(place - 1, 0) : place]
-    own = (one.resonances_hz, one.resonances_std_hz(), one.model.damping_ratio, one.damping_std())
     return np.array(
         [
             std <= UNCERTAIN * hz and all(found_again(hz, std, z, z_std, other) for other in rest)
-            for hz, std, z, z_std in zip(*own, strict=True)
+            for hz, std, z, z_std in zip(*one.modes_told(), strict=True)
         ],
         bool,
     )

@@ -28,12 +28,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy import special
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
+from rx90b_flex.identify.linear_fit import weighted_mean
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
@@ -167,14 +167,12 @@ def fit_tests(source: StaticTests) -> StaticResult:
     ValueError
         One line that names the file, and the test that tells no stiffness.
     """
-    try:
+    with named_in(source.path):
         found = tuple(fit_static_stiffness(t, skip=source.skip, confidence=source.confidence) for t in source.tests)
         hinges = tuple(_together(name, found) for name in dict.fromkeys(f.coordinate for f in found))
         robot = source.robot
         if robot is not None:
             robot = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
-    except ValueError as error:
-        raise ValueError(f"{source.path}: {error}") from None
     return StaticResult(source, found, hinges, robot)
 
 
@@ -186,9 +184,7 @@ def _together(coordinate: str, found: tuple[StaticStiffness, ...]) -> HingeStiff
     if len(own) == 1 or not (std > 0.0).all():
         mean, mean_std, p = float(compliance.mean()), float(std.mean() / np.sqrt(len(own))), 1.0
     else:
-        weight = 1.0 / std**2
-        mean, mean_std = float(weight @ compliance / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
-        p = float(special.chdtrc(len(own) - 1, np.sum((compliance - mean) ** 2 * weight)))
+        mean, mean_std, p = weighted_mean(compliance, std)
     return HingeStiffness(coordinate, 1.0 / mean, mean_std / mean**2, len(own), p)
 
 

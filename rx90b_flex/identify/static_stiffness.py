@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.linear_fit import LinearFit
 from rx90b_flex.signals.static_test import StaticTest
 
 SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
@@ -32,14 +33,12 @@ class StaticLine:
         Confidence interval of the stiffness; its upper end is infinite where the slope's reaches zero.
     mean_moment, deformation : float
         A point of the line: the mean moment of both directions, and where the line stands there; N m and rad.
-    readings : int
     """
 
     stiffness: float
     interval: tuple[float, float]
     mean_moment: float
     deformation: float
-    readings: int
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,8 @@ class StaticStiffness:
     Attributes
     ----------
     coordinate : str
-    stiffness : float
-        N m/rad.
+    stiffness, stiffness_std : float
+        N m/rad; the standard deviation to first order of the slope's.
     interval : (float, float)
         Confidence interval of `stiffness`, N m/rad.
     confidence : float
@@ -74,6 +73,7 @@ class StaticStiffness:
 
     coordinate: str
     stiffness: float
+    stiffness_std: float
     interval: tuple[float, float]
     confidence: float
     response: Response
@@ -85,19 +85,6 @@ class StaticStiffness:
     slope_p_value: float
     hysteresis_area: float
     hysteresis_std: float
-
-    @property
-    def stiffness_std(self) -> float:
-        """Of `stiffness`, N m/rad, to first order of the slope's."""
-        reach = float(special.stdtrit(self.degrees_of_freedom, 0.5 + 0.5 * self.confidence))
-        low, high = self.interval
-        if self.response == "moment":
-            return (high - self.stiffness) / reach
-        return (
-            self.stiffness**2
-            * (1.0 / self.stiffness - 1.0 / high if np.isfinite(high) else 1.0 / low - 1.0 / self.stiffness)
-            / reach
-        )
 
 
 def fit_static_stiffness(
@@ -138,17 +125,18 @@ def fit_static_stiffness(
     area, weight = hysteresis_area(test)
     test = _without_beginnings(test, skip)
     line, parallel, both = _fits(test, response)
-    slope = float(parallel.values[0])
+    slope = float(parallel.theta[0])
     # the noise of a deformation, for the loop's own uncertainty
     deformation_std = parallel.noise if response == "deformation" else parallel.noise / slope
     return StaticStiffness(
         coordinate=test.coordinate,
         stiffness=1.0 / slope if response == "deformation" else slope,
+        stiffness_std=float(parallel.std[0]) / (slope**2 if response == "deformation" else 1.0),
         interval=_stiffness_interval(parallel, 0, confidence, response),
         confidence=confidence,
         response=response,
         noise_std=parallel.noise,
-        degrees_of_freedom=parallel.dof,
+        degrees_of_freedom=parallel.freedom,
         loading=_branch(test, both, 0, confidence, response),
         unloading=_branch(test, both, 1, confidence, response),
         p_value=_f_test(line, both),
@@ -158,7 +146,7 @@ def fit_static_stiffness(
     )
 
 
-def _fits(test: StaticTest, response: Response) -> tuple[_StaticFit, _StaticFit, _StaticFit]:
+def _fits(test: StaticTest, response: Response) -> tuple[LinearFit, LinearFit, LinearFit]:
     """One line through all readings; a height for each direction; a slope for each, too."""
     given, noisy = (test.moment, test.deformation) if response == "deformation" else (test.deformation, test.moment)
     for name, rows in (("up", test.rising), ("down", ~test.rising)):
@@ -169,29 +157,28 @@ def _fits(test: StaticTest, response: Response) -> tuple[_StaticFit, _StaticFit,
             )
     centre = given - given.mean()
     up, down = test.rising.astype(float), 1.0 - test.rising
-    parallel = _fit(np.stack([centre, up, down], axis=1), noisy)
-    slope = float(parallel.values[0])
+    parallel = LinearFit.of(np.stack([centre, up, down], axis=1), noisy)
+    slope = float(parallel.theta[0])
     if not SMALLEST_SLOPE < slope < 1.0 / SMALLEST_SLOPE:
         raise ValueError(
             f"static test {test.coordinate!r}: the deformation does not grow with the moment (slope {slope:.3g})"
         )
     return (
-        _fit(np.stack([centre, np.ones(len(test))], axis=1), noisy),
+        LinearFit.of(np.stack([centre, np.ones(len(test))], axis=1), noisy),
         parallel,
-        _fit(np.stack([centre * up, centre * down, up, down], axis=1), noisy),
+        LinearFit.of(np.stack([centre * up, centre * down, up, down], axis=1), noisy),
     )
 
 
-def _branch(test: StaticTest, both: _StaticFit, place: int, confidence: float, response: Response) -> StaticLine:
+def _branch(test: StaticTest, both: LinearFit, place: int, confidence: float, response: Response) -> StaticLine:
     """One direction's line, of the fit with a slope for each: 0 loading, 1 unloading."""
-    gradient, height = float(both.values[place]), float(both.values[2 + place])
+    gradient, height = float(both.theta[place]), float(both.theta[2 + place])
     middle = float(test.moment.mean())
-    readings = int((~test.rising if place else test.rising).sum())
     interval = _stiffness_interval(both, place, confidence, response)
     if response == "deformation":
-        return StaticLine(1.0 / gradient, interval, middle, height, readings)
+        return StaticLine(1.0 / gradient, interval, middle, height)
     at_middle = float(test.deformation.mean() + (middle - height) / gradient)
-    return StaticLine(gradient, interval, middle, at_middle, readings)
+    return StaticLine(gradient, interval, middle, at_middle)
 
 
 def hysteresis_area(test: StaticTest) -> tuple[float, Array]:
@@ -219,44 +206,19 @@ def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
     return replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
 
 
-@dataclass(frozen=True, eq=False)
-class _StaticFit:
-    """Linear least squares: values, their standard deviations, and the noise about them."""
-
-    values: Array
-    std: Array
-    squares: float
-    dof: int
-
-    @property
-    def noise(self) -> float:
-        return float(np.sqrt(self.squares / self.dof))
-
-
-def _fit(columns: Array, values: Array) -> _StaticFit:
-    # columns of one length, nearly square to each other: the normal equations lose nothing
-    size = np.sqrt((columns**2).sum(axis=0))
-    scaled = columns / size
-    inverse = np.linalg.inv(scaled.T @ scaled)
-    found = inverse @ (scaled.T @ values)
-    squares = float(((values - scaled @ found) ** 2).sum())
-    dof = len(values) - columns.shape[1]
-    return _StaticFit(found / size, np.sqrt(squares / dof * np.diag(inverse)) / size, squares, dof)
-
-
-def _f_test(small: _StaticFit, large: _StaticFit) -> float:
+def _f_test(small: LinearFit, large: LinearFit) -> float:
     """Chance that the larger model fits that much better where the smaller one is true."""
     if large.squares == 0.0:
         return 1.0 if small.squares == 0.0 else 0.0
-    more = small.dof - large.dof
-    ratio = (small.squares - large.squares) / more / (large.squares / large.dof)
-    return float(special.fdtrc(more, large.dof, ratio))
+    more = small.freedom - large.freedom
+    ratio = (small.squares - large.squares) / more / (large.squares / large.freedom)
+    return float(special.fdtrc(more, large.freedom, ratio))
 
 
-def _stiffness_interval(fit: _StaticFit, place: int, confidence: float, response: Response) -> tuple[float, float]:
+def _stiffness_interval(fit: LinearFit, place: int, confidence: float, response: Response) -> tuple[float, float]:
     """Of the stiffness, N m/rad, that the slope in that place says."""
-    slope, std = float(fit.values[place]), float(fit.std[place])
-    reach = float(special.stdtrit(fit.dof, 0.5 + 0.5 * confidence)) * std  # Student's t
+    slope = float(fit.theta[place])
+    reach = float(special.stdtrit(fit.freedom, 0.5 + 0.5 * confidence) * fit.std[place])  # Student's t
     low, high = slope - reach, slope + reach
     if response == "moment":
         return max(low, 0.0), high

@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.coloured import residual_spectrum
+from rx90b_flex.identify.least_squares import CORRELATION_S
+from rx90b_flex.identify.linear_fit import LinearFit
 from rx90b_flex.signals import Campaign, Recording, lowpass, motion
 from rx90b_flex.signals.filters import minimum_samples, noise_cutoff_hz
 
@@ -25,7 +26,6 @@ FEWEST = 64  # samples of a recording that are looked at
 MOTOR_GAIN = (1 / 18, 72.0)
 CALIBRATION = 0.05  # relative error of a sensor's gain that is an ordinary one; more is worth a name of its own
 DETERMINED = 3.0  # standard deviations by which a gain has to be off to be corrected
-CORRELATION_S = 1.0  # longest correlation of the residual that the standard deviation allows for
 
 
 @dataclass(frozen=True)
@@ -159,10 +159,10 @@ def sensor_gain(recordings: Sequence[Recording], joint: str) -> tuple[float, flo
     rows = _rows(runs, place, place)
     if rows is None:
         return None
-    gain, inverse, rest = _solved(rows.columns, rows.sensor)
-    spectrum = residual_spectrum(rest, rows.spans, np.zeros(1), int(CORRELATION_S * runs[0].rate_hz))
-    covariance = inverse @ np.asarray(sum(spectrum.product(rows.columns[s]) for s in rows.spans)) @ inverse
-    return gain, float(np.sqrt(max(covariance[0, 0], 0.0)))
+    columns, sensor, spans = rows
+    fit = LinearFit.of(columns, sensor)
+    covariance = fit.coloured_covariance(spans, int(CORRELATION_S * runs[0].rate_hz))
+    return float(fit.theta[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
 
 
 def _fits(recordings: Sequence[Recording]) -> dict[str, dict[str, SensorFit]]:
@@ -175,9 +175,9 @@ def _fits(recordings: Sequence[Recording]) -> dict[str, dict[str, SensorFit]]:
         for motor in sensed:
             rows = _rows(runs, joints.index(motor), joints.index(sensor))
             if rows is not None:
-                gain, _, rest = _solved(rows.columns, rows.sensor)
-                left = float(np.sqrt(np.mean(rest**2)) / np.std(rows.sensor))
-                out.setdefault(sensor, {})[motor] = SensorFit(sensor, motor, gain, left)
+                fit = LinearFit.of(*rows[:2])
+                left = float(np.sqrt(np.mean(fit.residual**2)) / np.std(rows[1]))
+                out.setdefault(sensor, {})[motor] = SensorFit(sensor, motor, float(fit.theta[0]), left)
     return out
 
 
@@ -194,10 +194,8 @@ class _Filtered:
     def thinned(self) -> _Filtered:
         """Of a long recording not every sample, which is all that a comparison needs."""
         step = 1 + len(self.torque) // ENOUGH
-        torque, sensor, velocity, acceleration = (
-            x[::step] for x in (self.torque, self.sensor, self.velocity, self.acceleration)
-        )
-        return _Filtered(torque, sensor, velocity, acceleration, self.rate_hz / step)
+        torque, sensor = self.torque[::step], self.sensor[::step]
+        return _Filtered(torque, sensor, self.velocity[::step], self.acceleration[::step], self.rate_hz / step)
 
 
 def _filtered(recordings: Sequence[Recording]) -> list[_Filtered]:
@@ -216,17 +214,11 @@ def _filtered(recordings: Sequence[Recording]) -> list[_Filtered]:
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves, and those of each recording."""
+def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> tuple[Array, Array, tuple[slice, ...]] | None:
+    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves, and those of each recording.
 
-    columns: Array
-    sensor: Array
-    spans: tuple[slice, ...]
-
-
-def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> _Rows | None:
-    """None where the joint never moves or the sensor never changes."""
+    None where the joint never moves or the sensor never changes.
+    """
     columns, target, ends = [], [], [0]
     for r in runs:
         v = r.velocity[:, motor]
@@ -239,12 +231,4 @@ def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> _Rows | None:
         ends.append(ends[-1] + len(target[-1]))
     if not target or not np.ptp(together := np.concatenate(target)) > 0.0:
         return None
-    return _Rows(np.concatenate(columns), together, tuple(slice(a, b) for a, b in pairwise(ends)))
-
-
-def _solved(columns: Array, sensor: Array) -> tuple[float, Array, Array]:
-    """The motor's coefficient, the inverse of the normal equations and the residual."""
-    scale = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    inverse = np.linalg.pinv((columns / scale).T @ (columns / scale), rcond=1e-12) / np.outer(scale, scale)
-    theta = inverse @ (columns.T @ sensor)
-    return float(theta[0]), inverse, sensor - columns @ theta
+    return np.concatenate(columns), together, tuple(slice(a, b) for a, b in pairwise(ends))

@@ -14,22 +14,19 @@ of the logged torques. Antiresonances are the zeros of the drive points ``P_jj``
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
-from rx90b_flex.identify.stability import model_weights, nearest, refusals, spread, zero_refusals
+from rx90b_flex.identify.stability import Values, model_weights, nearest, refusals, spread, zero_refusals
 from rx90b_flex.identify.starting_values import (
-    POWERS,
     PoleSet,
-    SymmetricData,
     real_rows,
     residue_fit,
     starting_poles,
@@ -51,7 +48,9 @@ from rx90b_flex.levenberg import Damping, Iterate, lowest
 
 WORTH_A_STEP = 1e-2  # of the cost, in units of the noise: what a tenth of a parameter's standard deviation is worth
 CLIMB = Damping(1e-2, rise=4.0, fall=9.0)
+EVALUATIONS = 500  # of the cost, in one climb
 DAMPING = (1e-4, 0.95)  # bounds of a damping ratio
+DELAY_S = (-0.01, 0.01)  # bounds of a delay
 BOUND_PRICE = 2.0  # times the criterion of a candidate with a mode on a bound: what lies beside the band may need one
 FEWER = ((-2, 0, 2), (-2, 0), (0, 1, 2), (0, 2), (0,))  # powers of s that may do instead of all
 ADDED = ("one mode more", "a mode above the band")  # where starts come from that add to a fit with a mode less
@@ -59,21 +58,6 @@ WEAK = 0.1  # times the shape of such a mode: a hundredth of its residue
 SURELY = 10.0  # times its price: a mode worth as much by its covariance is worth it
 START_DAMPING = 0.05  # ratio, of modes to start from of which the frequency alone is given
 EDGE_HZ = 0.01  # by which an antiresonance may leave its bounds at a cost of 1
-
-
-def _start(data: SymmetricData, poles: ComplexArray, layout: TermLayout, decay_hz: float) -> TransferFunctions:
-    """Model over given poles: the best residues, each replaced by its nearest of rank one."""
-    n = layout.size
-    found, _ = residue_fit(data, np.concatenate([poles, [-TURN * decay_hz]]))
-    full = symmetric_basis(n)
-    restoring, direct, slope, flexibility, drag = (np.tensordot(c, full, 1) for c in found.T[:5])
-    m = len(poles)
-    residues = np.einsum("km,kab->mab", found[:, 5 : 5 + m] + 1j * found[:, 5 + m :], full)
-    left = np.linalg.svd(residues)[0][:, :, 0]
-    size = np.einsum("ma,mab,mb->m", left.conj(), residues, left.conj())
-    shape = left * np.sqrt(size)[:, None]
-    f, z = np.abs(poles) / TURN, -poles.real / np.abs(poles)
-    return TransferFunctions(f, z, shape, direct, slope, flexibility, restoring, decay_hz, -drag, np.zeros(n))
 
 
 # ---- fit ------------------------------------------------------------------------------------------------------
@@ -87,8 +71,6 @@ class Bounds:
     ----------
     frequency_hz : (low, high) of every mode; by default from the lowest line to twice the highest.
     damping_ratio : (low, high).
-    decay_hz : (low, high) of the friction's real pole; by default up to half the lowest line.
-    delay_s : (low, high).
     antiresonances : tuple of (joint, low, high)
         The antiresonance of that joint's drive point which is nearest to the interval, Hz, stays in it. Zeros are functions of
         modes and what stands beside them: a steep price keeps them.
@@ -96,8 +78,6 @@ class Bounds:
 
     frequency_hz: tuple[float, float] | None = None
     damping_ratio: tuple[float, float] = DAMPING
-    decay_hz: tuple[float, float] | None = None
-    delay_s: tuple[float, float] = (-0.01, 0.01)
     antiresonances: tuple[tuple[str, float, float], ...] = ()
 
 
@@ -156,16 +136,14 @@ class TransferFit(FittedModel):
 
     def antiresonances(self, drive: int) -> tuple[Array, Array]:
         """Antiresonances of a drive point (5.41) and standard deviations, the choice of the model included, ascending, Hz."""
-        hz, std = super().antiresonances(drive)
-        others = [one.antiresonances(drive) for one, _ in self._weighted]
-        return hz, spread(hz, std, others, [weight for _, weight in self._weighted])
+        own = super().antiresonances(drive)
+        return own[0], self._widened(own, lambda one: one.antiresonances(drive))
 
     def torque_delays(self) -> tuple[Array, Array]:
         """As of one model, the standard deviations with the choice of the model included."""
-        value, std = super().torque_delays()
-        others = [one.torque_delays() for one, _ in self._weighted]
-        places = np.tile(np.arange(len(value)), (len(others), 1))
-        return value, spread(value, std, others, [weight for _, weight in self._weighted], places)
+        own = super().torque_delays()
+        places = np.tile(np.arange(len(own[0])), (len(self._weighted), 1))
+        return own[0], self._widened(own, CandidateModel.torque_delays, places)
 
     @cached_property
     def _weighted(self) -> list[tuple[CandidateModel, float]]:
@@ -175,24 +153,26 @@ class TransferFit(FittedModel):
 
     @cached_property
     def _resonance_spread(self) -> tuple[Array, Array]:
-        f, own, damping = self.resonances_hz, super().resonances_std_hz(), super().damping_std()
-        weights = [weight for _, weight in self._weighted]
-        others = [(one.resonances_hz, one.resonances_std_hz()) for one, _ in self._weighted]
-        ratios = [(one.model.damping_ratio, one.damping_std()) for one, _ in self._weighted]
-        return spread(f, own, others, weights), spread(
-            self.model.damping_ratio, damping, ratios, weights, nearest(f, own, others)
-        )
+        hz, ratio = (self.resonances_hz, super().resonances_std_hz()), (self.model.damping_ratio, super().damping_std())
+        places = nearest(*hz, [one.modes_told()[:2] for one, _ in self._weighted])
+        by_hz = self._widened(hz, lambda one: one.modes_told()[:2], places)
+        return by_hz, self._widened(ratio, lambda one: one.modes_told()[2:], places)
+
+    def _widened(
+        self, own: Values, told: Callable[[CandidateModel], Values], places: NDArray[np.intp] | None = None
+    ) -> Array:
+        """Standard deviations of values, with what the alternatives say of them (`spread`)."""
+        others = [told(one) for one, _ in self._weighted]
+        return spread(*own, others, [weight for _, weight in self._weighted], places)
 
     @cached_property
     def refused(self) -> tuple[str, ...]:
         """Why a mode does not count, one text each, empty where it does: too uncertain, needless, or not found at other orders."""
-        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
-        return refusals(own, self.worth, self.candidates)
+        return refusals(self.modes_told(), self.worth, self.candidates)
 
     def mode_rows(self) -> Iterator[tuple[float, float, float, float, str]]:
         """Of each mode: resonance and standard deviation, Hz; damping ratio and its; why it does not count, empty where it does."""
-        own = self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
-        return zip(*own, self.refused, strict=True)
+        return zip(*self.modes_told(), self.refused, strict=True)
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -218,15 +198,13 @@ def fit_transfer_functions(
     start: TransferFunctions | None = None,
     start_hz: Sequence[float] = (),
     bounds: Bounds | None = None,
-    criterion: str = "mdl",
-    powers: Sequence[float] = POWERS,
 ) -> TransferFit:
     """Symmetric transfer functions by maximum likelihood, with their order, without a hand in it.
 
     For each number of modes, poles come from linear fits of several orders and weights (`starting_poles`) and from
     the fit with one mode less and a new pole where it helps most; the likelihood is climbed from each by
     Levenberg-Marquardt with the analytic Jacobian, and the lowest cost stays. The number of modes is that of the lowest
-    criterion, where two more did not lower it.
+    criterion (minimum description length), where two more did not lower it.
 
     Parameters
     ----------
@@ -244,9 +222,6 @@ def fit_transfer_functions(
     start_hz : sequence of float
         Resonances, Hz, from which the fit of as many modes sets out as well.
     bounds : Bounds, optional
-    criterion : str
-        ``mdl`` (minimum description length) or ``aic``.
-    powers : values of w for the linear fits (6.41).
 
     Raises
     ------
@@ -254,26 +229,32 @@ def fit_transfer_functions(
         Too few lines; a covariance that is not positive definite; unknown words; an initial model outside its bounds; resonances to
         start from that are outside them, or of which there are as many as no number of modes.
     """
-    _check_words(delays, criterion)
-    response = _without(response, leave_out_hz)
+    if delays not in ("none", "common", "each"):
+        raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
+    for centre, half in leave_out_hz:
+        response = response.lines(np.abs(response.hz - centre) > half)
     tried = (len(start.frequency_hz),) if start is not None else (modes,) if isinstance(modes, int) else tuple(modes)
-    rows = 2 * response.value.size
-    layouts = _layouts(response, tried, {"none": 0, "common": 1, "each": len(response.joints)}[delays], start, rows)
-    bounds = _filled(bounds or Bounds(), response)
-    _check_start_hz(start_hz, tried, bounds)
-    problem = _TransferFunctionProblem(response, _zero_bounds(bounds, response))
-    price = np.log(rows) / 2 if criterion == "mdl" else 1.0  # of a parameter, in units of the cost
-    wholes = _whole_fits(problem, layouts, bounds, price, start, start_hz, powers)
-    every = _with_fewer_terms(problem, wholes, bounds, price) if start is None else [[one] for one in wholes]
-    found = [min(order, key=lambda one: one.score) for order in every]
+    layouts = _layouts(response, tried, {"none": 0, "common": 1, "each": len(response.joints)}[delays], start)
+    problem = _Likelihood(response, bounds or Bounds())
+    _check_start_hz(start_hz, tried, problem.frequency_hz)
+    wholes = _whole_fits(problem, layouts, start, start_hz)
+    every = _with_fewer_terms(problem, wholes) if start is None else [[one] for one in wholes]
+    found = sorted((min(order, key=lambda one: one.score) for order in every), key=lambda one: one.layout.modes)
     best = min(found, key=lambda one: one.score)
-    return _result(problem, best, found, list(chain(*every)), _worth(problem, best, bounds, price))
+    return TransferFit(
+        *best.fitted,
+        response,
+        tuple(one.candidate for one in found),
+        tuple(one.candidate for one in chain(*every)),
+        _worth(best)[np.argsort(best.model.frequency_hz)],
+    )
 
 
 def _layouts(
-    response: FrequencyResponse, tried: tuple[int, ...], delays: int, start: TransferFunctions | None, rows: int
+    response: FrequencyResponse, tried: tuple[int, ...], delays: int, start: TransferFunctions | None
 ) -> dict[int, TermLayout]:
     """The parameters of each number of modes, for which there must be enough numbers."""
+    rows = 2 * response.value.size
     low, high = (float(response.hz[0]), float(response.hz[-1])) if len(response.hz) else (0.0, 1.0)
     terms = POWERS_OF_S if start is None else tuple(p for p in POWERS_OF_S if p == 0 or getattr(start, TERMS[p]).any())
     layouts = {m: TermLayout(m, len(response.joints), high, delays, terms, low) for m in tried}
@@ -286,106 +267,56 @@ def _layouts(
     return layouts
 
 
-def _check_words(delays: str, criterion: str) -> None:
-    if delays not in ("none", "common", "each"):
-        raise ValueError(f"delays is {delays!r}; expected 'none', 'common' or 'each'")
-    if criterion not in ("mdl", "aic"):
-        raise ValueError(f"criterion is {criterion!r}; expected 'mdl' or 'aic'")
-
-
 def _whole_fits(
-    problem: _TransferFunctionProblem,
+    problem: _Likelihood,
     layouts: dict[int, TermLayout],
-    bounds: Bounds,
-    price: float,
     start: TransferFunctions | None,
     start_hz: Sequence[float],
-    powers: Sequence[float],
-) -> list[_Climbed]:
+) -> list[_Climb]:
     """Fits with all terms by number of modes, until two more do not lower the criterion."""
     sets: tuple[PoleSet, ...] = ()
     if start is None:
-        sets = starting_poles(problem.data, range(2 * min(layouts), 2 * max(layouts) + 4, 2), powers)
-    wholes: list[_Climbed] = []
+        sets = starting_poles(problem.data, range(2 * min(layouts), 2 * max(layouts) + 4, 2))
+    wholes: list[_Climb] = []
     for m, layout in layouts.items():
         before = next((one for one in wholes if one.layout.modes == m - 1), None)
-        starts = _starts(problem, layout, sets, None if before is None else before.model, bounds, start)
+        if start is not None:
+            starts = [("given", _checked_start(problem, layout, start))]
+        else:
+            starts = _starts(problem, layout, sets, None if before is None else before.model)
         if m == len(start_hz):
-            starts.append(_start_at(problem, start_hz, layout, bounds))
-        wholes.append(_of_order(problem, layout, starts, before, bounds, price))
+            damping = float(np.clip(START_DAMPING, *problem.bounds.damping_ratio))
+            poles = TURN * np.sort(np.array(start_hz, float)) * (-damping + 1j * np.sqrt(1 - damping**2))
+            starts.append(("given resonances", problem.model_over(poles, layout)))
+        wholes.append(_of_order(problem, layout, starts, before))
         if m - min(wholes, key=lambda one: one.score).layout.modes >= 2:
             break
     return wholes
 
 
-@dataclass(frozen=True, eq=False)
-class _Climbed:
-    """Where the likelihood's climb ended: parameters, cost, criterion, whether a mode sits on a bound, and from where it set out."""
-
-    layout: TermLayout
-    x: Array
-    cost: float
-    criterion: float
-    bound: bool
-    started: str
-
-    @property
-    def model(self) -> TransferFunctions:
-        return self.layout.unpack(self.x)
-
-    @property
-    def score(self) -> float:
-        return self.criterion * (BOUND_PRICE if self.bound else 1.0)
-
-
-def _ended(
-    problem: _TransferFunctionProblem,
-    layout: TermLayout,
-    model: TransferFunctions,
-    told: str,
-    bounds: Bounds,
-    price: float,
-) -> _Climbed:
-    x, cost = _climb(problem, layout, layout.pack(model), bounds)
-    criterion = float(cost / efficiency(problem.response)[0] + price * layout.count)
-    return _Climbed(layout, x, cost, criterion, _on_bound(layout, x, bounds), told)
-
-
 def _of_order(
-    problem: _TransferFunctionProblem,
-    layout: TermLayout,
-    starts: Sequence[tuple[str, TransferFunctions]],
-    before: _Climbed | None,
-    bounds: Bounds,
-    price: float,
-) -> _Climbed:
+    problem: _Likelihood, layout: TermLayout, starts: Sequence[tuple[str, TransferFunctions]], before: _Climb | None
+) -> _Climb:
     """Best model of one number of modes with all terms beside the band, from each start."""
-
-    def ended(model: TransferFunctions, told: str) -> _Climbed:
-        return _ended(problem, layout, model, told, bounds, price)
-
-    whole = min((ended(model, told) for told, model in starts), key=lambda one: one.cost)
-    if (
-        before is not None and whole.cost > before.cost
-    ):  # a mode more cannot fit worse: all starts ended beside the best
-        more = [ended(_with_weak_mode(before.model, model), told) for told, model in starts if told in ADDED]
-        whole = min([whole, *more], key=lambda one: one.cost)
-    return whole
+    whole = min((problem.climbed(layout, model, told) for told, model in starts), key=lambda one: one.goal)
+    if before is None or whole.goal <= before.goal:
+        return whole
+    # a mode more cannot fit worse: all starts ended beside the best
+    more = [(told, _with_weak_mode(before.model, model)) for told, model in starts if told in ADDED]
+    return min([whole, *(problem.climbed(layout, model, told) for told, model in more)], key=lambda one: one.goal)
 
 
-def _with_fewer_terms(
-    problem: _TransferFunctionProblem, wholes: Sequence[_Climbed], bounds: Bounds, price: float
-) -> list[list[_Climbed]]:
+def _with_fewer_terms(problem: _Likelihood, wholes: Sequence[_Climb]) -> list[list[_Climb]]:
     """Models of each order: the whole one, and where its order may be the best one's, those with fewer terms."""
     lowest = min(one.criterion for one in wholes)
     out = []
     for whole in wholes:
-        saved = price * (len(POWERS_OF_S) - 1) * whole.layout.entries
+        saved = problem.price * (len(POWERS_OF_S) - 1) * whole.layout.entries
         fewer = [replace(whole.layout, powers=powers) for powers in FEWER] if whole.criterion - saved < lowest else []
-        found = [_ended(problem, layout, whole.model, whole.started, bounds, price) for layout in fewer]
-        better = min([whole, *found], key=lambda one: one.cost)
+        found = [problem.climbed(layout, whole.model, whole.started) for layout in fewer]
+        better = min([whole, *found], key=lambda one: one.goal)
         if better is not whole:  # all terms cannot fit worse than some: that climb ended beside the best
-            whole = _ended(problem, whole.layout, better.model, better.started, bounds, price)
+            whole = problem.climbed(whole.layout, better.model, better.started)
         out.append([whole, *found])
     return out
 
@@ -398,43 +329,6 @@ def _with_weak_mode(before: TransferFunctions, start: TransferFunctions) -> Tran
         damping_ratio=np.append(before.damping_ratio, start.damping_ratio[-1]),
         shape=np.vstack([before.shape, WEAK * start.shape[-1:]]),
     )
-
-
-def _without(response: FrequencyResponse, leave_out_hz: Sequence[tuple[float, float]]) -> FrequencyResponse:
-    kept = np.ones(len(response.hz), bool)
-    for centre, half in leave_out_hz:
-        kept &= np.abs(response.hz - centre) > half
-    if kept.all():
-        return response
-    noise = response.noise_covariance
-    return replace(
-        response,
-        hz=response.hz[kept],
-        value=response.value[kept],
-        covariance=response.covariance[kept],
-        noise_covariance=None if noise is None else noise[kept],
-    )
-
-
-def _filled(bounds: Bounds, response: FrequencyResponse) -> Bounds:
-    low, high = float(response.hz[0]), float(response.hz[-1])
-    return replace(
-        bounds,
-        frequency_hz=bounds.frequency_hz or (low, 2 * high),
-        decay_hz=bounds.decay_hz or (1e-3 * low, low / 2),
-    )
-
-
-def _zero_bounds(bounds: Bounds, response: FrequencyResponse) -> list[tuple[int, float, float]]:
-    out = []
-    for joint, low, high in bounds.antiresonances:
-        if joint not in response.joints or not 0.0 <= low < high:
-            raise ValueError(
-                f"antiresonance of {joint!r} between {low:g} and {high:g} Hz; expected a joint of {', '.join(response.joints)} "
-                "and an ascending pair"
-            )
-        out.append((response.joints.index(joint), low, high))
-    return out
 
 
 def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
@@ -453,16 +347,62 @@ def efficiency(response: FrequencyResponse) -> tuple[float, float, float]:
     return mean, variance / entries, v / (v - entries - 1) if v > entries + 1 else np.inf
 
 
-class _TransferFunctionProblem:
-    """Residuals and Jacobian of the likelihood over one response."""
+class _Likelihood:
+    """Residuals and Jacobian over one response, the bounds of the parameters, and what decides between models."""
 
-    def __init__(self, response: FrequencyResponse, zeros: Sequence[tuple[int, float, float]] = ()) -> None:
-        self.response = response
-        self.zeros = zeros  # drive, lowest and highest frequency of an antiresonance, Hz
+    def __init__(self, response: FrequencyResponse, bounds: Bounds) -> None:
+        low, high = float(response.hz[0]), float(response.hz[-1])
+        self.response, self.bounds = response, bounds
+        self.frequency_hz = bounds.frequency_hz or (low, 2 * high)
+        self.decay_hz = 1e-3 * low, low / 2  # of the friction's real pole
+        self.zeros = []  # drive, lowest and highest frequency of an antiresonance, Hz
+        for joint, low, high in bounds.antiresonances:
+            if joint not in response.joints or not 0.0 <= low < high:
+                raise ValueError(
+                    f"antiresonance of {joint!r} between {low:g} and {high:g} Hz; expected a joint of {', '.join(response.joints)} "
+                    "and an ascending pair"
+                )
+            self.zeros.append((response.joints.index(joint), low, high))
         self.data = symmetric_data(response)
         self.white = whitening(response)
         self.n = len(response.joints)
         self.upper = np.triu_indices(self.n)
+        self.noise, _, self.loss = efficiency(response)
+        self.price = np.log(2 * response.value.size) / 2  # of a parameter, in units of the cost: its description length
+
+    def climbed(self, layout: TermLayout, model: TransferFunctions, started: str) -> _Climb:
+        """Where the likelihood's climb from a model ends."""
+        limits = self.limits(layout)
+        begin = _Climb(self, layout, limits, np.clip(layout.pack(model), *limits), started)
+        return lowest(begin, EVALUATIONS, CLIMB, patience=2)
+
+    def model_over(self, poles: ComplexArray, layout: TermLayout) -> TransferFunctions:
+        """Model over given poles: the best residues, each replaced by its nearest of rank one."""
+        n, m = layout.size, len(poles)
+        decay_hz = float(np.sqrt(np.prod(self.decay_hz)))
+        found, _ = residue_fit(self.data, np.append(poles, -TURN * decay_hz))
+        full = symmetric_basis(n)
+        restoring, direct, slope, flexibility, drag = (np.tensordot(c, full, 1) for c in found.T[:5])
+        residues = np.einsum("km,kab->mab", found[:, 5 : 5 + m] + 1j * found[:, 5 + m :], full)
+        left = np.linalg.svd(residues)[0][:, :, 0]
+        size = np.einsum("ma,mab,mb->m", left.conj(), residues, left.conj())
+        shape = left * np.sqrt(size)[:, None]
+        f, z = np.abs(poles) / TURN, -poles.real / np.abs(poles)
+        return TransferFunctions(f, z, shape, direct, slope, flexibility, restoring, decay_hz, -drag, np.zeros(n))
+
+    def limits(self, layout: TermLayout) -> tuple[Array, Array]:
+        """Lowest and highest values of the parameters, each (p,)."""
+        low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+        end, width = layout.modes * layout.width, layout.width
+        places: list[tuple[slice, tuple[float, float]]] = [
+            (slice(0, end, width), self.frequency_hz),
+            (slice(1, end, width), self.bounds.damping_ratio),
+            (slice(layout.decay, layout.decay + 1), self.decay_hz),
+            (slice(layout.count - layout.delays, layout.count), DELAY_S),
+        ]
+        for place, (least, most) in places:
+            low[place], high[place] = least, most
+        return low, high
 
     def cost(self, layout: TermLayout, x: Array) -> float:
         model = layout.unpack(x)
@@ -507,38 +447,15 @@ class _TransferFunctionProblem:
         return rows.T @ rows, rows.T @ target
 
 
-def _limits(layout: TermLayout, bounds: Bounds) -> tuple[Array, Array]:
-    assert bounds.frequency_hz is not None and bounds.decay_hz is not None
-    low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
-    width = layout.width
-    end = layout.modes * width
-    places: list[tuple[slice, tuple[float, float]]] = [
-        (slice(0, end, width), bounds.frequency_hz),
-        (slice(1, end, width), bounds.damping_ratio),
-        (slice(layout.decay, layout.decay + 1), bounds.decay_hz),
-        (slice(layout.count - layout.delays, layout.count), bounds.delay_s),
-    ]
-    for place, (least, most) in places:
-        low[place], high[place] = least, most
-    return low, high
-
-
-def _on_bound(layout: TermLayout, x: Array, bounds: Bounds) -> bool:
-    """Whether a mode not above the lines sits on a bound. Above them a broad one may stand for all that lies there."""
-    low, high = _limits(layout, bounds)
-    width = layout.width
-    at = ((x <= low) | (x >= high))[: layout.modes * width].reshape(layout.modes, width).any(axis=1)
-    return bool(np.any(at & (x[: layout.modes * width : width] <= layout.high_hz)))
-
-
 @dataclass(frozen=True, eq=False)
 class _Climb(Iterate):
-    """Parameters x on their way within bounds (low, high)."""
+    """Parameters x on their way within bounds (low, high), and where they set out from; where they end, a model to choose from."""
 
-    problem: _TransferFunctionProblem
+    problem: _Likelihood
     layout: TermLayout
     limits: tuple[Array, Array]
     x: Array
+    started: str
 
     enough = WORTH_A_STEP
 
@@ -556,77 +473,92 @@ class _Climb(Iterate):
     def moved(self, step: Array) -> _Climb:
         return replace(self, x=np.clip(self.x + step, *self.limits))
 
+    @property
+    def model(self) -> TransferFunctions:
+        return self.layout.unpack(self.x)
 
-def _climb(
-    problem: _TransferFunctionProblem, layout: TermLayout, x: Array, bounds: Bounds, evaluations: int = 500
-) -> tuple[Array, float]:
-    """Parameters of the lowest cost near x, and that cost."""
-    limits = _limits(layout, bounds)
-    end = lowest(_Climb(problem, layout, limits, np.clip(x, *limits)), evaluations, CLIMB, patience=2)
-    return end.x, end.goal
+    @property
+    def criterion(self) -> float:
+        return float(self.goal / self.problem.noise + self.problem.price * self.layout.count)
+
+    @property
+    def bound(self) -> bool:
+        """Whether a mode not above the lines sits on a bound. Above them a broad one may stand for all that lies there."""
+        low, high = self.limits
+        width, end = self.layout.width, self.layout.modes * self.layout.width
+        at = ((self.x <= low) | (self.x >= high))[:end].reshape(-1, width).any(axis=1)
+        return bool(np.any(at & (self.x[:end:width] <= self.layout.high_hz)))
+
+    @property
+    def score(self) -> float:
+        return self.criterion * (BOUND_PRICE if self.bound else 1.0)
+
+    @cached_property
+    def fitted(self) -> tuple[TransferFunctions, Array, float, float, int, TermLayout]:
+        """The fields of `FittedModel`, modes by frequency."""
+        problem, layout = self.problem, self.layout
+        own = self.x[: layout.modes * layout.width].reshape(layout.modes, -1)
+        x = np.concatenate([own[np.argsort(own[:, 0])].ravel(), self.x[own.size :]])
+        hessian, _ = problem.normal_equations(layout, x)
+        scale = np.sqrt(np.diag(hessian)) + 1e-300
+        inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+        expected = problem.noise * (len(problem.response.hz) * problem.n**2 - layout.count / 2)
+        inflation = max(1.0, self.goal / expected) if np.isfinite(expected) else 1.0
+        covariance = inverse / 2 * (problem.loss if np.isfinite(problem.loss) else 1.0) * inflation
+        return layout.unpack(x), covariance, self.goal, inflation, layout.count, layout
+
+    @cached_property
+    def candidate(self) -> CandidateModel:
+        return CandidateModel(*self.fitted, self.layout.modes, self.criterion, self.started, self.bound)
+
+
+def _checked_start(problem: _Likelihood, layout: TermLayout, start: TransferFunctions) -> TransferFunctions:
+    low, high = problem.limits(layout)
+    x = layout.pack(start)
+    bad = np.flatnonzero((x < low) | (x > high))
+    if len(bad):
+        raise ValueError(
+            f"the initial model's parameter {bad[0]} is {x[bad[0]]:.4g}; expected {low[bad[0]]:.4g} to {high[bad[0]]:.4g}"
+        )
+    return start
 
 
 def _starts(
-    problem: _TransferFunctionProblem,
-    layout: TermLayout,
-    sets: Sequence[PoleSet],
-    before: TransferFunctions | None,
-    bounds: Bounds,
-    start: TransferFunctions | None,
+    problem: _Likelihood, layout: TermLayout, sets: Sequence[PoleSet], before: TransferFunctions | None
 ) -> list[tuple[str, TransferFunctions]]:
     """Models with the layout's number of modes to climb from, with where they came from."""
-    assert bounds.frequency_hz is not None and bounds.decay_hz is not None
-    if start is not None:
-        low, high = _limits(layout, bounds)
-        x = layout.pack(start)
-        bad = np.flatnonzero((x < low) | (x > high))
-        if len(bad):
-            raise ValueError(
-                f"the initial model's parameter {bad[0]} is {x[bad[0]]:.4g}; expected {low[bad[0]]:.4g} to {high[bad[0]]:.4g}"
-            )
-        return [("given", start)]
-    decay = float(np.sqrt(np.prod(bounds.decay_hz)))
-    found: list[tuple[float, str, ComplexArray]] = []
-
-    def add(told: str, poles: NDArray[Any]) -> None:
-        cost = residue_fit(problem.data, np.append(poles, -TURN * decay))[1]
-        found.append((cost, told, poles))
-
-    spacing = float(np.median(np.diff(problem.response.hz)))
+    (least, most), data, hz = problem.frequency_hz, problem.data, problem.response.hz
+    decay = -TURN * float(np.sqrt(np.prod(problem.decay_hz)))
+    found: list[tuple[str, ComplexArray]] = []
+    spacing = float(np.median(np.diff(hz)))
     for one in sets:
         # narrower than the lines lie apart, or outside the bounds: not a mode but the noise of a line, or the edges
         f, z = one.frequencies_hz, one.damping_ratios
-        plausible = (f * z > spacing / 4) & (f > bounds.frequency_hz[0]) & (f < bounds.frequency_hz[1])
-        poles = one.poles[plausible & (z < bounds.damping_ratio[1])]
+        plausible = (f * z > spacing / 4) & (f > least) & (f < most)
+        poles = one.poles[plausible & (z < problem.bounds.damping_ratio[1])]
         while len(poles) > layout.modes:
-            poles = min((np.delete(poles, i) for i in range(len(poles))), key=lambda p: residue_fit(problem.data, p)[1])
+            poles = min((np.delete(poles, i) for i in range(len(poles))), key=lambda p: residue_fit(data, p)[1])
         if len(poles) == layout.modes:
-            add(f"linear fit of order {one.order}, w = {one.power:g}", poles)
-    if before is not None and len(before.poles) == layout.modes - 1:
-        low, high = problem.response.hz[0], problem.response.hz[-1]
+            found.append((f"linear fit of order {one.order}, w = {one.power:g}", poles))
+    if before is not None:
         typical = float(np.median(before.damping_ratio))
-        inside, above = np.geomspace(low, high, 30), np.geomspace(1.05 * high, bounds.frequency_hz[1], 6)[:-1]
+        inside, above = np.geomspace(hz[0], hz[-1], 30), np.geomspace(1.05 * hz[-1], most, 6)[:-1]
         for told, places, damping in zip(ADDED, (inside, above), ((typical,), (typical, 0.2, 0.4)), strict=True):
             for centre, ratio in product(places.tolist(), damping):
                 pole = np.array([TURN * centre * (-ratio + 1j * np.sqrt(1 - ratio**2))], complex)
-                add(told, np.concatenate([before.poles, pole]))
+                found.append((told, np.concatenate([before.poles, pole])))
     if not found:
-        f = np.geomspace(problem.response.hz[0], problem.response.hz[-1], layout.modes + 2)[1:-1]
-        add("spread over the band", TURN * f * (-0.05 + 1j))
-    found.sort(key=lambda item: item[0])
-    chosen: list[tuple[float, str, ComplexArray]] = []
-    for item in found:  # the best of each kind
-        if item[1].split(" of ")[0] not in {c[1].split(" of ")[0] for c in chosen}:
-            chosen.append(item)
-    return [(told, _start(problem.data, poles, layout, decay)) for _, told, poles in chosen]
+        f = np.geomspace(hz[0], hz[-1], layout.modes + 2)[1:-1]
+        found.append(("spread over the band", np.asarray(TURN * f * (-0.05 + 1j), complex)))
+    best: dict[str, tuple[str, ComplexArray]] = {}  # of each kind
+    for told, poles in sorted(found, key=lambda one: residue_fit(data, np.append(one[1], decay))[1]):
+        best.setdefault(told.split(" of ")[0], (told, poles))
+    return [(told, problem.model_over(poles, layout)) for told, poles in best.values()]
 
 
-def _check_start_hz(start_hz: Sequence[float], tried: Sequence[int], bounds: Bounds) -> None:
-    if not start_hz:
-        return
-    assert bounds.frequency_hz is not None
-    low, high = bounds.frequency_hz
-    if len(start_hz) not in tried:
+def _check_start_hz(start_hz: Sequence[float], tried: Sequence[int], bounds_hz: tuple[float, float]) -> None:
+    low, high = bounds_hz
+    if start_hz and len(start_hz) not in tried:
         numbers = ", ".join(str(m) for m in tried)
         raise ValueError(f"{len(start_hz)} resonances to start from; expected as many as a number of modes: {numbers}")
     bad = [f for f in start_hz if not low <= f <= high]
@@ -634,40 +566,14 @@ def _check_start_hz(start_hz: Sequence[float], tried: Sequence[int], bounds: Bou
         raise ValueError(f"resonance to start from is {bad[0]:g} Hz; expected {low:.4g} to {high:.4g} Hz")
 
 
-def _start_at(
-    problem: _TransferFunctionProblem, start_hz: Sequence[float], layout: TermLayout, bounds: Bounds
-) -> tuple[str, TransferFunctions]:
-    assert bounds.decay_hz is not None
-    damping = float(np.clip(START_DAMPING, *bounds.damping_ratio))
-    poles = TURN * np.sort(np.array(start_hz, float)) * (-damping + 1j * np.sqrt(1 - damping**2))
-    return "given resonances", _start(problem.data, poles, layout, float(np.sqrt(np.prod(bounds.decay_hz))))
-
-
-def _result(
-    problem: _TransferFunctionProblem,
-    best: _Climbed,
-    found: Sequence[_Climbed],
-    every: Sequence[_Climbed],
-    worth: Array,
-) -> TransferFit:
-    fitted = {id(one): _with_covariance(problem, one) for one in every}
-    tried = {
-        id(one): CandidateModel(*fitted[id(one)], one.layout.modes, one.criterion, one.started, one.bound)
-        for one in every
-    }
-    candidates = tuple(tried[id(one)] for one in sorted(found, key=lambda one: one.layout.modes))
-    order = np.argsort(best.model.frequency_hz)
-    return TransferFit(*fitted[id(best)], problem.response, candidates, tuple(tried.values()), worth[order])
-
-
-def _worth(problem: _TransferFunctionProblem, best: _Climbed, bounds: Bounds, price: float) -> Array:
+def _worth(best: _Climb) -> Array:
     """`TransferFit.worth`: by the fit without each mode, or by the shape's covariance where that says it is worth far more.
 
     Of a residue ``u u^T``, half of the square of u over its deviation, ``u^T C^-1 u / 4``, is twice the cost that it saves.
     """
-    layout, m = best.layout, best.layout.modes
+    problem, layout, model, m = best.problem, best.layout, best.model, best.layout.modes
     hessian, _ = problem.normal_equations(layout, best.x)
-    model, price = best.model, price * layout.width * efficiency(problem.response)[0]
+    price = problem.price * layout.width * problem.noise
     out = np.full(m, np.inf)
     for r in range(m) if m > 1 else ():
         own = np.arange(r * layout.width + 2, (r + 1) * layout.width)
@@ -686,24 +592,5 @@ def _worth(problem: _TransferFunctionProblem, best: _Climbed, bounds: Bounds, pr
                 damping_ratio=model.damping_ratio[kept],
                 shape=model.shape[kept],
             )
-            fewer = replace(layout, modes=m - 1)
-            out[r] = (_climb(problem, fewer, fewer.pack(less), bounds)[1] - best.cost) / price
+            out[r] = (problem.climbed(replace(layout, modes=m - 1), less, "").goal - best.goal) / price
     return out
-
-
-def _with_covariance(
-    problem: _TransferFunctionProblem, one: _Climbed
-) -> tuple[TransferFunctions, Array, float, float, int, TermLayout]:
-    """The fields of `FittedModel`, modes by frequency."""
-    layout = one.layout
-    order = np.argsort(layout.unpack(one.x).frequency_hz)
-    own = one.x[: layout.modes * layout.width].reshape(layout.modes, -1)[order]
-    x = np.concatenate([own.ravel(), one.x[own.size :]])
-    hessian, _ = problem.normal_equations(layout, x)
-    scale = np.sqrt(np.diag(hessian)) + 1e-300
-    inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    mean, _, loss = efficiency(problem.response)
-    expected = mean * (len(problem.response.hz) * problem.n**2 - layout.count / 2)
-    inflation = max(1.0, one.cost / expected) if np.isfinite(expected) else 1.0
-    covariance = inverse / 2 * (loss if np.isfinite(loss) else 1.0) * inflation
-    return layout.unpack(x), covariance, one.cost, inflation, layout.count, layout

@@ -70,35 +70,30 @@ class TransferFunctions:
         smooth = self.direct + s * self.slope + s**2 * self.flexibility + self.restoring / s**2
         return smooth - self.drag / (s + TURN * self.decay_hz) + modes
 
-    def zeros(self, row: int, column: int | None = None) -> ComplexArray:
-        """Finite zeros of one entry, a drive point where no column is given; rad/s, by distance from the origin.
+    def zeros(self, drive: int) -> ComplexArray:
+        """Finite zeros of a drive point, rad/s, by distance from the origin.
 
         They are the eigenvalues of the pencil of its realisation, found without forming polynomials.
         """
-        column = row if column is None else column
         m = len(self.frequency_hz)
         own = 2 * m  # states: of modes, of friction; torque integrated once and twice; s times torque; torque
         decay, once, twice, rate, torque = range(own, own + 5)
         a, e = np.zeros((own + 5, own + 5)), np.eye(own + 5)
-        p, q = self.poles, self.shape[:, row] * self.shape[:, column]
+        p, q = self.poles, self.shape[:, drive] ** 2
         for r in range(m):
             a[2 * r : 2 * r + 2, 2 * r : 2 * r + 2] = [[p[r].real, p[r].imag], [-p[r].imag, p[r].real]]
         a[:own:2, torque] = 2.0
         a[decay, decay], a[decay, torque] = -TURN * self.decay_hz, 1.0
         a[once, torque] = a[twice, once] = 1.0
-        a[torque, twice] = self.restoring[row, column]
+        a[torque, twice] = self.restoring[drive, drive]
         a[rate, rate], e[rate, rate], e[rate, torque] = 1.0, 0.0, 1.0
         a[torque, :own:2], a[torque, 1:own:2] = q.real, q.imag
-        a[torque, decay], a[torque, torque] = -self.drag[row, column], self.direct[row, column]
-        a[torque, rate] = self.slope[row, column]
-        e[torque, rate], e[torque, torque] = -self.flexibility[row, column], 0.0
+        a[torque, decay], a[torque, torque] = -self.drag[drive, drive], self.direct[drive, drive]
+        a[torque, rate] = self.slope[drive, drive]
+        e[torque, rate], e[torque, torque] = -self.flexibility[drive, drive], 0.0
         found = linalg.eigvals(a, e)
         found = found[np.isfinite(found)]
         return found[np.argsort(np.abs(found))]
-
-    def antiresonances_hz(self, drive: int) -> Array:
-        """Undamped antiresonances of a drive point (5.41), ascending, Hz: the distance of its complex zeros from the origin."""
-        return np.abs(self.complex_zeros(drive)) / TURN
 
     def complex_zeros(self, drive: int) -> ComplexArray:
         """Zeros of a drive point above the real axis, rad/s, by distance from the origin."""
@@ -283,13 +278,18 @@ class FittedModel:
 
     def resonances_std_hz(self) -> Array:
         """Standard deviations of `resonances_hz`, shape (m,)."""
-        return self._spread(self.resonance_derivatives()[1])
+        return self.spread(self.resonance_derivatives()[1])
 
     def damping_std(self) -> Array:
         """Standard deviations of the damping ratios, shape (m,)."""
-        return self._spread(self._of_modes(1))
+        return self.spread(self._of_modes(1))
 
-    def _spread(self, derivatives: Array) -> Array:
+    def modes_told(self) -> tuple[Array, Array, Array, Array]:
+        """Resonances and standard deviations, Hz, damping ratios and theirs, each (m,)."""
+        return self.resonances_hz, self.resonances_std_hz(), self.model.damping_ratio, self.damping_std()
+
+    def spread(self, derivatives: Array) -> Array:
+        """Standard deviations of what has these derivatives by the parameters, (..., p) to (...)."""
         return np.sqrt(np.einsum("...p,pq,...q->...", derivatives, self.covariance, derivatives))
 
     def _of_modes(self, place: int) -> Array:
@@ -320,7 +320,7 @@ class FittedModel:
     def antiresonances(self, drive: int) -> tuple[Array, Array]:
         """Undamped antiresonances of a drive point (5.41) and their standard deviations, ascending, Hz."""
         hz, by = self.antiresonance_derivatives(drive)
-        return hz, self._spread(by)
+        return hz, self.spread(by)
 
     def antiresonance_zeros(self, drive: int) -> ComplexArray:
         """Zeros of a drive point above the real axis and not below the lines, rad/s, by distance from the origin."""

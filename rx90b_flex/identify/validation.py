@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.frf import confidence_radius
 from rx90b_flex.identify.starting_values import whitening
 from rx90b_flex.identify.transfer_function import TransferFit, efficiency
 
@@ -66,16 +67,11 @@ class Validation:
     Attributes
     ----------
     checks : tuple of Check
-    cost_bounds : (low, high)
-        95 % bounds of the cost without model errors (6.42, 6.43); infinite where the weights have too few degrees of freedom.
-    whiteness : Whiteness
     inside : array, shape (n, n)
         Part of the lines at which the fit lies in the 95 % band of the nonparametric estimate.
     """
 
     checks: tuple[Check, ...]
-    cost_bounds: tuple[float, float]
-    whiteness: Whiteness
     inside: Array
 
     @property
@@ -86,13 +82,15 @@ class Validation:
 
 def validate(fit: TransferFit) -> Validation:
     """Test a fit: value of the cost, whiteness of the residuals, bands of the modes, agreement with the nonparametric estimate."""
-    bounds, white, inside = cost_bounds(fit), whiteness(fit), band_agreement(fit)
-    checks = (_cost(fit, bounds), _white(fit, white), _modes(fit), _agreement(fit, inside))
-    return Validation(checks, bounds, white, inside)
+    inside = band_agreement(fit)
+    return Validation((_cost(fit), _white(fit), _modes(fit), _agreement(fit, inside)), inside)
 
 
 def cost_bounds(fit: TransferFit) -> tuple[float, float]:
-    """95 % bounds of the cost where the model lacks nothing: (6.42) and (6.43) for n*n entries weighted together."""
+    """95 % bounds of the cost where the model lacks nothing: (6.42) and (6.43) for n*n entries weighted together.
+
+    Infinite where the weights have too few degrees of freedom.
+    """
     lines, entries = len(fit.response.hz), len(fit.response.joints) ** 2
     mean, variance, _ = efficiency(fit.response)
     free = lines * entries - fit.parameters / 2
@@ -118,10 +116,8 @@ def whiteness(fit: TransferFit) -> Whiteness:
 
 def band_agreement(fit: TransferFit) -> Array:
     """Part of the lines at which each entry of the fit lies in the 95 % band of the nonparametric estimate, shape (n, n)."""
-    v = fit.response.degrees_of_freedom
-    limit = stats.f.ppf(LEVEL, 2, 2 * v) if np.isfinite(v) else -np.log(1 - LEVEL)
     error = np.abs(fit.model.frf(fit.response.hz) - fit.response.value)
-    return (error <= np.sqrt(limit) * fit.response.std()).mean(axis=0)
+    return (error <= confidence_radius(fit.response, LEVEL)).mean(axis=0)
 
 
 def _fewest(trials: int) -> float:
@@ -129,8 +125,8 @@ def _fewest(trials: int) -> float:
     return float(stats.binom.ppf(DOUBT, trials, LEVEL) / trials)
 
 
-def _cost(fit: TransferFit, bounds: tuple[float, float]) -> Check:
-    low, high = bounds
+def _cost(fit: TransferFit) -> Check:
+    low, high = cost_bounds(fit)
     found = f"cost {fit.cost:.0f}, expected {low:.0f} to {high:.0f}"
     if not np.isfinite(high):
         return Check(
@@ -151,7 +147,8 @@ def _cost(fit: TransferFit, bounds: tuple[float, float]) -> Check:
     return Check("cost", low <= fit.cost <= high, found, implies)
 
 
-def _white(fit: TransferFit, white: Whiteness) -> Check:
+def _white(fit: TransferFit) -> Check:
+    white = whiteness(fit)
     fewest = _fewest(len(white.lag))
     found = ", ".join(f"{j} {100 * part:.0f} %" for j, part in zip(fit.response.joints, white.inside, strict=True))
     bad = [j for j, part in zip(fit.response.joints, white.inside, strict=True) if part < fewest]

@@ -28,6 +28,7 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.signals import save_recording
 from rx90b_flex.signals.folders import claim, claimed
 from rx90b_flex.signals.recording import SIGNALS, Recording, Role
+from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.simulate.closed_loop import CHUNK_S, Noise, Simulation, simulate_lanes
 from rx90b_flex.simulate.cs8 import CS8, ComplexArray, save_cs8
 from rx90b_flex.simulate.perturbation import Manipulator, perturb_lanes, steps_bytes
@@ -36,6 +37,7 @@ from rx90b_flex.simulate.trajectories import (
     FEEDFORWARD_PEAK,
     PERIOD_S,
     Trajectory,
+    horizontal,
     square_wave,
 )
 
@@ -47,7 +49,6 @@ BATCH_RUNS, BATCH_BYTES = 48, 1e9  # of a worker, at most, unless the caller say
 PLAN_FILE = "plan.json"
 RUNS = "runs"
 LOGGED = tuple(s.key for s in SIGNALS if not s.always_joint_side)  # by a simulated controller
-TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
 @dataclass(frozen=True)
@@ -183,13 +184,21 @@ class CampaignPlan:
 
     def trajectory(self, key: RunKey) -> Trajectory:
         """References and feed-forward torques of a run."""
+        return self.period(key).repeated(self.periods)
+
+    def period(self, key: RunKey) -> Trajectory:
+        """One period of them."""
+        return self._carried(self.torque(key), key.name)
+
+    def torque(self, key: RunKey) -> Array:
+        """One period of the torque that a run is to bring about, whatever carries it, (N, joints), N m."""
         samples = len(self.reference.position)
         waves = _waves(self.lines, samples, self.peak, self.crest, self.amplitudes, self.seed, key.realisation)
         feedforward = np.zeros((samples, len(self.robot.joints)))
         for place, (joint, row) in enumerate(zip(self.moving, self.input_matrix, strict=True)):
             wave = waves[:, place % waves.shape[1]]
             feedforward[:, self.robot.joints.index(joint)] = key.sign * row[key.experiment] * wave
-        return self._carried(feedforward, key.name).repeated(self.periods)
+        return feedforward
 
     def _carried(self, torque: Array, name: str) -> Trajectory:
         """One period of references and torques that bring about a torque (N, joints)."""
@@ -235,9 +244,8 @@ def section_662(robot: Robot, controller: CS8, **changes: object) -> CampaignPla
     changes : fields of `Plan` to replace.
     """
     moving = robot.joints[:3]
-    pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]  # stretched out horizontally
     matrix = tuple(tuple(float(x) for x in row) for row in minus_below_first(len(moving)))
-    plan = CampaignPlan(robot, controller, square_wave(robot, pose, moving=moving), moving, matrix)
+    plan = CampaignPlan(robot, controller, square_wave(robot, horizontal(robot), moving=moving), moving, matrix)
     return dataclasses.replace(plan, **changes)  # type: ignore[arg-type]
 
 
@@ -319,7 +327,8 @@ def run_campaign(
     folder = Path(folder)
     _claim(plan, folder)
     (folder / RUNS).mkdir(exist_ok=True)
-    resumed = tuple(key for key in plan.runs if _saved(folder, key))
+    # files appear whole or not at all, and the plan's digest says that they are this plan's
+    resumed = tuple(key for key in plan.runs if _file(folder, key).is_file())
     missing = [key for key in plan.runs if key not in set(resumed)]
     tell = progress or (lambda text, part: None)
     count = len(plan.runs)
@@ -389,7 +398,7 @@ def simulate_batch(plan: CampaignPlan, keys: Sequence[RunKey], folder: Path) -> 
 
 
 def _simulate(plan: CampaignPlan, keys: Sequence[RunKey]) -> list[Simulation]:
-    trajectories = [_with_tail(plan.trajectory(key)) for key in keys]
+    trajectories = [plan.trajectory(key).with_tail() for key in keys]
     noisy = any(np.any(getattr(plan.noise, f.name)) for f in dataclasses.fields(plan.noise))
     noise = plan.noise if noisy else None
     rng = _Spawned([plan.generator(key) for key in keys])
@@ -402,36 +411,12 @@ def _simulate(plan: CampaignPlan, keys: Sequence[RunKey]) -> list[Simulation]:
     return [dataclasses.replace(run, recording=_without_tail(plan, run.recording)) for run in runs]
 
 
-def _with_tail(trajectory: Trajectory) -> Trajectory:
-    """The trajectory and the start of another period, which the log's filter reaches into at the end of the last one."""
-    if trajectory.period_s is None:
-        return trajectory
-    count = len(trajectory.position)
-    rows = np.arange(count + round(TAIL_S * trajectory.rate_hz)) % count
-    return dataclasses.replace(
-        trajectory,
-        position=trajectory.position[rows],
-        velocity=trajectory.velocity[rows],
-        feedforward=None if trajectory.feedforward is None else trajectory.feedforward[rows],
-    )
-
-
 def _without_tail(plan: CampaignPlan, recording: Recording) -> Recording:
     if plan.reference.period_s is None:
         return recording
     count = round(plan.periods * plan.reference.period_s * recording.sample_rate_hz)
-    reference = (recording.reference_position, recording.reference_velocity, recording.feedforward_torque)
-    position, velocity, torque = (None if x is None else x[:count] for x in reference)
-    return dataclasses.replace(
-        recording,
-        time=recording.time[:count],
-        position=recording.position[:count],
-        torque=recording.torque[:count],
-        velocity=None if recording.velocity is None else recording.velocity[:count],
-        reference_position=position,
-        reference_velocity=velocity,
-        feedforward_torque=torque,
-    )
+    logged = {s.field: x[:count] for s in SIGNALS if (x := getattr(recording, s.field)) is not None}
+    return dataclasses.replace(recording, time=recording.time[:count], **logged)
 
 
 class _Spawned(np.random.Generator):
@@ -457,11 +442,6 @@ def _one_line(error: Exception) -> str:
 
 def _file(folder: Path, key: RunKey) -> Path:
     return folder / RUNS / f"{key.name}.parquet"
-
-
-def _saved(folder: Path, key: RunKey) -> bool:
-    # files appear whole or not at all, and the plan's digest says that they are this plan's
-    return _file(folder, key).is_file()
 
 
 def _claim(plan: CampaignPlan, folder: Path) -> None:
@@ -492,9 +472,7 @@ def _write_campaign_file(plan: CampaignPlan, keys: Sequence[RunKey], folder: Pat
     """`campaign.toml` for the runs on disk; of each the first period, in which the transient dies, is left out."""
     runs = [RunFile(f"{RUNS}/{key.name}.parquet", plan.role(key)) for key in keys]
     file = folder / "campaign.toml"
-    part = file.with_suffix(".part")
-    part.write_text(campaign_text(plan, runs), encoding="utf-8")
-    os.replace(part, file)
+    write_whole(file, lambda part: part.write_text(campaign_text(plan, runs), encoding="utf-8"))
     return file
 
 

@@ -15,17 +15,27 @@ what its integral sees: ``-Kv/Ti int (F e' - e') dt`` besides.
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from inspect import Parameter, signature
 
 from rx90b_flex.simulate.cs8 import JointController
 
 
-@dataclass(frozen=True)
-class Cascade:
-    """One joint's loops, joint side.
+def cascade(
+    name: str,
+    *,
+    position_loop: float,
+    velocity_loop: float,
+    torque_limit: float,
+    integral_time_s: float = 0.0,
+    velocity_feedforward: float = 0.0,
+    inertia_feedforward: float = 0.0,
+    position_step: float = 0.0,
+    velocity_step: float = 0.0,
+    torque_step: float = 0.0,
+) -> JointController:
+    """One joint's loops, joint side, as a PID and a torque of the reference.
 
-    Attributes
+    Parameters
     ----------
     name : str
     position_loop : float
@@ -41,41 +51,25 @@ class Cascade:
     position_step, velocity_step, torque_step, torque_limit
         As `JointController` has them.
     """
-
-    name: str
-    position_loop: float
-    velocity_loop: float
-    torque_limit: float
-    integral_time_s: float = 0.0
-    velocity_feedforward: float = 0.0
-    inertia_feedforward: float = 0.0
-    position_step: float = 0.0
-    velocity_step: float = 0.0
-    torque_step: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.velocity_feedforward > 1.0:
-            raise ValueError(f"velocity_feedforward is {self.velocity_feedforward:g}; expected 0 to 1")
-
-    def as_pid(self) -> JointController:
-        """The same law as a PID and a torque of the reference."""
-        rate = 1.0 / self.integral_time_s if self.integral_time_s > 0.0 else 0.0
-        lacking = 1.0 - self.velocity_feedforward
-        return JointController(
-            self.name,
-            position_gain=self.velocity_loop * (self.position_loop + rate),
-            velocity_gain=self.velocity_loop,
-            integral_gain=self.velocity_loop * self.position_loop * rate,
-            position_step=self.position_step,
-            velocity_step=self.velocity_step,
-            torque_step=self.torque_step,
-            torque_limit=self.torque_limit,
-            by_reference=-lacking * self.velocity_loop * rate,
-            by_reference_speed=-lacking * self.velocity_loop,
-            by_reference_acceleration=self.inertia_feedforward,
-            filtered_speed_gain=self.velocity_loop * rate,
-        )
+    if velocity_feedforward > 1.0:
+        raise ValueError(f"velocity_feedforward is {velocity_feedforward:g}; expected 0 to 1")
+    rate = 1.0 / integral_time_s if integral_time_s > 0.0 else 0.0
+    lacking = 1.0 - velocity_feedforward
+    return JointController(
+        name,
+        position_gain=velocity_loop * (position_loop + rate),
+        velocity_gain=velocity_loop,
+        integral_gain=velocity_loop * position_loop * rate,
+        position_step=position_step,
+        velocity_step=velocity_step,
+        torque_step=torque_step,
+        torque_limit=torque_limit,
+        by_reference=-lacking * velocity_loop * rate,
+        by_reference_speed=-lacking * velocity_loop,
+        by_reference_acceleration=inertia_feedforward,
+        filtered_speed_gain=velocity_loop * rate,
+    )
 
 
-NEEDED = [f.name for f in dataclasses.fields(Cascade) if f.default is dataclasses.MISSING and f.name != "name"]
-NUMBERS = [f.name for f in dataclasses.fields(Cascade) if f.name != "name"]
+NUMBERS = [x.name for x in signature(cascade).parameters.values() if x.kind is x.KEYWORD_ONLY]
+NEEDED = [name for name in NUMBERS if signature(cascade).parameters[name].default is Parameter.empty]

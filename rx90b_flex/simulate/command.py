@@ -25,6 +25,7 @@ from rx90b_flex.simulate.trajectories import (
     PERIOD_S,
     Trajectory,
     harmonics,
+    horizontal,
     sine_excitation,
     square_wave,
     straight_line,
@@ -81,11 +82,10 @@ def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Traject
     ValueError
         One line that names file and key or column.
     """
-    for name, value in (("torque", request.noise.torque), ("position", request.noise.position)):
+    for name in ("torque", "position", "velocity"):
+        value = getattr(request.noise, name)
         if np.min(value) < 0.0 or not np.isfinite(value).all():
             raise ValueError(f"{name} noise is {value}; expected 0 or more")
-    if np.min(request.noise.velocity) < 0.0 or not np.isfinite(request.noise.velocity).all():
-        raise ValueError(f"velocity noise is {request.noise.velocity}; expected 0 or more")
     if request.periods < 1:
         raise ValueError(f"periods is {request.periods}; expected 1 or more")
     if request.periods * PERIOD_S > LONGEST_S:
@@ -118,11 +118,10 @@ def _trajectory(robot: Robot, controller: CS8, request: RunRequest) -> Trajector
         return harmonics(robot, rng, periods=request.periods, rate_hz=rate)
     if request.motion == "square-wave":
         moving = robot.joints[:3]
-        pose = [0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints))]
         feedforward = np.zeros((round(PERIOD_S * rate), len(robot.joints)))
-        wave = multisine(FEEDFORWARD_LINES, len(feedforward), FEEDFORWARD_PEAK, rng)
-        feedforward[:, : len(moving)] = wave
-        return square_wave(robot, pose, moving=moving, feedforward=feedforward, periods=request.periods, rate_hz=rate)
+        feedforward[:, : len(moving)] = multisine(FEEDFORWARD_LINES, len(feedforward), FEEDFORWARD_PEAK, rng)
+        once = square_wave(robot, horizontal(robot), moving=moving, feedforward=feedforward, rate_hz=rate)
+        return once.repeated(request.periods)
     return read_trajectory(Path(request.motion), robot, rate)
 
 
@@ -137,6 +136,8 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     ValueError
         One line that names the file and the column.
     """
+    from scipy.interpolate import CubicSpline
+
     forward = [f"ff_{joint}" for joint in robot.joints]
     speeds = [f"v_{joint}" for joint in robot.joints]
     header = _header(path)
@@ -157,19 +158,13 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     places = [robot.joints.index(joint) for joint in joints]
     position, velocity = np.zeros((2, len(time), len(robot.joints)))
     position[:, places] = table.columns(joints)
-    velocity[:, places] = _rates(position[:, places], 1.0 / steps.mean())
+    clock = np.arange(len(time)) * steps.mean()
+    velocity[:, places] = CubicSpline(clock, position[:, places], axis=0)(clock, 1)
     velocity[:, [speeds.index(name) for name in rates]] = table.columns(rates) if rates else 0.0
     feedforward = np.zeros_like(position) if fed else None
     if feedforward is not None:
         feedforward[:, [forward.index(name) for name in fed]] = table.columns(fed)
     return _at_rate(path, robot, (time - time[0], position, velocity, feedforward), rate_hz)
-
-
-def _rates(position: Array, rate_hz: float) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    time = np.arange(len(position)) / rate_hz
-    return np.asarray(CubicSpline(time, position, axis=0)(time, 1))
 
 
 def _at_rate(path: Path, robot: Robot, parts: tuple[Array, Array, Array, Array | None], rate_hz: float) -> Trajectory:

@@ -361,7 +361,7 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
     ValueError
         One line that names the file and the key.
     """
-    from rx90b_flex.simulate.cascade import NEEDED, NUMBERS, Cascade
+    from rx90b_flex.simulate.cascade import NEEDED, NUMBERS, cascade
 
     path = robots_folder() / "cs8.toml" if source is None else Path(source)
     table = TomlTable(str(path), "", read_toml(path, "controller file"))
@@ -377,17 +377,15 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
         if kind == "cascade":
             given = _numbers(entry, NUMBERS, NEEDED, ["name", *CHAINS])
             with named_in(path, entry.name):
-                joint = Cascade(entry.text("name"), **given).as_pid()
+                joint = cascade(entry.text("name"), **given)
         else:
             given = _numbers(entry, fields, [f for f in fields if f not in optional], ["name", *CHAINS])
             joint = JointController(entry.text("name"), **given)
         rate = numbers.get("controller_rate_hz", CS8.controller_rate_hz)
         speed, torque = (read_filters(entry, key, rate) for key in CHAINS)
         joints.append(dataclasses.replace(joint, velocity_filters=speed, torque_filters=torque))
-    try:
+    with named_in(path):
         return CS8(tuple(joints), **numbers)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def own_controller(robot: Robot) -> CS8 | None:
@@ -407,10 +405,8 @@ def own_controller(robot: Robot) -> CS8 | None:
 
 def controller_of_joints(controller: CS8, robot: Robot, where: str) -> CS8:
     """Of the robot's joints; an error says where it is from."""
-    try:
+    with named_in(where):
         return controller.for_joints(robot.joints)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
 
 
 def _numbers(table: TomlTable, allowed: Sequence[str], needed: Sequence[str], others: Sequence[str]) -> dict[str, Any]:

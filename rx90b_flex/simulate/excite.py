@@ -29,10 +29,19 @@ from rx90b_flex.excitation import (
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.simulate.campaign import PLAN_FILE, By, CampaignPlan, RunFile, campaign_text, run_campaign
+from rx90b_flex.simulate.campaign import (
+    PLAN_FILE,
+    RUNS,
+    By,
+    CampaignPlan,
+    Progress,
+    RunFile,
+    campaign_text,
+    run_campaign,
+)
 from rx90b_flex.simulate.closed_loop import Noise
 from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, own_controller, save_cs8
-from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, square_wave
+from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, horizontal, square_wave
 
 Matrix = Literal["ones", "hadamard", "identity"]
 MATRICES: dict[Matrix, Callable[[int], Array]] = {
@@ -51,8 +60,6 @@ LOGGED: dict[By, tuple[str, ...]] = {
     "reference": ("motor_position", "torque", "reference_position"),
     "both": ("motor_position", "torque", "reference_position", "feedforward_torque"),
 }
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -143,9 +150,8 @@ def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tupl
             f"{nyquist:g} Hz, half the references' rate"
         )
     matrix = scaled(MATRICES[request.matrix](len(joints)), _peaks(robot, joints, request.peak))
-    horizontal = tuple(0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints)))
     plans = []
-    for place, pose in enumerate(request.poses or (horizontal,)):
+    for place, pose in enumerate(request.poses or (horizontal(robot),)):
         reference = _reference(robot, controller, joints, pose, request, f"pose {place + 1}")
         plan = CampaignPlan(
             robot,
@@ -164,7 +170,7 @@ def excitation_plans(request: ExciteRequest, robot: Robot | None = None) -> tupl
             seed=request.seed + 1000 * place,
         )
         plan = dataclasses.replace(plan, amplitudes=white_amplitudes(plan)) if request.white else plan
-        _check_reach(robot, dataclasses.replace(plan, periods=1).trajectory(plan.runs[0]), f"pose {place + 1}")
+        _check_reach(robot, plan.period(plan.runs[0]), f"pose {place + 1}")
         plans.append(plan)
     return tuple(plans)
 
@@ -234,10 +240,14 @@ def _speeds(request: ExciteRequest, joints: Sequence[str]) -> tuple[float, ...]:
     """Largest speed that is added to each joint's reference; empty where a controller file says what a reference orders."""
     if request.by == "torque" or (request.controller is not None and not request.speed_peak):
         return ()
-    wanted = request.speed_peak or (request.speed,)
+    return tuple(_each(request.speed_peak or (request.speed,), joints, "speeds").tolist())
+
+
+def _each(wanted: Sequence[float], joints: Sequence[str], what: str) -> Array:
+    """One number for all joints, or one a joint, as the latter."""
     if len(wanted) not in (1, len(joints)):
-        raise ValueError(f"{len(wanted)} peak speeds for {len(joints)} joints; expected one, or one a joint")
-    return tuple(np.broadcast_to(np.asarray(wanted, dtype=float), len(joints)).tolist())
+        raise ValueError(f"{len(wanted)} peak {what} for {len(joints)} joints; expected one, or one a joint")
+    return np.broadcast_to(np.asarray(wanted, dtype=float), len(joints))
 
 
 def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
@@ -247,9 +257,7 @@ def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
         if unknown:
             raise ValueError(f"joint {unknown[0]!r} has no torque limit in its URDF; give the peak torque")
         return np.asarray(SHARE * limit)
-    if len(peak) not in (1, len(joints)):
-        raise ValueError(f"{len(peak)} peak torques for {len(joints)} joints; expected one, or one a joint")
-    wanted = np.broadcast_to(np.asarray(peak, dtype=float), len(joints))
+    wanted = _each(peak, joints, "torques")
     for joint, size, largest in zip(joints, wanted, limit, strict=True):
         if not size > 0.0 or (0.0 < largest < size):
             raise ValueError(
@@ -328,10 +336,9 @@ def excite_into(
             (at / "references" / name).mkdir(parents=True)
             for k, key in enumerate(plan.runs):
                 tell("writing references", (place + k / len(plan.runs)) / len(plans) * (0.3 if simulated else 1.0))
-                once = dataclasses.replace(plan, periods=1).trajectory(key)
-                waves = dataclasses.replace(plan, periods=1, by="torque").trajectory(key).torque
-                crests.append(crest_factor(waves[:, [plan.robot.joints.index(j) for j in plan.moving]]).max())
-                write_reference(once, at / "references" / name / f"{key.name}.csv")
+                moving = [plan.robot.joints.index(j) for j in plan.moving]
+                crests.append(crest_factor(plan.torque(key)[:, moving]).max())
+                write_reference(plan.period(key), at / "references" / name / f"{key.name}.csv")
                 files.append(RunFile(f"logs/{name}/{key.name}.csv", plan.role(key)))
             if simulated:
                 part = (0.3 + 0.7 * place / len(plans), 0.7 / len(plans))
@@ -381,7 +388,10 @@ def write_reference(trajectory: Trajectory, path: Path) -> None:
 def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated: bool) -> str:
     first = plans[0]
     if simulated:
-        return campaign_text(first, [RunFile(_log_of(f.file), f.role) for f in files])
+        logs = [(Path(f.file), f.role) for f in files]
+        return campaign_text(
+            first, [RunFile(f"{p.parent.as_posix()}/{RUNS}/{p.stem}.parquet", role) for p, role in logs]
+        )
     return "".join(f"# {line}\n" for line in _how(first)) + campaign_text(first, files, LOGGED[first.by])
 
 
@@ -397,7 +407,7 @@ def _how(plan: CampaignPlan) -> list[str]:
     sent = (
         f"{joint}, ... (rad), v_{joint}, ... (rad/s), ff_{joint}, ... ({'zero' if plan.by == 'reference' else 'N m'})"
     )
-    optional = " and ".join(x for x in LOGGED[plan.by][2:])
+    optional = " and ".join(LOGGED[plan.by][2:])
     return [
         f"Run each file of references/ over and over without a pause, {plan.periods} periods of {plan.reference.period_s:g} s; the",
         "first one, in which the transient dies, is left out below.",
@@ -416,16 +426,11 @@ def _how(plan: CampaignPlan) -> list[str]:
     ]
 
 
-def _log_of(file: str) -> str:
-    folder, name = file.rsplit("/", 1)
-    return f"{folder}/runs/{name.removesuffix('.csv')}.parquet"
-
-
 def _words(plans: Sequence[CampaignPlan], files: Sequence[RunFile], crest: float) -> list[str]:
     first = plans[0]
     period = first.reference.period_s or PERIOD_S
     minutes = len(files) * first.periods * period / 60.0
-    once = dataclasses.replace(first, periods=1).trajectory(first.runs[0])
+    once = first.period(first.runs[0])
     said = []
     for what, unit, x in (
         ("Feed-forward torque", "N m", once.torque),

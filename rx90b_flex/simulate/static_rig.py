@@ -89,19 +89,14 @@ def hinges(robot: Robot) -> tuple[str, ...]:
     return tuple(c for c in robot.coordinates if not c.endswith(":drive") and not c.startswith("base:"))
 
 
-def static_rig(
-    robot: Robot, coordinate: str, pose: Sequence[float] | None = None, *, shortest_lever: float = SHORTEST_LEVER
-) -> StaticRig:
-    """The rig that loads one hinge alone.
+def static_rig(robot: Robot, coordinate: str) -> StaticRig:
+    """The rig that loads one hinge alone, in the pose of `POSES`, else with the arm stretched, ``(0, pi/2)``.
 
     Parameters
     ----------
     robot : Robot
     coordinate : str
         For example ``joint_2:bend_1``.
-    pose : array, shape (joints,), rad, optional
-        Angles that are left out at the end are zero. Default: `POSES`, else ``(0, pi/2)``, the stretched arm.
-    shortest_lever : float, m
 
     Raises
     ------
@@ -112,7 +107,7 @@ def static_rig(
     if coordinate not in known:
         hint = close_match(coordinate, known) if known else "none of its joints is flexible"
         raise ValueError(f"{robot.name} has no hinge {coordinate!r}; {hint}")
-    given = POSES.get(coordinate, _STRETCHED) if pose is None else pose
+    given = POSES.get(coordinate, _STRETCHED)
     angles = np.zeros(len(robot.joints))
     angles[: len(given)] = given[: len(angles)]
     model, data = robot.model, robot.model.createData()
@@ -126,7 +121,7 @@ def static_rig(
     lever = float(np.linalg.norm(reach))
     # where the tip lies on the axis, any direction across it
     across = reach / lever if lever > 1e-6 else np.linalg.svd(axis[None])[2][1]
-    lever = max(lever, shortest_lever)
+    lever = max(lever, SHORTEST_LEVER)
     point, pull = origin + lever * across, np.cross(axis, across)
     markers = np.array([[0.0], [MARKER_DISTANCE]]) * across + origin
     return StaticRig(

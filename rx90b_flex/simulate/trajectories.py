@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.excitation import harmonic_motion, multisine, smoothed_square
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 
 RATE_HZ = 250.0
 PERIOD_S = 4.096  # of the experiments of sections 4.2.2 and 6.6.2
+TAIL_S = 0.16  # simulated beyond the last period: more than half the length of the anti-alias filter
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +72,26 @@ class Trajectory:
         """The same references with another torque fed forward."""
         return dataclasses.replace(self, feedforward=feedforward, name=self.name if name is None else name)
 
+    def at(self, rows: slice | Indices) -> Trajectory:
+        """Some of the samples, in that order."""
+        torque = None if self.feedforward is None else self.feedforward[rows]
+        return dataclasses.replace(self, position=self.position[rows], velocity=self.velocity[rows], feedforward=torque)
+
     def repeated(self, times: int) -> Trajectory:
         """The trajectory that many times in a row."""
-        torque = None if self.feedforward is None else np.tile(self.feedforward, (times, 1))
-        position, velocity = (np.tile(x, (times, 1)) for x in (self.position, self.velocity))
-        return dataclasses.replace(self, position=position, velocity=velocity, feedforward=torque)
+        return self.at(np.tile(np.arange(len(self.position)), times))
+
+    def with_tail(self) -> Trajectory:
+        """The trajectory and, where it repeats, the start of another round: `TAIL_S`, into which a log's filter reaches."""
+        if self.period_s is None:
+            return self
+        count = len(self.position)
+        return self.at(np.arange(count + round(TAIL_S * self.rate_hz)) % count)
 
     def part(self, start_s: float, end_s: float) -> Trajectory:
         """The samples from start to end."""
         rows = slice(round(start_s * self.rate_hz), round(end_s * self.rate_hz))
-        torque = None if self.feedforward is None else self.feedforward[rows]
-        return dataclasses.replace(
-            self, position=self.position[rows], velocity=self.velocity[rows], feedforward=torque, period_s=None
-        )
+        return dataclasses.replace(self.at(rows), period_s=None)
 
 
 def from_recording(recording: Recording) -> Trajectory:
@@ -208,17 +216,13 @@ MULTISINE_BAND_HZ = (1.0, 110.0)
 
 
 def sine_excitation(
-    robot: Robot, rng: np.random.Generator, *, torque: float = 45.0, periods: int = 1, rate_hz: float = RATE_HZ
+    robot: Robot, rng: np.random.Generator, *, periods: int = 1, rate_hz: float = RATE_HZ
 ) -> Trajectory:
     """The identification experiment of section 4.2.2.
 
     Joints 1-4 follow the 2nd, 3rd, 2nd and 3rd harmonic of a sine of 4.096 s, amplitude and offset pi/4; a multisine of
-    72 equally spaced lines from 1 to 110 Hz (on the grid of the period) is fed forward to each.
-
-    Parameters
-    ----------
-    torque : float or array, N m
-        Peak of the multisine. Not printed for this experiment: that of section 6.6.2.
+    72 equally spaced lines from 1 to 110 Hz (on the grid of the period) is fed forward to each. Its peak is not printed for
+    this experiment: that of section 6.6.2.
     """
     samples = round(PERIOD_S * rate_hz)
     harmonic = np.resize(SINE_HARMONICS, len(robot.joints)) * (np.arange(len(robot.joints)) < len(SINE_HARMONICS))
@@ -227,7 +231,7 @@ def sine_excitation(
     position = SINE_AMPLITUDE * (np.sin(angle) + moves)
     velocity = SINE_AMPLITUDE * np.cos(angle) * 2.0 * np.pi * harmonic / PERIOD_S
     lines = np.round(np.linspace(*MULTISINE_BAND_HZ, MULTISINE_LINES) * PERIOD_S).astype(int)
-    feedforward = multisine(list(lines), samples, 1.0, rng, len(robot.joints)) * torque * moves
+    feedforward = multisine(list(lines), samples, 1.0, rng, len(robot.joints)) * FEEDFORWARD_PEAK * moves
     once = Trajectory("excitation", robot.joints, rate_hz, position, velocity, feedforward, PERIOD_S)
     return once.repeated(periods)
 
@@ -258,6 +262,12 @@ def harmonics(
 
 # ---- square wave in velocity of section 6.6.2 -----------------------------------------------------------------
 
+
+def horizontal(robot: Robot) -> tuple[float, ...]:
+    """The source's pose, one angle a joint, rad: the arm stretched out horizontally, joint 2 at 90 degrees."""
+    return tuple(0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints)))
+
+
 SQUARE_SPEED = 0.11  # rad/s
 SQUARE_ODD_LINES = 9  # choice: odd lines of the velocity that are kept; they give the flanks their slope
 FEEDFORWARD_LINES = tuple(2 * k + 1 for k in range(5, 161))
@@ -269,10 +279,8 @@ def square_wave(
     pose: Sequence[float] | Array,
     *,
     speed: float = SQUARE_SPEED,
-    odd_lines: int = SQUARE_ODD_LINES,
     moving: Sequence[str] | None = None,
     feedforward: Array | None = None,
-    periods: int = 1,
     rate_hz: float = RATE_HZ,
     period_s: float = PERIOD_S,
     swings: int = 1,
@@ -296,17 +304,16 @@ def square_wave(
     """
     if swings < 1 or swings % 2 == 0:
         raise ValueError(f"swings is {swings}; expected an odd number, 1 or more")
-    samples = round(period_s * rate_hz)
-    if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < 4 * swings * odd_lines:
+    samples, least = round(period_s * rate_hz), 4 * swings * SQUARE_ODD_LINES
+    if abs(samples - period_s * rate_hz) > 1e-6 * samples or samples < least:
         raise ValueError(
-            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {4 * swings * odd_lines} or more "
-            f"with swings = {swings}"
+            f"period_s is {period_s:g}: expected a whole number of samples at {rate_hz:g} Hz, {least} or more with swings = {swings}"
         )
     place = np.arange(samples) * swings % samples
-    velocity, position = (wave[place] for wave in smoothed_square(samples, odd_lines))
+    velocity, position = (wave[place] for wave in smoothed_square(samples, SQUARE_ODD_LINES))
     velocity, position = speed * velocity, speed * period_s / (2.0 * np.pi * swings) * position
     moves = np.array([moving is None or joint in moving for joint in robot.joints], dtype=float)
-    once = Trajectory(
+    return Trajectory(
         "square_wave",
         robot.joints,
         rate_hz,
@@ -315,4 +322,3 @@ def square_wave(
         feedforward,
         period_s,
     )
-    return once.repeated(periods)

@@ -146,8 +146,10 @@ def channel_signal_to_noise(response: MeasuredResponse) -> Figure:
     """Torque and acceleration of each joint over the noise of one period, and over one realisation's distortion, dB."""
     figure, axes = _row(len(response.joints))
     for j, (ax, joint) in enumerate(zip(axes, response.joints, strict=True)):
-        ax.plot(response.hz, _db(response.torque_snr[:, j]), color=MEASURED, lw=0.9, label="torque, noise")
-        ax.plot(response.hz, _db(response.acceleration_snr[:, j]), color=NOISE, lw=0.9, label="acceleration, noise")
+        ax.plot(response.hz, _db(response.spectra.torque_snr[:, j]), color=MEASURED, lw=0.9, label="torque, noise")
+        ax.plot(
+            response.hz, _db(response.spectra.acceleration_snr[:, j]), color=NOISE, lw=0.9, label="acceleration, noise"
+        )
         ax.plot(
             response.hz,
             _db(response.acceleration_distortion[:, j]),
