@@ -169,11 +169,10 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
 
 def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
     table.allow(*POSE_KEYS)
-    angles = table.optional("angles_deg", table.section)
-    turned = {} if angles is None else {j: float(np.deg2rad(angles.number(j))) for j in angles.values}
-    locked = table.optional("antiresonance", table.section)
-    lists = [] if locked is None else [_read_list(locked.section(j), j) for j in joints if locked.has(j)]
-    for joint in locked.values if locked is not None else ():
+    angles, locked = (table.section_or_empty(key) for key in ("angles_deg", "antiresonance"))
+    turned = {joint: float(np.deg2rad(angles.number(joint))) for joint in angles.values}
+    lists = [_read_list(locked.section(j), j) for j in joints if locked.has(j)]
+    for joint in locked.values:
         if joint not in joints:
             raise table.problem("antiresonance", f"the drive of {joint!r} did not move; {close_match(joint, joints)}")
     if table.has("resonance"):
