@@ -19,7 +19,7 @@ from rx90b_flex import flexify as virtual
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
@@ -670,10 +670,8 @@ def _from_file(path: Path) -> Robot:
         raise ValueError(f"{path}: inertial_parameters is {inertial!r}; expected 'fitted' or 'known'")
     named = table["urdf"].startswith("example-robot-data:")
     urdf: str | Path = table["urdf"] if named else path.parent / table["urdf"]
-    try:
+    with named_in(path, "urdf"):
         robot = _from_urdf(urdf, table.get("name", path.stem), table.get("tip_frame"), inertial)
-    except ValueError as error:
-        raise ValueError(f"{path}: urdf: {error}") from None
     frames = [f.name for f in robot.tree.frames]
     if robot.tip_frame not in frames:
         raise ValueError(f"{path}: unknown tip_frame {robot.tip_frame!r}; {close_match(robot.tip_frame, frames)}")

@@ -168,11 +168,12 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
     if robot is None:
         with named_in(campaign.path, "robot"):
             robot = load_robot(campaign.robot_source)
-    declared, rigid = robot, _rigid(robot, campaign)
+    with named_in(campaign.path, "joints"):
+        rigid = robot.rigid().restricted(campaign.joints)
     tell("looking at the signals", 0.1)
     faults, mended = glitches(campaign.recordings)
     still = no_excitation(mended)
-    faults += clipped(mended) + frozen(mended) + repeated(mended) + still
+    faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
     moving = moves(mended) > NEVER
     constant = np.array([len(np.unique(np.concatenate([r.torque[:, k] for r in mended]))) < 2
                          for k in range(len(campaign.joints))])  # fmt: skip
@@ -186,7 +187,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         found, look = faults_of(look)
         fit = look.fit()
         faults += [_fault(f) for f in found]
-        faults += impossible_sizes(look, faults)
+        faults += list(impossible_sizes(look, faults))
         faults += stuck(mended, np.sqrt(fit.error))
         lost = unrelated(campaign.joints, *look.errors_at_least(), moving, constant)
         faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign)
@@ -204,7 +205,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         tuple(faults),
         parameters,
         basics,
-        declared.name,
+        robot.name,
         campaign.joints,
         errors,
         sensible_cutoff_hz(mended),
@@ -213,13 +214,6 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         _noise_floor(campaign, mended),
         side,
     )
-
-
-def _rigid(robot: Robot, campaign: Campaign) -> Robot:
-    try:
-        return robot.rigid().restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None
 
 
 def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> Look:
@@ -238,7 +232,7 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
 def _fault(found: Found) -> DataFault:
     h = found.hypothesis
     before, after = (float(np.sqrt(np.minimum(f.error, 1.0).mean())) for f in (found.before, found.after))
-    return DataFault(h.kind, h.signal, h.joints, h.factor, found.std, h.message, h.usable, before, after)
+    return DataFault(h.kind, h.signal, h.joints, h.message, h.usable, before, after, factor=h.factor, std=found.std)
 
 
 def _of_no_use(fault: DataFault, lost: Sequence[DataFault]) -> bool:
@@ -254,7 +248,7 @@ def _refused(path: Path, error: ValueError) -> Checked:
         cause = cause.__cause__
     if cause is None:
         raise error
-    fault = DataFault(cause.kind, cause.signal, cause.joints, cause.factor, None, str(error), rows=cause.rows)
+    fault = DataFault(cause.kind, cause.signal, cause.joints, str(error), rows=cause.rows, factor=cause.factor)
     return Checked(False, (), (fault,), (), (), "", (), (), None, (), path)
 
 
@@ -267,7 +261,7 @@ def _facts(recording: Recording) -> RecordingFacts:
     speed = np.abs(recording.position[window:] - recording.position[:-window])
     resting = (speed <= AT_REST * np.maximum(speed.max(axis=0, initial=0.0), 1e-12)).all(axis=1)
     return RecordingFacts(
-        recording.source.name if recording.source else recording.name,
+        recording.file_name,
         recording.role,
         recording.duration_s,
         recording.sample_rate_hz,

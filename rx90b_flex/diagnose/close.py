@@ -32,6 +32,7 @@ from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_scale import resolved
@@ -350,7 +351,8 @@ def _closed(
     _check_torques(campaign)
     tell("reading", 0.0)
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
-    _check_joints(campaign, declared_robot)
+    with named_in(campaign.path, "joints"):
+        declared_robot.restricted(campaign.joints)
     campaign, constants = resolved(campaign, declared_robot)
     campaign, scaled = calibrated(campaign)
     data = TorqueData.of(declared_robot, campaign)
@@ -569,10 +571,3 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
         if e.traits.multiplies and e.joints[0] in sensors
     ]
     return tuple(words)
-
-
-def _check_joints(campaign: Campaign, robot: Robot) -> None:
-    try:
-        robot.restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None

@@ -158,6 +158,11 @@ class Recording:
                 raise ValueError(f"{where}: date = {self.date!r}, a day such as 2026-03-02 is expected") from None
 
     @property
+    def file_name(self) -> str:
+        """Name of its file, or its own where it came from none."""
+        return self.source.name if self.source else self.name
+
+    @property
     def samples(self) -> int:
         """Number of samples N."""
         return len(self.time)

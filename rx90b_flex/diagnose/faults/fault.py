@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 KINDS = (
     "swapped_columns", "reversed_sign", "unit", "torque_gain", "time_shift", "sample_rate", "clipped", "stuck", "glitch",
@@ -38,8 +38,8 @@ class DataFault:
     kind: str
     signal: str | None
     joints: tuple[str, ...]
-    factor: float | None
-    std: float | None
+    factor: float | None = field(default=None, kw_only=True)
+    std: float | None = field(default=None, kw_only=True)
     message: str
     usable: bool = False
     error_before: float | None = None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,7 @@ from rx90b_flex.effects.motion import Array
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
 KNOWN = 1e2  # the same where the links are known
+OUT = 1e9  # the same of what is left out
 ROUNDS = 3  # fits with weights from the last one's errors
 FLOOR = 1e-4  # squared relative error below which a difference is no matter of the data's columns
 POSES = 24  # at which the mass matrix's diagonal is looked at
@@ -62,7 +64,7 @@ class Products:
         torque, inside = sample.torque_of(reading)
         fold = np.where(inside, sample.fold, -1)
         _, v, a, _ = sample.seen(reading)
-        links = 10 * len(reading.robot.bodies)
+        links = reading.links
         drives = slice(links, links + PER_JOINT * len(sample.joints))
         resisting = columns[:, :, drives].copy()
         for j in range(len(sample.joints)):  # inertia and offset are no friction
@@ -88,6 +90,12 @@ class Products:
             gram, cross, power, mean_sum, rows, friction, _inertia(sample, reading, columns.shape[2], links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
+
+    def held(self, columns: Sequence[int], ridge: float) -> Products:
+        """With another ridge on some columns."""
+        changed = self.ridge.copy()
+        changed[list(columns)] = ridge
+        return replace(self, ridge=changed)
 
     def read(self, reading: Reading) -> tuple[Array, Array, Array]:
         """Of the torques that a reading gives each joint: products with its columns (folds, joints, p), squares (folds, joints),
@@ -245,11 +253,8 @@ def _solved(products: Products, cross: Array, weight: Array) -> Array:
     """Parameters from all folds but one, for each, shape (folds, p)."""
     gram = np.tensordot(weight, products.gram, axes=(0, 1))
     right = np.tensordot(weight, cross, axes=(0, 1))
-    whole = gram.sum(axis=0), right.sum(axis=0)
-    out = []
-    for f in range(len(gram)):
-        out.append(_held(whole[0] - gram[f], whole[1] - right[f], products))
-    return np.array(out)
+    others = zip(gram.sum(axis=0) - gram, right.sum(axis=0) - right, strict=True)
+    return np.array([_held(*of_others, products) for of_others in others])
 
 
 def _held(gram: Array, right: Array, products: Products) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -65,11 +65,15 @@ class Reading:
         same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
         return Reading(robot, same, one, zero, same, one, zero, (0.0,) * recordings)
 
-    def changed(self, name: str, joint: int, value: float) -> Reading:
-        """With one entry of `scale`, `offset`, `torque_scale`, `shift_s` or `recording_shift_s` replaced."""
-        values = list(getattr(self, name))
-        values[joint] = value
-        return self.with_entries({name: tuple(values)})
+    @property
+    def links(self) -> int:
+        """Number of link parameters, whose columns come first."""
+        return 10 * len(self.robot.bodies)
+
+    def changed(self, name: str, which: Collection[int], change: Callable[[float], float]) -> Reading:
+        """With some entries of `scale`, `offset`, `torque_scale`, `shift_s` or `recording_shift_s` changed."""
+        values = tuple(change(x) if k in which else x for k, x in enumerate(getattr(self, name)))
+        return self.with_entries({name: values})
 
     def with_entries(self, entries: Mapping[str, Any]) -> Reading:
         """With other values of some of the attributes."""
@@ -167,6 +171,10 @@ class Sample:
             inside.append(((at >= 0) & (at < len(track.torque))).all(axis=1))
             out.append(np.take_along_axis(track.torque, np.clip(at, 0, len(track.torque) - 1), axis=0))
         return np.concatenate(out), np.concatenate(inside)
+
+    def torque_seen(self, reading: Reading) -> Array:
+        """Torque of each joint as a reading has it, shape (R, joints), N m."""
+        return self.torque_of(reading)[0][:, list(reading.torque_order)] * np.array(reading.torque_scale)
 
     def thinned(self, factor: int) -> Sample:
         """Every so many-th row."""

@@ -33,4 +33,4 @@ def unrelated(joints: Sequence[str], error: Array, seen: Array, moving: Mask, co
         f"The torque of {', '.join(names)} has nothing to do with the motion (nothing of it can be predicted from position): "
         "check that the columns are torques, and of the same run."
     )
-    return [DataFault("unrelated", "torque", names, None, None, message)]
+    return [DataFault("unrelated", "torque", names, message)]
