@@ -14,7 +14,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -296,6 +296,18 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
 
     nuisance: tuple[Change, ...] = ()  # in every model
     smallest_error: float  # of the model: stated, not estimated
+    largest_error: ClassVar[float] = 3.0  # that is weighed
+
+    @cached_property
+    def model_errors(self) -> Array:
+        """Model errors that are weighed, the smallest first, shape (E,)."""
+        errors = np.geomspace(1e-5, self.largest_error, 61)
+        return np.append(self.smallest_error, errors[self.smallest_error < errors])
+
+    @staticmethod
+    def by_chi_squared(squares: float, count: float, fit: LikelihoodFit) -> float:
+        """Probability of so large a sum of so many squares over their variances after a fit, for `chance`."""
+        return float(stats.chi2.sf(squares, max(count - len(fit.x), 1.0)))
 
     @property
     @abstractmethod

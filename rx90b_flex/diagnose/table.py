@@ -6,12 +6,9 @@ from abc import abstractmethod
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
 
 from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, LikelihoodResidual, State
 from rx90b_flex.effects.motion import Array
-
-ERRORS = np.geomspace(1e-5, 3.0, 61)  # model errors that are weighed
 
 
 class TableResidual(LikelihoodResidual):
@@ -55,21 +52,17 @@ class TableResidual(LikelihoodResidual):
         weighted = slopes / variance[:, None]
         of_each = self._variances
         likely = np.argmin((np.log(of_each) + left**2 / of_each).sum(axis=1))
-        return State(deviance, -weighted.T @ left, weighted.T @ slopes, float(self._errors[likely]))
+        return State(deviance, -weighted.T @ left, weighted.T @ slopes, float(self.model_errors[likely]))
 
     def chance(self, fit: LikelihoodFit) -> float:
         left = self.measured - self.predict((*self.nuisance, *fit.changes), fit.x)[0]
         squares = float((left**2 / self._variance(self.smallest_error)).sum())
-        return float(stats.chi2.sf(squares, max(len(left) - len(fit.x), 1)))
+        return self.by_chi_squared(squares, len(left), fit)
 
     def _variance(self, error: float) -> Array:
         return self.std**2 + (error * self.measured) ** 2
 
     @cached_property
-    def _errors(self) -> Array:
-        return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
-
-    @cached_property
     def _variances(self) -> Array:
         """At every model error, (E, m)."""
-        return np.stack([self._variance(e) for e in self._errors])
+        return np.stack([self._variance(e) for e in self.model_errors])

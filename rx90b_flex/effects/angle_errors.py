@@ -296,6 +296,10 @@ class _LostMotion(JointForce, part="flexibility"):
     gap: float
     stiffness: float
 
+    @property
+    def coefficients(self) -> Array:
+        return np.ones(1)
+
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         port = motion.coordinates.port(self.joint, self.port_kind)
         values = np.array([self.gap, self.stiffness, LOAD_SCALE])
@@ -325,18 +329,6 @@ class _LostMotion(JointForce, part="flexibility"):
         for x, row in zip(at.q, out, strict=True):
             self.law(float(x), 0.0, (self.gap, self.stiffness, LOAD_SCALE), row)
         return out[:, 0], out[:, 1]
-
-    def columns(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint, self.port_kind)
-        return np.outer(self._asked(at)[0], at.port)[:, :, None]
-
-    def force(self, motion: Motion) -> Array:
-        return np.asarray(self.columns(motion)[:, :, 0])
-
-    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
-        at = motion.joint(self.joint, self.port_kind)
-        by_q = self._asked(at)[1][:, None, None] * np.outer(at.port, at.port)
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
 
     def potential(self, motion: Motion) -> Array:
         at = motion.joint(self.joint, self.port_kind)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rx90b_flex.files.keys import shortened
 from rx90b_flex.interrupts import calm
 
 
@@ -132,7 +133,7 @@ def fill_folder(
             if parent.exists() and not any(parent.iterdir()):
                 parent.rmdir()
         if isinstance(error, OSError):
-            raise ValueError(f"{_short(folder)}: cannot be written: {why(error)}") from error
+            raise ValueError(f"{shortened(folder)}: cannot be written: {why(error)}") from error
         raise
 
 
@@ -160,9 +161,11 @@ def check_folder(
             going = output.own(place) | _earlier(place, output)
             for read in (Path(os.path.realpath(r)) for r in reads):
                 if read == place or (read.parent == place and read.name in going):
-                    raise ValueError(f"{_short(folder)}: holds {read.name}, which this run reads; give another folder")
+                    raise ValueError(
+                        f"{shortened(folder)}: holds {read.name}, which this run reads; give another folder"
+                    )
     except OSError as error:
-        raise ValueError(f"{_short(folder)}: cannot be written: {why(error)}") from None
+        raise ValueError(f"{shortened(folder)}: cannot be written: {why(error)}") from None
 
 
 def refuse_unwritable(folder: Path) -> None:
@@ -219,10 +222,6 @@ def why(error: OSError) -> str:
     return error.strerror or " ".join(str(error).split()) or type(error).__name__
 
 
-def _short(folder: Path) -> str:
-    return str(folder) if len(str(folder)) <= 200 else f"{str(folder)[:60]}..."
-
-
 def _earlier(folder: Path, output: Output | None) -> set[str]:
     """Names that earlier runs left: of each result that is there as a whole, and of one that was being put in place."""
     whole = [r for r in RESULTS if (folder / r.mark).is_file()]
@@ -256,7 +255,7 @@ def _refuse_what_is_in_the_way(folder: Path, needed: set[str], output: Output | 
         if path.exists() or path.is_symlink():
             kind = f", {_unlike(path)}," if _unlike(path) else ""
             raise ValueError(
-                f"{_short(folder)}: has {name}{kind} already, which is of no earlier result; give another folder, or --overwrite"
+                f"{shortened(folder)}: has {name}{kind} already, which is of no earlier result; give another folder, or --overwrite"
             )
 
 
