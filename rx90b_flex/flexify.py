@@ -55,7 +55,7 @@ BASE_JOINTS = ("base_bend_1", "base_bend_2")
 
 _MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*_MOVING_TYPES, "fixed", "floating", "planar")
-_TORSION, _BEND_1, _BEND_2 = "torsion", "bend_1", "bend_2"
+_KINDS = _TORSION, _BEND_1, _BEND_2 = "torsion", "bend_1", "bend_2"
 
 # Tag -> attribute -> how many numbers it may hold.
 _NUMBERS: Mapping[str, Mapping[str, tuple[int, ...]]] = {
@@ -89,18 +89,9 @@ _REQUIRED: Mapping[str, tuple[str, ...]] = {
 # ----------------------------------------------------------------------------------------------- names
 
 
-def virtual_joint_names(joint: str, torsion: bool = True, bending: bool = True) -> tuple[str, ...]:
-    """Names of the virtual joints that follow the driving joint `joint`, in tree order.
-
-    Parameters
-    ----------
-    joint
-        Name of the driving joint.
-    torsion, bending
-        Whether the drive twists (one joint) and whether the joint bends (two joints).
-    """
-    kinds = (_TORSION,) * torsion + (_BEND_1, _BEND_2) * bending
-    return tuple(f"{joint}_{kind}" for kind in kinds)
+def virtual_joint_names(joint: str) -> tuple[str, ...]:
+    """Names of the virtual joints that may follow a driving joint, in tree order: one where it twists, two where it bends."""
+    return tuple(f"{joint}_{kind}" for kind in _KINDS)
 
 
 def coordinate_name(joint_name: str, driving_joints: Iterable[str]) -> str:
@@ -127,7 +118,7 @@ def coordinate_name(joint_name: str, driving_joints: Iterable[str]) -> str:
     drives = set(driving_joints)
     if joint_name in drives:
         return f"{joint_name}:drive"
-    for kind in (_TORSION, _BEND_1, _BEND_2):
+    for kind in _KINDS:
         joint = joint_name.removesuffix(f"_{kind}")
         if joint != joint_name and (joint in drives or joint_name in BASE_JOINTS):
             return f"{joint}:{kind}"

@@ -10,11 +10,11 @@ import pytest
 
 from rx90b_flex.diagnose.check import Checked
 from rx90b_flex.diagnose.evidence import Dependence
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.refused import verdict_despite
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable
+from rx90b_flex.signals.data_fault import DataFault
 
 JOINTS = ("one", "two")
 SIZE = 10.0  # N m, of each joint's torque

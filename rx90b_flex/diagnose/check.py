@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.faults.clipped import clipped
 from rx90b_flex.diagnose.faults.compare import Found, faults_of
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.repeated import repeated
@@ -31,7 +30,7 @@ from rx90b_flex.files.toml import named_in
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
-from rx90b_flex.signals.data_fault import DataFaultError
+from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 
 SCHEMA = 1
@@ -248,7 +247,7 @@ def _refused(path: Path, error: ValueError) -> Checked:
         cause = cause.__cause__
     if cause is None:
         raise error
-    fault = DataFault(cause.kind, cause.signal, cause.joints, str(error), rows=cause.rows, factor=cause.factor)
+    fault = dataclasses.replace(cause.fault, message=str(error))
     return Checked(False, (), (fault,), (), (), "", (), (), None, (), path)
 
 

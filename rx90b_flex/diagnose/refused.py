@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from rx90b_flex.diagnose.check import Checked, faults_json
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign
+from rx90b_flex.signals.data_fault import DataFault
 
 DATA_FAULT = "data_fault"
 

@@ -20,8 +20,8 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy import ndimage
 
-from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleLoop, FlexibleResidual, Structure
-from rx90b_flex.diagnose.likelihood import MOST_CHANGES, Change, LikelihoodFit, State, close_residual
+from rx90b_flex.diagnose.flexible import FlexibleLoop, FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, State, close_residual
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
@@ -29,9 +29,8 @@ from rx90b_flex.identify.grey_data import REACH_HZ, smoothed_covariance
 from rx90b_flex.identify.grey_model import DELAY_STD, DELAY_UNIT, Delay, late
 from rx90b_flex.robot import Robot, load_robot
 
-MODEL_ERROR = (
-    0.03  # of |P| about a line: what parts a simulated campaign of section 6.6.2 from the right model at its mean pose
-)
+# of |P| about a line: what parts a simulated campaign of section 6.6.2 from the right model at its mean pose
+MODEL_ERROR = 0.03
 LINES = 60  # a response is fitted at, at the most; those between are held out
 NUISANCE_STD = 2.0  # of the logarithms of friction slopes and dampings
 
@@ -228,9 +227,9 @@ def _nuisance(kind: str, place: str, name: str, moved: tuple[int, ...]) -> Chang
     return Change(kind, place, False, (name,), ("-",), one, zero, NUISANCE_STD, (moved,))
 
 
-def thinned(response: FrequencyResponse, lines: int = LINES) -> tuple[FrequencyResponse, FrequencyResponse | None]:
-    """Every k-th line, `lines` at the most, and the others."""
-    step = -(-len(response.hz) // lines)
+def thinned(response: FrequencyResponse) -> tuple[FrequencyResponse, FrequencyResponse | None]:
+    """Every k-th line, `LINES` at the most, and the others."""
+    step = -(-len(response.hz) // LINES)
     kept = np.arange(len(response.hz)) % step == step // 2
     return _lines(response, kept), _lines(response, ~kept) if step > 1 else None
 
@@ -334,8 +333,6 @@ def close_response(
     held_out: Sequence[FrequencyResponse] = (),
     band_hz: tuple[float, float] = (8.0, 80.0),
     model_error: float = MODEL_ERROR,
-    new_std: float = NEW_STD,
-    most: int = MOST_CHANGES,
     progress: Progress | None = None,
 ) -> ResponseLoop:
     """Find what a robot lacks to have measured frequency responses.
@@ -354,8 +351,7 @@ def close_response(
         Lines used.
     model_error : float
         Part of |P| about a line that is allowed for beside the covariance.
-    new_std, most, progress
-        As for `close_modal`.
+    progress : callable, optional
 
     Raises
     ------
@@ -372,11 +368,11 @@ def close_response(
     others = [*between, *enumerate(everything[len(given) :], start=len(given))]
 
     def residual(parts: Sequence[FrequencyResponse]) -> ResponseResidual:
-        structure = Structure.of(source, given[0].joints, [r.pose for r in parts], band_hz, new_std)
+        structure = Structure.of(source, given[0].joints, [r.pose for r in parts], band_hz)
         return ResponseResidual(structure, parts, model_error)
 
     data = residual([used for used, _ in split])
-    result = close_residual(data, progress, most)
+    result = close_residual(data, progress)
     whole = residual(everything)
     rest = residual([r for _, r in others]) if others else None
     fits = (result.before, result.after)

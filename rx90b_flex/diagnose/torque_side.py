@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, OUT, PER_JOINT
+from rx90b_flex.diagnose.faults.sample import BASICS
 from rx90b_flex.diagnose.faults.sizes import torque_sizes
 from rx90b_flex.effects.motion import Mask
+from rx90b_flex.signals.data_fault import DataFault
 
-OFFSET = 3  # place of a joint's offset among its own columns: a sensor behind the gear has one, too
 NO_WORSE = 1.1  # squared error without friction and rotor inertia, over that with them, at which they do not show
 
 
@@ -74,7 +74,8 @@ def _words(stated: str | None, found: str) -> str:
 def _drives_show(look: Look, moving: Mask) -> bool:
     """Whether a moving joint's torque is predicted better with what sits in its drive than with links and offsets alone."""
     links, columns = look.reading.links, look.columns(look.reading).shape[2]
-    offsets = links + PER_JOINT * np.arange(len(look.sample.joints)) + OFFSET
+    # a sensor behind the gear has an offset, too
+    offsets = links + PER_JOINT * np.arange(len(look.sample.joints)) + BASICS.index("torque_offset")
     without = look.fit_held([c for c in range(links, columns) if c not in offsets], OUT)
     worse = without.error + FLOOR > NO_WORSE * (look.fit().error + FLOOR)
     return bool((worse & moving).any())

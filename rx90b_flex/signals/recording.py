@@ -19,7 +19,7 @@ from rx90b_flex.files.keys import suggestion
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, read_toml, toml_text
 from rx90b_flex.signals import tables
-from rx90b_flex.signals.data_fault import DataFaultError
+from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.stated import (
     JOINT_SIDES,
     Accelerometer,
@@ -599,12 +599,12 @@ def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -
     row = int(np.argmax(bad[:, column]))
     found = "missing or NaN" if np.isnan(values[row, column]) else f"{values[row, column]:g}"
     count = int(np.count_nonzero(bad[:, column]))
-    raise DataFaultError(
+    message = (
         f"{file}: column {names[column]!r}, row {first + row + 1}: {found}"
-        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected",
-        "glitch",
-        rows=tuple(int(r) + first + 1 for r in np.flatnonzero(bad.any(axis=1))[:20]),
+        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected"
     )
+    rows = np.flatnonzero(bad.any(axis=1))[:20] + first + 1
+    raise DataFaultError(DataFault("glitch", None, (), message, rows=tuple(rows.tolist())))
 
 
 def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, layout: _CampaignLayout) -> None:
@@ -619,13 +619,9 @@ def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, 
         )
         beyond = tuple(name for name, x in zip(joints, largest, strict=True) if x > _LARGEST_ANGLE)
         degrees = layout.gear_matrix is None and largest[worst] <= _LARGEST_DEGREES
-        raise DataFaultError(
-            f"{found} rad on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}",
-            "unit",
-            item.key,
-            joints if degrees else beyond,
-            180.0 / math.pi if degrees else None,
-        )
+        message = f"{found} rad on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
+        factor = 180.0 / math.pi if degrees else None
+        raise DataFaultError(DataFault("unit", item.key, joints if degrees else beyond, message, factor=factor))
     if largest[worst] > tables.LARGEST:
         raise ValueError(f"{found} on the joint side; SI units, below {tables.LARGEST:g}, are expected")
 

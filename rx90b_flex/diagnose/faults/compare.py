@@ -99,6 +99,9 @@ class _Bases:
     def of(look: Look) -> _Bases:
         return _Bases(look, look.fit(), look.fit_of_known_links())
 
+    def fitted_gain(self, hypothesis: Hypothesis) -> float:
+        return self.fitted.score - self.look.fit(hypothesis.reading).score
+
     def gain(self, hypothesis: Hypothesis) -> _Gain:
         free, known = self.look.fit(hypothesis.reading), self.look.fit_of_known_links(hypothesis.reading)
         credible = bool((known.error < CREDIBLE).all())
@@ -154,12 +157,8 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in ON_TORQUES_ALONE):
             continue
-        tried = []
-        for hypothesis in kind(bases.look):
-            if kind in ON_POSES:
-                tried.append((bases.gain(hypothesis).total, rank, hypothesis))
-            else:
-                tried.append((bases.fitted.score - bases.look.fit(hypothesis.reading).score, rank, hypothesis))
+        on_pose = kind in ON_POSES
+        tried = [(bases.gain(h).total if on_pose else bases.fitted_gain(h), rank, h) for h in kind(bases.look)]
         tried.sort(key=lambda t: -t[0])
         out += [t for t in tried[:SECOND_LOOKS] if t[0] > PROMISING]
     highest = max((gain for gain, *_ in out), default=0.0)

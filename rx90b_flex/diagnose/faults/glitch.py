@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 WINDOW = 5  # samples whose median a sample is held against
 TIMES = 12.0  # the deviation that one sample in a hundred has

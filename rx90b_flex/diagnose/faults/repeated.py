@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import signal
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 ALIKE = 0.02**2  # squared difference of two motions over their own size
 ALIKE_TORQUE = 0.15**2  # and of their torques: another load, or pulses on top, make it another experiment

@@ -23,7 +23,7 @@ FOLDS = 4  # each is held out once
 BLOCKS = 12  # contiguous segments of which a fold gets every fourth
 HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
-BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
+BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.identify.torque_sensors import wrong_sensors
 from rx90b_flex.signals import Campaign
+from rx90b_flex.signals.data_fault import DataFault
 
 
 def sensor_faults(campaign: Campaign) -> list[DataFault]:

@@ -56,14 +56,9 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     size = np.sqrt(np.diag(whole))
     size[size < 1e-6 * size.max()] = size.max()
     inverse = np.linalg.inv(whole / np.outer(size, size) + RIDGE * np.eye(len(size))) / np.outer(size, size)
-    moves = np.array(
-        [
-            np.isin(np.arange(n), chosen)[None, :] & np.ones((tracks, 1), bool)
-            if name == "shift_s"
-            else np.isin(np.arange(tracks), chosen)[:, None] & np.ones((1, n), bool)
-            for name, chosen in groups
-        ]
-    )
+    moves = np.zeros((len(groups), tracks, n), dtype=bool)
+    for move, (name, chosen) in zip(moves, groups, strict=True):
+        (move.T if name == "shift_s" else move)[list(chosen)] = True
     out = np.empty((len(groups), len(lags)))
     for i, lag in enumerate(lags):
         late = at(float(lag))

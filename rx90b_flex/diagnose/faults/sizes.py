@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rx90b_flex.diagnose.faults.compare import CREDIBLE
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.units import outside
+from rx90b_flex.signals.data_fault import DataFault
 
 TOO_SMALL = 0.04  # of the torque that the URDF's links alone ask for: no links are so much lighter than their CAD model
 TOO_SMALL_ALONE = 0.25  # the same for one joint, where the URDF's links fit every other joint

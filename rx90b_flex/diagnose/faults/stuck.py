@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 NEVER = 1e-3  # rad or m in all: noise and the play of a brake
 HARDLY = 0.02  # rad or m: too little for a parameter to stand out of friction
