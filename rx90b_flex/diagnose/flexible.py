@@ -50,7 +50,6 @@ class Coefficient:
 class Pose:
     """Matrices of the tree with every hinge at one pose: ``X = constant + sum_i c_i pattern_i``."""
 
-    angles: Array
     constant: Array  # (3, n, n): M, D, K
     patterns: Array  # (3, coefficients, n, n)
 
@@ -206,8 +205,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
     varied = {c.effect for c in coefficients}
 
     def of(derivatives: tuple[Array, Array, Array]) -> Array:
-        by_q, by_v, by_a = derivatives
-        return np.stack([by_a[0], by_v[0], by_q[0]])
+        return np.stack([by[0] for by in reversed(derivatives)])
 
     for i, c in enumerate(coefficients):
         if c.effect < 0:
@@ -222,7 +220,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
     for i, effect in enumerate(full.effects):
         if i not in varied and effect.traits.in_dynamics and not effect.traits.is_friction:
             constant = constant + of(effect.derivatives(motion))
-    return Pose(angles, constant, patterns)
+    return Pose(constant, patterns)
 
 
 def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float], new_std: float) -> list[Change]:

@@ -35,10 +35,10 @@ class MovingErrors:
     ) -> MovingErrors:
         """From measured and predicted torque of every validation recording, and velocity; each (N, joints)."""
         moving = ~resting(np.concatenate(velocity))
-        torque, *errors = (np.concatenate(x)[moving] for x in (measured, before, after))
+        torque, *predicted = (np.concatenate(x)[moving] for x in (measured, before, after))
         size = float(np.linalg.norm(torque))
-        relative = (float(np.linalg.norm(torque - x)) / size if size > 0 else 0.0 for x in errors)
-        return MovingErrors(*relative, 1.0 - float(moving.mean()))
+        less, more = (float(np.linalg.norm(torque - x)) / size if size > 0 else 0.0 for x in predicted)
+        return MovingErrors(less, more, 1.0 - float(moving.mean()))
 
 
 def resting(velocity: Array) -> Mask:

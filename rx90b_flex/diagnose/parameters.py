@@ -107,7 +107,7 @@ def undeclared_basics(look: Look, robot: Robot, moving: Mask) -> tuple[str, ...]
     for name in ("coulomb_friction", "viscous_friction", "drive_inertia", "torque_offset"):
         if name in declared:
             continue
-        places = [links + PER_JOINT * k + BASICS.index(name) for k in np.flatnonzero(moving)]
+        places = [links + PER_JOINT * k + BASICS.index(name) for k in np.flatnonzero(moving).tolist()]
         if not places:
             continue
         if look.fit_held(places, OUT).score - whole > WORTH:

@@ -492,7 +492,7 @@ class _Import:
         """Rows to keep: rising times, the longest part between interruptions, no empty cells."""
         self._check_finite(names, time)
         empty = np.isnan(np.column_stack([self.log.column(name) for name in names]))
-        self._check_number(np.count_nonzero(~empty.all(axis=1)), "with numbers")
+        self._check_number(int(np.count_nonzero(~empty.all(axis=1))), "with numbers")
         whole = np.flatnonzero(~empty.any(axis=1))
         if len(whole) == 0:
             column = int(np.argmax(empty.sum(axis=0)))

@@ -194,7 +194,6 @@ class RigidFit:
     impossible : array, shape (joints,)
         How surely friction would drive a joint, or its inertia be negative, 0 to 1; zero where its torque is fitted badly, for
         then what is missing in the model decides such signs.
-    products : Products
     by_fold : array, shape (folds, joints)
         The error of each fold's rows.
     """
@@ -202,7 +201,6 @@ class RigidFit:
     error: Array
     theta: Array
     impossible: Array
-    products: Products
     by_fold: Array
 
     @cached_property
@@ -230,7 +228,7 @@ class RigidFit:
         told = np.clip(1.0 - error / ILL, 0.0, 1.0)
         share = products.rows / products.rows.sum()
         by_fold = np.maximum(left, 0.0) / (total * np.maximum(share, 1e-9)[:, None])
-        return RigidFit(error, theta, told * _impossible(products, theta, rms), products, by_fold)
+        return RigidFit(error, theta, told * _impossible(products, theta, rms), by_fold)
 
 
 def seen_error(products: Products, reading: Reading) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -153,11 +152,6 @@ class Sample:
         starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
         return Sample(campaign.joints, q, v, a, dry, tracks, (fold + starts) % FOLDS, cutoff)
 
-    @cached_property
-    def torque(self) -> Array:
-        """Measured torque, shape (R, joints), N m."""
-        return np.concatenate([t.torque[t.rows] for t in self.tracks])
-
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
         """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool.
 
@@ -199,21 +193,17 @@ class Sample:
             self.dry[:, order] * np.sign(scale),
         )
 
-    def motion(self, reading: Reading, gravity_only: bool = False) -> Motion:
+    def motion(self, reading: Reading) -> Motion:
         """The tree's motion in tree order."""
-        q, v, a, _ = self.seen(reading)
         columns = [self.joints.index(j) for j in reading.robot.joints]
-        still = 0.0 if gravity_only else 1.0
-        return reading.robot.motion(q[:, columns], still * v[:, columns], still * a[:, columns])
+        return reading.robot.motion(*(x[:, columns] for x in self.seen(reading)[:3]))
 
 
 def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array, ...], Track]:
     rate = recording.sample_rate_hz
     cutoff = min(cutoff, HIGHEST * rate)
-    wide = POSITION_CUTOFF_RATIO * cutoff
-    wide = (
-        wide if wide < HIGHEST * rate else cutoff
-    )  # never none: differentiated twice, a counter's noise outweighs any motion
+    # never none: differentiated twice, a counter's noise outweighs any motion
+    wide = POSITION_CUTOFF_RATIO * cutoff if POSITION_CUTOFF_RATIO * cutoff < HIGHEST * rate else cutoff
     try:
         torque = lowpass(recording.torque, cutoff, rate)  # first: a cutoff that is too low is named as it was given
         q, v, a = motion(recording.position, rate, wide)

@@ -21,7 +21,7 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFau
     """Positions beyond their limits and torques beyond reason, of joints whose unit is not yet in doubt."""
     joints = look.sample.joints
     known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain") for j in f.joints}
-    beyond = np.flatnonzero(outside(look, 1.0))
+    beyond = np.flatnonzero(outside(look, 1.0)).tolist()
     degrees = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
     other = [k for k in beyond if k not in degrees]
     large, small = torque_sizes(look)
