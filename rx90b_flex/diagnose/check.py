@@ -197,10 +197,11 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
         faults += unrelated(campaign.joints, np.ones(len(constant)), np.ones(len(constant)), constant, constant)
+    facts = tuple(_facts(r) for r in mended)
     tell("done", 1.0)
     return Checked(
         all(f.usable for f in faults),
-        tuple(_facts(r) for r in mended),
+        facts,
         tuple(faults),
         parameters,
         basics,
@@ -210,7 +211,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         sensible_cutoff_hz(mended),
         tuple(j for j, m in zip(campaign.joints, moving, strict=True) if not m),
         campaign.path,
-        _noise_floor(campaign, mended),
+        _noise_floor(campaign, mended, facts),
         side,
     )
 
@@ -270,9 +271,11 @@ def _facts(recording: Recording) -> RecordingFacts:
     )
 
 
-def _noise_floor(campaign: Campaign, recordings: Sequence[Recording]) -> tuple[float, ...] | None:
-    periods = [r.period_s or found_period_s(r) for r in recordings]
-    repeating = [dataclasses.replace(r, period_s=p) for r, p in zip(recordings, periods, strict=True) if p is not None]
+def _noise_floor(
+    campaign: Campaign, recordings: Sequence[Recording], facts: Sequence[RecordingFacts]
+) -> tuple[float, ...] | None:
+    both = zip(recordings, facts, strict=True)
+    repeating = [dataclasses.replace(r, period_s=f.period_s) for r, f in both if f.period_s is not None]
     cutoff = campaign.cutoff_hz
     torques = [r.torque if cutoff is None else lowpass(r.torque, cutoff, r.sample_rate_hz) for r in repeating]
     floor = noise_between_periods(repeating, torques, campaign)

@@ -137,6 +137,12 @@ class Structure:
         names -= {f"{j}:drive" for j in self.robot.joints if j not in moving}
         return np.flatnonzero([c in names for c in self.full.coordinates])
 
+    def stiffens(self, number: int) -> bool:
+        """Whether a coefficient is not a damping: a softer hinge need not lose less."""
+        c = self.coefficients[number]
+        virtual = self.full.effects[c.effect].traits.virtual
+        return not virtual or c.column < len(virtual)
+
     def drives(self, free: Indices) -> Array:
         """B of the measured joints on the free coordinates, shape (free, joints)."""
         return self.full.input_matrix[free][:, [self.robot.joints.index(j) for j in self.joints]]
@@ -238,20 +244,13 @@ def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float
         if e >= declared:
             out.append(_addition(structure.robot, effect, groups, sizes, new_std))
         elif effect.traits.virtual or set(effect.joints) <= set(structure.joints):
-            out.append(_factor(effect, _place(effect), tuple(i for i in at if _stiffens(structure, i))))
+            out.append(_factor(effect, _place(effect), tuple(i for i in at if structure.stiffens(i))))
             if effect.traits.virtual:
                 shared.setdefault(effect.type_name(), []).append(e)
     for several in (s for s in shared.values() if len(s) > 1):
-        at = tuple(i for (e, _), i in numbers.items() if e in several and _stiffens(structure, i))
+        at = tuple(i for (e, _), i in numbers.items() if e in several and structure.stiffens(i))
         out.append(_factor(full.effects[several[0]], "all", at))
     return out
-
-
-def _stiffens(structure: Structure, number: int) -> bool:
-    """Whether a coefficient is not a damping: a softer hinge need not lose less."""
-    c = structure.coefficients[number]
-    virtual = structure.full.effects[c.effect].traits.virtual
-    return not virtual or c.column < len(virtual)
 
 
 def _place(effect: Effect) -> str:

@@ -300,9 +300,30 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
 
     @cached_property
     def model_errors(self) -> Array:
-        """Model errors that are weighed, the smallest first, shape (E,)."""
+        """Model errors that are weighed, the smallest last, shape (E,)."""
         errors = np.geomspace(1e-5, self.largest_error, 61)
-        return np.append(self.smallest_error, errors[self.smallest_error < errors])
+        return np.append(errors[self.smallest_error < errors], self.smallest_error)
+
+    def of_independent(
+        self,
+        left: Array,
+        slopes: Array,
+        variance: Array,
+        scale: Array | float,
+        model_error: float,
+        cost: float | None = None,
+    ) -> State:
+        """For `evaluate`: errors (m,) independent of each other, slopes (m, p) of what the model predicts by x.
+
+        Their variances are the stated ones and that of a model error of so much of `scale`; `cost` is the deviance where that is more
+        than theirs.
+        """
+        total = variance + (max(model_error, self.smallest_error) * scale) ** 2
+        weighted = slopes / total[:, None]
+        deviance = float((np.log(2.0 * np.pi * total) + left**2 / total).sum()) if cost is None else cost
+        of_each = variance + (self.model_errors[:, None] * scale) ** 2
+        likely = np.argmin((np.log(of_each) + left**2 / of_each).sum(axis=1))
+        return State(deviance, -weighted.T @ left, weighted.T @ slopes, float(self.model_errors[likely]))
 
     @staticmethod
     def by_chi_squared(squares: float, count: float, fit: LikelihoodFit) -> float:

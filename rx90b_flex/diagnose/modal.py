@@ -381,17 +381,9 @@ class ModalResidual(FlexibleResidual):
         return out
 
     def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
-        error = max(model_error, self.smallest_error)
-        paired = self._paired(changes, x, error)
+        paired = self._paired(changes, x, max(model_error, self.smallest_error))
         residual, variance, slopes = _pooled(paired)
-        weighted = slopes / (variance + error**2)[:, None]
-        deviance = sum(c.pairing.cost for c in paired)
-        return State(deviance, -weighted.T @ residual, weighted.T @ slopes, self._model_error(residual, variance))
-
-    def _model_error(self, residual: Array, variance: Array) -> float:
-        """Most likely model error of these pairs."""
-        total = variance[:, None] + self.model_errors**2
-        return float(self.model_errors[np.argmin((np.log(total) + residual[:, None] ** 2 / total).sum(axis=0))])
+        return self.of_independent(residual, slopes, variance, 1.0, model_error, sum(c.pairing.cost for c in paired))
 
     def chance(self, fit: LikelihoodFit) -> float:
         """By chi-squared of all pairs at the stated errors; a measured mode without a partner counts as four standard deviations."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
 import json
 import os
 from collections.abc import Callable, Iterable
@@ -143,13 +145,9 @@ def prediction_table(prediction: Prediction) -> str:
     joints = prediction.recording.joints
     names = ["time", *(f"{p}{j}" for p in ("tau_", "tau_before_", "tau_after_") for j in joints)]
     values = np.column_stack([prediction.recording.time, prediction.torque, prediction.before, prediction.after])
-    lines = [",".join(_quoted(n) for n in names)]
-    lines += [",".join(map(repr, row)) for row in values.tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n') else name
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([names, *values.tolist()])
+    return out.getvalue()
 
 
 def write_result(

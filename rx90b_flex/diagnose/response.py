@@ -211,9 +211,7 @@ def _nuisances(structure: Structure) -> tuple[Change, ...]:
     for i, c in enumerate(structure.coefficients):
         if c.effect < 0:
             slopes.append(_nuisance("viscous_friction", structure.joints[c.column], "friction_slope", (i,)))
-        elif structure.full.effects[c.effect].traits.virtual and c.column >= len(
-            structure.full.effects[c.effect].traits.virtual
-        ):
+        elif not structure.stiffens(i):
             of = min(c.effect, declared)  # what may be added shares one damping, over that usual of its stiffness
             dampings.setdefault(of, []).append(i)
     places = {k: "_".join(e.place) or "base" for k, e in enumerate(structure.robot.effects)}
