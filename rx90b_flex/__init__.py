@@ -45,19 +45,7 @@ __all__ = [
 ]
 
 # loaded when they are asked for: the command line must not wait for all of them
-_load = names_of(
-    __name__,
-    {
-        "diagnose.check": ("Checked", "check"),
-        "diagnose.close": ("ClosedLoop", "close_loop"),
-        "diagnose.replayed": ("replay_errors",),
-        "fleet.fleet": ("Fleet", "close_loop_many"),
-        "identify.inverse_eigenvalue": ("DriveParameters", "drive_parameters"),
-        "robot": ("Robot", "load_robot"),
-        "simulators": ("Exported", "export_robot"),
-        "verbs": ("check_path", "excite", "frf", "identify", "simulate", "view"),
-    },
-)
+_load = names_of(__name__)
 
 
 _FOLDERS = ("identify", "simulate", "view")  # verbs that have the name of one

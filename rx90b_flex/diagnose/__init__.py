@@ -25,13 +25,4 @@ __all__ = [
     "load_modal_table",
 ]
 
-__getattr__ = names_of(
-    __name__,
-    {
-        "diagnose.close": ("close_loop",),
-        "diagnose.likelihood": ("Change", "LikelihoodResidual", "State", "close_residual"),
-        "diagnose.modal": ("close_modal", "load_modal_table"),
-        "diagnose.response": ("close_response",),
-        "diagnose.table": ("TableResidual",),
-    },
-)
+__getattr__ = names_of(__name__)

@@ -27,12 +27,4 @@ __all__ = [
     "plan",
 ]
 
-__getattr__ = names_of(
-    __name__,
-    {
-        "path.check": ("Contribution", "Deviation", "PathCheck", "PathOptions", "check_path"),
-        "path.measured": ("MeasuredTip", "compare_measured"),
-        "path.planning": ("PathPlan", "plan"),
-        "path.seam": ("EXAMPLES", "Seam", "load_seam"),
-    },
-)
+__getattr__ = names_of(__name__)

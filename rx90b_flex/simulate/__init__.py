@@ -59,30 +59,4 @@ __all__ = [
     "straight_line",
 ]
 
-__getattr__ = names_of(
-    __name__,
-    {
-        "excitation": ("multisine",),
-        "simulate.campaign": ("CampaignPlan", "CampaignResult", "run_campaign", "section_662"),
-        "simulate.closed_loop": ("Noise", "RawLog", "Simulation", "simulate", "simulate_lanes", "static_start"),
-        "simulate.cs8": (
-            "CS8",
-            "JointController",
-            "design_cs8",
-            "design_gains",
-            "drive_compliance",
-            "load_cs8",
-            "rigid_inertia",
-            "save_cs8",
-        ),
-        "simulate.perturbation": ("perturb_lanes",),
-        "simulate.trajectories": (
-            "Trajectory",
-            "from_recording",
-            "harmonics",
-            "sine_excitation",
-            "square_wave",
-            "straight_line",
-        ),
-    },
-)
+__getattr__ = names_of(__name__)

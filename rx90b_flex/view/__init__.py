@@ -12,10 +12,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "View", "compare", "report_html", "show", "show_modes", "write_report"]
 
-__getattr__ = names_of(
-    __name__,
-    {
-        "view.meshcat": ("Run", "View", "compare", "show", "show_modes"),
-        "view.report": ("report_html", "write_report"),
-    },
-)
+__getattr__ = names_of(__name__)
