@@ -58,6 +58,11 @@ ROLES = ("identification", "validation")
 # ---- the table -------------------------------------------------------------------------------------------------------
 
 
+def list_name(locked: str | None) -> str:
+    """Of a list of modes: ``resonances``, ``antiresonances of joint_1``."""
+    return "resonances" if locked is None else f"antiresonances of {locked}"
+
+
 @dataclass(frozen=True, eq=False)
 class ModeList:
     """Frequencies of one kind at one pose.
@@ -76,8 +81,8 @@ class ModeList:
 
     @property
     def name(self) -> str:
-        """As a heading: ``resonances``, ``antiresonances of joint_1``."""
-        return "resonances" if self.locked is None else f"antiresonances of {self.locked}"
+        """As a heading."""
+        return list_name(self.locked)
 
     @cached_property
     def log(self) -> Array:
@@ -576,7 +581,7 @@ def _separation(
         reach[joint] = [a for a in np.deg2rad(SEPARATING_DEG) if low <= a <= high]
     poses = [{**pose.angles, **dict(zip(turned, a, strict=True))} for a in itertools.product(*reach.values())]
     structure = Structure.of(robot, table.joints, [ModalPose(p, ()).drive_angles(robot) for p in poses], table.band_hz)
-    best: tuple[float, Separation] | None = None
+    found_at: list[tuple[float, Separation]] = []
     for k, angles in enumerate(poses):
         both = [structure.matrices(k, f.changes, f.x) for f in (found, trial.fit)]
         for locked in (None, *table.joints):
@@ -587,10 +592,9 @@ def _separation(
                 continue
             gap = np.where(inside, np.abs(a[:count] - b[:count]), 0.0)
             at = int(np.argmax(gap))
-            if best is None or gap[at] > best[0]:
-                name = "resonances" if locked is None else f"antiresonances of {locked}"
-                best = float(gap[at]), Separation(angles, name, float(np.exp(a[at])), float(np.exp(b[at])))
-    return best[1] if best else None
+            name = list_name(locked)
+            found_at.append((gap[at], Separation(angles, name, float(np.exp(a[at])), float(np.exp(b[at])))))
+    return max(found_at, key=lambda x: x[0])[1] if found_at else None
 
 
 def error_rms(compared: Iterable[Compared]) -> float:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, RIDGE, Products, RigidFit, columns_of, effects_of, seen_error
+from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, RIDGE, Products, RigidFit, columns_of, effects_of
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
@@ -138,7 +138,7 @@ class Look:
         """
         free = self.products(self.reading).held(range(self.reading.links), RIDGE)
         fits = (self.fit(), RigidFit.of(free, self.reading), self.beside(with_effects=True).fit_of_free_links())
-        return np.min([f.error for f in fits], axis=0), seen_error(free, self.reading)
+        return np.min([f.error for f in fits], axis=0), RigidFit.of(free, self.reading, held_out=False).error
 
     def refined(self, hypothesis: Hypothesis, of_known: float = 0.0) -> tuple[Hypothesis, float | None]:
         """The factor at which a hypothesis does best, and its standard deviation from the score's curvature.

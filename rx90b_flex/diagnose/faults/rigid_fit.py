@@ -214,12 +214,12 @@ class RigidFit:
         return np.asarray(_log(self.by_fold).sum(axis=1))
 
     @staticmethod
-    def of(products: Products, reading: Reading) -> RigidFit:
-        """Weighted least squares, one weight a joint, each fold predicted from the others."""
+    def of(products: Products, reading: Reading, held_out: bool = True) -> RigidFit:
+        """Weighted least squares, one weight a joint, each fold predicted from the others, or from all of them."""
         cross, power, total = products.read(reading)
         error = np.ones(len(total))
         for _ in range(ROUNDS):
-            theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)))
+            theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)), held_out)
             aside = theta[:, None, :]
             seen = (products.gram @ aside[..., None])[..., 0]
             left = power + ((seen - 2 * cross) * aside).sum(axis=2)
@@ -231,27 +231,18 @@ class RigidFit:
         return RigidFit(error, theta, told * _impossible(products, theta, rms), by_fold)
 
 
-def seen_error(products: Products, reading: Reading) -> Array:
-    """Squared error over the torque's variance of a fit to all rows, shape (joints,)."""
-    cross, power, total = products.read(reading)
-    gram, right, square = products.gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
-    error = np.ones(len(total))
-    for _ in range(ROUNDS):
-        weight = 1.0 / (total * (error + FLOOR))
-        theta = _held(np.tensordot(weight, gram, axes=(0, 0)), weight @ right, products)
-        error = np.maximum(square + ((gram @ theta - 2 * right) * theta).sum(axis=1), 0.0) / total
-    return np.asarray(error)
-
-
 def _log(error: Array) -> Array:
     return np.asarray(np.log(np.minimum(error, 1.0) + FLOOR))
 
 
-def _solved(products: Products, cross: Array, weight: Array) -> Array:
-    """Parameters from all folds but one, for each, shape (folds, p)."""
+def _solved(products: Products, cross: Array, weight: Array, held_out: bool) -> Array:
+    """Parameters from all folds but one, for each, or from all of them; shape (folds, p)."""
     gram = np.tensordot(weight, products.gram, axes=(0, 1))
     right = np.tensordot(weight, cross, axes=(0, 1))
-    others = zip(gram.sum(axis=0) - gram, right.sum(axis=0) - right, strict=True)
+    whole = gram.sum(axis=0), right.sum(axis=0)
+    if not held_out:
+        return np.tile(_held(*whole, products), (len(gram), 1))
+    others = zip(whole[0] - gram, whole[1] - right, strict=True)
     return np.array([_held(*of_others, products) for of_others in others])
 
 
