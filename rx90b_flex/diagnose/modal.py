@@ -49,9 +49,6 @@ MODEL_ERROR = 0.005  # of a frequency: what separates a robot that moves from it
 SEPARATING_DEG = (-60.0, 0.0, 60.0, 120.0)  # angles of the second and third moving joint that are looked at
 SPURIOUS = 0.05  # of measured modes: chance of one that is none of the robot's (mains, a double pole of a fit)
 MISSED = 0.1  # chance that a mode inside the band is not seen
-TABLE_KEYS = ("robot", "joints", "band_hz", "pose")
-POSE_KEYS = ("angles_deg", "resonance", "antiresonance", "role")
-LIST_KEYS = ("hz", "std_hz")
 ROLES = ("identification", "validation")
 
 
@@ -155,7 +152,7 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
     """
     path = Path(path)
     table = TomlTable(str(path), "", read_toml(path, "modal table"))
-    table.allow(*TABLE_KEYS)
+    table.allow("robot", "joints", "band_hz", "pose")
     joints = table.texts("joints")
     read = tuple(_read_pose(pose, joints) for pose in table.sections("pose"))
     if not any(p.role == "identification" for p in read):
@@ -172,7 +169,7 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
 
 
 def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
-    table.allow(*POSE_KEYS)
+    table.allow("angles_deg", "resonance", "antiresonance", "role")
     angles, locked = (table.section_or_empty(key) for key in ("angles_deg", "antiresonance"))
     turned = {joint: float(np.deg2rad(angles.number(joint))) for joint in angles.values}
     lists = [_read_list(locked.section(j), j) for j in joints if locked.has(j)]
@@ -187,7 +184,7 @@ def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
 
 
 def _read_list(table: TomlTable, locked: str | None) -> ModeList:
-    table.allow(*LIST_KEYS)
+    table.allow("hz", "std_hz")
     hz = table.numbers("hz")
     std = table.numbers("std_hz", len(hz), "hz lists")
     if not ((hz > 0).all() and (std >= 0).all()):
