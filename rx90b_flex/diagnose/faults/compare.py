@@ -87,17 +87,11 @@ class _Gain:
         return self.fitted + (OF_KNOWN * self.known if self.credible else 0.0)
 
 
-@dataclass(frozen=True, eq=False)
 class _Bases:
     """A look and its fits without any fault."""
 
-    look: Look
-    fitted: RigidFit
-    known: RigidFit
-
-    @staticmethod
-    def of(look: Look) -> _Bases:
-        return _Bases(look, look.fit(), look.fit_of_known_links())
+    def __init__(self, look: Look) -> None:
+        self.look, self.fitted, self.known = look, look.fit(), look.fit_of_known_links()
 
     def fitted_gain(self, hypothesis: Hypothesis) -> float:
         return self.fitted.score - self.look.fit(hypothesis.reading).score
@@ -124,7 +118,7 @@ class _Bases:
 
 
 def _best(look: Look) -> Found | None:
-    bases = _Bases.of(look)
+    bases = _Bases(look)
     well = (bases.fitted.error < GOOD).all() and (bases.known.error < GOOD_KNOWN).all()
     everything = bool(not well or bases.fitted.impossible.any() or outside(look, 1.0).any())
     promising = _promising(look, everything)
@@ -152,7 +146,7 @@ def _best(look: Look) -> Found | None:
 
 def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:
     """The best of each kind at a part of the rows, as (gain, rank of the kind, hypothesis)."""
-    bases = _Bases.of(look.beside(THIN))
+    bases = _Bases(look.beside(THIN))
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in ON_TORQUES_ALONE):
