@@ -414,7 +414,7 @@ class Strength:
         responses = self.scene.responses(self.hidden.truth(self.hidden.values(size)), FITTED)
         residual = ResponseResidual(self.structure, [thinned(r.band(*BAND_HZ))[0] for r in responses], EXACT)
         errors = residual.errors(residual.fit(()))
-        return float(np.mean([weighted**2 for _, weighted in errors])) - 1.0
+        return float(np.mean([e.weighted**2 for e in errors])) - 1.0
 
     def size(self, strength: float) -> float | None:
         """Size of a strength, to 10 %; None where it cannot have it. The power grows with the square of what is small."""

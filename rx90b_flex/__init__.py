@@ -45,7 +45,8 @@ __all__ = [
 ]
 
 # loaded when they are asked for: the command line must not wait for all of them
-_load = names_of(__name__, __file__)
+_load = names_of(__name__)
+
 
 _FOLDERS = ("identify", "simulate", "view")  # verbs that have the name of one
 

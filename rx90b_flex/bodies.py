@@ -132,6 +132,3 @@ def as_bodies(parameters: Array, bodies: int, what: str) -> Array:
         first = int(np.argmin(np.isfinite(parameters)))
         raise ValueError(f"{what}[{first}], of body {first // 10 + 1}, is {parameters[first]}; expected a number")
     return parameters.reshape(bodies, 10)
-
-
-# ---- information --------------------------------------------------------------------------------------------

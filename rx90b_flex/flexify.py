@@ -33,29 +33,6 @@ from rx90b_flex.written_angles import roll_pitch_yaw
 if TYPE_CHECKING:  # at run time where it is needed, for it takes a second: it loads what can draw meshes
     import yourdfpy  # type: ignore[import-untyped, unused-ignore]
 
-__all__ = [
-    "BASE_JOINTS",
-    "CONTINUOUS_LIMIT",
-    "EXAMPLE_ROBOT_PREFIX",
-    "GROUND_LINK",
-    "UNLIMITED",
-    "VIRTUAL_LIMIT",
-    "bending_axes",
-    "coordinate_name",
-    "example_robots",
-    "flexify",
-    "lock",
-    "moving_joints",
-    "neutral_position",
-    "normalise",
-    "read_urdf",
-    "read_xml",
-    "to_xml",
-    "urdf_path",
-    "virtual_joint_names",
-    "write_urdf",
-]
-
 Vector = npt.NDArray[np.float64]
 
 EXAMPLE_ROBOT_PREFIX = "example-robot-data:"
@@ -78,7 +55,7 @@ BASE_JOINTS = ("base_bend_1", "base_bend_2")
 
 _MOVING_TYPES = ("revolute", "continuous", "prismatic")
 _JOINT_TYPES = (*_MOVING_TYPES, "fixed", "floating", "planar")
-_TORSION, _BEND_1, _BEND_2 = "torsion", "bend_1", "bend_2"
+_KINDS = _TORSION, _BEND_1, _BEND_2 = "torsion", "bend_1", "bend_2"
 
 # Tag -> attribute -> how many numbers it may hold.
 _NUMBERS: Mapping[str, Mapping[str, tuple[int, ...]]] = {
@@ -112,18 +89,9 @@ _REQUIRED: Mapping[str, tuple[str, ...]] = {
 # ----------------------------------------------------------------------------------------------- names
 
 
-def virtual_joint_names(joint: str, torsion: bool = True, bending: bool = True) -> tuple[str, ...]:
-    """Names of the virtual joints that follow the driving joint `joint`, in tree order.
-
-    Parameters
-    ----------
-    joint
-        Name of the driving joint.
-    torsion, bending
-        Whether the drive twists (one joint) and whether the joint bends (two joints).
-    """
-    kinds = (_TORSION,) * torsion + (_BEND_1, _BEND_2) * bending
-    return tuple(f"{joint}_{kind}" for kind in kinds)
+def virtual_joint_names(joint: str) -> tuple[str, ...]:
+    """Names of the virtual joints that may follow a driving joint, in tree order: one where it twists, two where it bends."""
+    return tuple(f"{joint}_{kind}" for kind in _KINDS)
 
 
 def coordinate_name(joint_name: str, driving_joints: Iterable[str]) -> str:
@@ -150,7 +118,7 @@ def coordinate_name(joint_name: str, driving_joints: Iterable[str]) -> str:
     drives = set(driving_joints)
     if joint_name in drives:
         return f"{joint_name}:drive"
-    for kind in (_TORSION, _BEND_1, _BEND_2):
+    for kind in _KINDS:
         joint = joint_name.removesuffix(f"_{kind}")
         if joint != joint_name and (joint in drives or joint_name in BASE_JOINTS):
             return f"{joint}:{kind}"
@@ -177,10 +145,7 @@ def urdf_path(source: str | Path) -> Path:
         return Path(source)
     name = str(source).removeprefix(EXAMPLE_ROBOT_PREFIX)
     try:  # here, not at the top: it needs Pinocchio, and a robot given by its file needs neither
-        from example_robot_data.robots_loader import (  # type: ignore[import-not-found, import-untyped, unused-ignore]
-            ROBOTS,
-            getModelPath,
-        )
+        from example_robot_data.robots_loader import ROBOTS, getModelPath
     except ImportError as error:
         raise ValueError(f"{source}: needs the package example-robot-data-loaders, which does not import") from error
     if name not in ROBOTS:
@@ -200,9 +165,7 @@ def urdf_path(source: str | Path) -> Path:
 def example_robots() -> tuple[str, ...]:
     """Names of the robots that example-robot-data has as URDF; none where it is not installed."""
     try:
-        from example_robot_data.robots_loader import (  # type: ignore[import-not-found, import-untyped, unused-ignore]
-            ROBOTS,
-        )
+        from example_robot_data.robots_loader import ROBOTS
     except ImportError:
         return ()
     return tuple(sorted(name for name, loader in ROBOTS.items() if loader.urdf_filename))
@@ -447,8 +410,8 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
     """
     from yourdfpy.urdf import Limit
 
-    result = _copy(urdf)
-    for joint in result.robot.joints:
+    robot = copy.deepcopy(urdf.robot)
+    for joint in robot.joints:
         if joint.type in ("floating", "planar"):
             count = {"floating": "six", "planar": "three"}[joint.type]
             raise ValueError(
@@ -468,7 +431,7 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
             limit.effort = UNLIMITED if limit.effort is None else limit.effort
             limit.velocity = UNLIMITED if limit.velocity is None else limit.velocity
             joint.limit = limit
-    return _refresh(result)
+    return with_robot(urdf, robot)
 
 
 def lock(urdf: yourdfpy.URDF, keep: Sequence[str]) -> yourdfpy.URDF:
@@ -486,13 +449,12 @@ def lock(urdf: yourdfpy.URDF, keep: Sequence[str]) -> yourdfpy.URDF:
     ValueError
         If a name in `keep` is unknown, or the joint is fixed, mimicking, floating or planar.
     """
-    for name in _names(keep, "keep"):
-        _drivable(urdf, name, "keep")
-    result = _copy(urdf)
-    for joint in result.robot.joints:
+    _check_drivable(urdf, keep, "keep")
+    robot = copy.deepcopy(urdf.robot)
+    for joint in robot.joints:
         if joint.type in _MOVING_TYPES and joint.name not in keep:
             _fix(joint, neutral_position(urdf, joint.name))
-    return _refresh(result)
+    return with_robot(urdf, robot)
 
 
 # -------------------------------------------------------------------------------------- virtual joints
@@ -546,16 +508,14 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
     """
     from yourdfpy.urdf import Link
 
-    for name in _names(torsion, "torsion"):
-        _drivable(urdf, name, "torsion")
-    for name in _names(bending, "bending"):
-        _drivable(urdf, name, "bending")
-    result = _copy(urdf)
-    robot = result.robot
+    _check_drivable(urdf, torsion, "torsion")
+    _check_drivable(urdf, bending, "bending")
+    robot = copy.deepcopy(urdf.robot)
     joints: list[Any] = []
     links: list[Any] = []
     if base:
-        root = _root_link(urdf)
+        children = {joint.child for joint in robot.joints}
+        root = next(link.name for link in robot.links if link.name not in children)
         between = f"{BASE_JOINTS[0]}_link"
         links += [Link(name=GROUND_LINK), Link(name=between)]
         joints.append(_virtual_joint(BASE_JOINTS[0], "revolute", GROUND_LINK, between, np.array([1.0, 0.0, 0.0])))
@@ -576,7 +536,7 @@ def flexify(urdf: yourdfpy.URDF, torsion: Sequence[str], bending: Sequence[str],
                 f"the flexible model needs the {what} name '{twice[0]}', but the robot already has it "
                 "(is it flexible already?); rename it"
             )
-    return _refresh(result)
+    return with_robot(urdf, robot)
 
 
 def _virtual_chain(joint: Any, twists: bool, bends: bool) -> list[Any]:
@@ -613,10 +573,7 @@ def to_xml(urdf: yourdfpy.URDF) -> str:
     import yourdfpy
 
     writer = yourdfpy.URDF(
-        robot=urdf.robot,
-        build_scene_graph=False,
-        load_meshes=False,
-        filename_handler=yourdfpy.filename_handler_null,
+        robot=urdf.robot, build_scene_graph=False, load_meshes=False, filename_handler=yourdfpy.filename_handler_null
     )
     root = writer.write_xml().getroot()
     for element, link in zip(root.findall("link"), urdf.robot.links, strict=True):
@@ -656,20 +613,12 @@ def _write_angles(element: Any, origin: Vector | None) -> None:
 # --------------------------------------------------------------------------------------------- helpers
 
 
-def _copy(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
-    return _build(copy.deepcopy(urdf.robot), urdf)
-
-
-def _refresh(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
-    """Make yourdfpy's maps and lists of actuated joints anew; it makes them only when it is constructed."""
-    return _build(urdf.robot, urdf)
-
-
-def _build(robot: Any, like: yourdfpy.URDF) -> yourdfpy.URDF:
+def with_robot(urdf: yourdfpy.URDF, robot: Any) -> yourdfpy.URDF:
+    """A URDF of another `yourdfpy.Robot`, its meshes where those of `urdf` are."""
     import yourdfpy
 
     # The handler knows the folder of the source file, by which meshes are found later; there is no public way to it.
-    handler = getattr(like, "_filename_handler", None)
+    handler = getattr(urdf, "_filename_handler", None)
     return yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False, filename_handler=handler)
 
 
@@ -701,31 +650,22 @@ def _joint(urdf: yourdfpy.URDF, name: str) -> Any:
     raise ValueError(f"joint '{name}' does not exist; moving joints: {_list(moving_joints(urdf))}")
 
 
-def _drivable(urdf: yourdfpy.URDF, name: str, what: str) -> None:
-    """Refuse a name, given in the argument `what`, that is no joint with one coordinate of its own."""
-    try:
-        joint = _joint(urdf, name)
-    except ValueError as error:
-        raise ValueError(f"{what}: {error}") from None
-    if joint.mimic is not None:
-        reason = f"mimics '{joint.mimic.joint}' and has no drive of its own"
-    elif joint.type not in _MOVING_TYPES:
-        reason = f"is {joint.type}"
-    else:
-        return
-    raise ValueError(f"{what}: joint '{name}' {reason}; moving joints: {_list(moving_joints(urdf))}")
-
-
-def _names(names: Sequence[str], what: str) -> Sequence[str]:
+def _check_drivable(urdf: yourdfpy.URDF, names: Sequence[str], what: str) -> None:
+    """Refuse names, given in the argument `what`, one of which is no joint with one coordinate of its own."""
     if isinstance(names, str):  # its letters would be taken for names
         raise ValueError(f"{what}: got the text {names!r}, expected a list of joint names")
-    return names
-
-
-def _root_link(urdf: yourdfpy.URDF) -> str:
-    children = {joint.child for joint in urdf.robot.joints}
-    roots: list[str] = [link.name for link in urdf.robot.links if link.name not in children]
-    return roots[0]
+    for name in names:
+        try:
+            joint = _joint(urdf, name)
+        except ValueError as error:
+            raise ValueError(f"{what}: {error}") from None
+        if joint.mimic is not None:
+            reason = f"mimics '{joint.mimic.joint}' and has no drive of its own"
+        elif joint.type not in _MOVING_TYPES:
+            reason = f"is {joint.type}"
+        else:
+            continue
+        raise ValueError(f"{what}: joint '{name}' {reason}; moving joints: {_list(moving_joints(urdf))}")
 
 
 def _unit(vector: npt.ArrayLike) -> Vector:

@@ -30,9 +30,9 @@ def with_hinges_moved(robot: Robot, offsets: Mapping[str, Array]) -> Robot:
     for name in offsets:
         if name not in robot.joints:
             raise ValueError(f"{robot.name} has no joint {name!r}; {close_match(name, robot.joints)}")
-    urdf = read_xml(robot.urdf).robot
-    links = {link.name: link for link in urdf.links}
-    for joint in (j for j in urdf.joints if j.name in offsets):
+    urdf = read_xml(robot.urdf)
+    links = {link.name: link for link in urdf.robot.links}
+    for joint in (j for j in urdf.robot.joints if j.name in offsets):
         move = np.eye(4)
         move[:3, 3] = offsets[joint.name]
         back = np.linalg.inv(move)
@@ -40,13 +40,9 @@ def with_hinges_moved(robot: Robot, offsets: Mapping[str, Array]) -> Robot:
         child = links[joint.child]
         for part in [x for x in (child.inertial, *child.visuals, *child.collisions) if x is not None]:
             part.origin = back @ _origin(part)
-        for behind in (j for j in urdf.joints if j.parent == joint.child):
+        for behind in (j for j in urdf.robot.joints if j.parent == joint.child):
             behind.origin = back @ _origin(behind)
-    import yourdfpy  # type: ignore[import-untyped, unused-ignore]
-
-    return dataclasses.replace(
-        robot, urdf=to_xml(yourdfpy.URDF(robot=urdf, build_scene_graph=False, load_meshes=False))
-    )
+    return dataclasses.replace(robot, urdf=to_xml(urdf))
 
 
 def _origin(part: object) -> Array:

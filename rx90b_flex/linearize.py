@@ -254,10 +254,10 @@ class Linearization:
         def changed(x: Array) -> Array:
             return transform.T @ x @ transform
 
-        groups: dict[str, Terms] = {name: getattr(self, name) for name in PARTS}
-        changed_groups = {name: Terms(changed(t.M), changed(t.D), changed(t.K)) for name, t in groups.items()}
+        parts: dict[str, Terms] = {name: getattr(self, name) for name in PARTS}
+        groups = {name: Terms(changed(t.M), changed(t.D), changed(t.K)) for name, t in parts.items()}
         drives = transform.T @ self.input_matrix
-        return Linearization(names, self.joints, drives, **changed_groups, G0=changed(self.G0))
+        return Linearization(names, self.joints, drives, **groups, G0=changed(self.G0))
 
 
 def linearize(
@@ -316,5 +316,4 @@ def joint_angle_transform(coordinates: tuple[str, ...]) -> tuple[Array, tuple[st
 
 
 def _terms(derivatives: tuple[Array, Array, Array]) -> Terms:
-    by_q, by_v, by_a = derivatives
-    return Terms(by_a[0], by_v[0], by_q[0])
+    return Terms(*(by[0] for by in reversed(derivatives)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
@@ -10,20 +11,18 @@ from pathlib import Path
 from typing import Any
 
 
-def names_of(package: str, file: str) -> Callable[[str], Any]:
-    """A package's ``__getattr__``: it loads what the package imports under ``if TYPE_CHECKING``, so that these imports stand once.
+def names_of(package: str) -> Callable[[str], Any]:
+    """A package's ``__getattr__``, from its ``__name__``: for names that it imports for type checkers alone.
 
-    Parameters
-    ----------
-    package, file : str
-        Its ``__name__`` and its ``__file__``.
+    What stands under ``if TYPE_CHECKING:`` in the package's file never runs, and says of each name where it is.
     """
 
     @cache
     def homes() -> dict[str, str]:
-        blocks = (n for n in ast.parse(Path(file).read_text(encoding="utf-8")).body if isinstance(n, ast.If))
-        imports = (n for block in blocks for n in block.body if isinstance(n, ast.ImportFrom))
-        return {name.name: each.module or "" for each in imports for name in each.names}
+        source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
+        blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+        imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
+        return {alias.name: str(node.module) for node in imports for alias in node.names}
 
     def load(name: str) -> Any:
         if name not in homes():

@@ -6,9 +6,9 @@ import dataclasses
 import difflib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,7 @@ from rx90b_flex import flexify as virtual
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
-from rx90b_flex.files.toml import read_toml
+from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
@@ -132,11 +132,8 @@ class Robot:
         for frame in self.model.frames:
             if frame.type == pin.FrameType.BODY and frame.parentJoint not in found and frame.parentJoint > 0:
                 found[frame.parentJoint] = frame.name
-        virtual_links = set()
-        for joint in range(1, self.model.njoints):
-            if _is_intermediate(self.layout.names, joint - 1):
-                virtual_links.add(joint)
-        return tuple((found[j], j) for j in range(1, self.model.njoints) if j not in virtual_links)
+        carrying = (j for j in range(1, self.model.njoints) if not _is_intermediate(self.layout.names, j - 1))
+        return tuple((found[j], j) for j in carrying)
 
     @cached_property
     def forces(self) -> tuple[Effect, ...]:
@@ -166,10 +163,10 @@ class Robot:
         for e, effect in enumerate(self.forces):
             seen = labels[effect.label] = labels.get(effect.label, 0) + 1
             label = effect.label if seen == 1 else f"{effect.label}_{seen}"
-            units = effect.coefficient_units
             at = order.get(effect.joints[-1], -1) if effect.joints else -1
-            for c, (name, rank) in enumerate(zip(effect.coefficient_names, effect.coefficient_ranks, strict=True)):
-                keyed.append(((rank, at, e, c), ParameterEntry(f"{label}.{name}", units[c], e, c)))
+            of_each = zip(effect.coefficient_names, effect.coefficient_units, effect.coefficient_ranks, strict=True)
+            for c, (name, unit, rank) in enumerate(of_each):
+                keyed.append(((rank, at, e, c), ParameterEntry(f"{label}.{name}", unit, e, c)))
         return tuple(entry for _, entry in sorted(keyed, key=lambda pair: pair[0]))
 
     @property
@@ -202,12 +199,8 @@ class Robot:
     def parameters(self) -> Array:
         """Values of the linear parameters, shape (p,); NaN where a robot file leaves one out."""
         per_effect = [effect.coefficients for effect in self.forces]
-        return np.array(
-            [
-                self.link_parameters[e.column] if e.source < 0 else per_effect[e.source][e.column]
-                for e in self.parameter_entries
-            ]
-        )
+        per_effect.append(self.link_parameters)  # the last, as -1 says
+        return np.array([per_effect[entry.source][entry.column] for entry in self.parameter_entries])
 
     # ---- dynamics ---------------------------------------------------------------------------------------
 
@@ -221,17 +214,9 @@ class Robot:
                 raise ValueError(f"{name} has shape {np.shape(x)}; expected ({n},) or (N, {n}) for {self.name}")
         q, v, a = (np.ascontiguousarray(np.broadcast_to(x, (samples, n))) for x in arrays)
         t = np.zeros(samples) if time is None else np.asarray(time, dtype=float)
-        return Motion(self.layout, q, v, a, t, self._tree_motion)
+        return Motion(self.layout, q, v, a, t, partial(_RobotTreeMotion, self))
 
-    def _tree_motion(self, motion: Motion) -> _RobotTreeMotion:
-        return _RobotTreeMotion(self, motion)
-
-    def on_links(
-        self,
-        motion: Motion,
-        link_parameters: Array,
-        effects: Sequence[Effect] = (),
-    ) -> Motion:
+    def on_links(self, motion: Motion, link_parameters: Array, effects: Sequence[Effect] = ()) -> Motion:
         """The same motion of the same tree with other link parameters and effects, as an identification finds them."""
         before = motion.on_tree
 
@@ -262,9 +247,7 @@ class Robot:
             ``regressor @ parameters == inverse_dynamics``; columns are `parameter_names`.
         """
         motion = self.motion(q, v, a)
-        out = self.link_regressor(
-            motion, len(self.parameter_entries)
-        )  # links come first in the order of the parameters
+        out = self.link_regressor(motion, len(self.parameter_entries))  # links come first in their order
         for effect, at in zip(self.forces, self._effect_places, strict=True):
             factors = effect.factors(motion)
             if factors is None:
@@ -463,16 +446,16 @@ class _RobotTreeMotion:
         return torque_of_links(self.robot.model, bodies, self.link_parameters, self.motion)
 
     def gravity_torque(self, direction: Array) -> Array:
-        model, data = self._under_gravity(direction)
-        return np.array([pin.computeGeneralizedGravity(model, data, q) for q in self.motion.q])
+        return self._in_each_pose(pin.computeGeneralizedGravity, *self._under_gravity(direction))
 
     def gravity_derivative(self, direction: Array) -> Array:
-        model, data = self._under_gravity(direction)
-        return np.array([pin.computeGeneralizedGravityDerivatives(model, data, q) for q in self.motion.q])
+        return self._in_each_pose(pin.computeGeneralizedGravityDerivatives, *self._under_gravity(direction))
 
     def gravity_potential(self, direction: Array) -> Array:
-        model, data = self._under_gravity(direction)
-        return np.array([pin.computePotentialEnergy(model, data, q) for q in self.motion.q])
+        return self._in_each_pose(pin.computePotentialEnergy, *self._under_gravity(direction))
+
+    def _in_each_pose(self, asked: Callable[..., Any], model: pin.Model, data: pin.Data) -> Array:
+        return np.array([asked(model, data, q) for q in self.motion.q])
 
     def _under_gravity(self, direction: Array) -> tuple[pin.Model, pin.Data]:
         model = self._own_links()
@@ -499,8 +482,7 @@ class _RobotTreeMotion:
         return _tree_derivatives(*self._only_body(frame, body), self.motion)
 
     def body_potential(self, frame: str, body: Array) -> Array:
-        model, data = self._only_body(frame, body)
-        return np.array([pin.computePotentialEnergy(model, data, q) for q in self.motion.q])
+        return self._in_each_pose(pin.computePotentialEnergy, *self._only_body(frame, body))
 
     def _only_body(self, frame: str, body: Array) -> tuple[pin.Model, pin.Data]:
         """The tree without mass but for one body in a frame."""
@@ -508,9 +490,7 @@ class _RobotTreeMotion:
         place = model.frames[model.getFrameId(frame)]
         for joint in range(model.njoints):
             model.inertias[joint] = pin.Inertia.Zero()
-        dynamic = np.empty(10)
-        dynamic[_TO_TABLE_ORDER] = body
-        model.inertias[place.parentJoint] = place.placement.act(pin.Inertia.FromDynamicParameters(dynamic))
+        model.inertias[place.parentJoint] = place.placement.act(_inertia(body))
         return model, model.createData()
 
     def joint_axis(self, joint: str) -> Array:
@@ -548,12 +528,16 @@ class _RobotTreeMotion:
         model = self.robot.model.copy()
         if self.link_parameters is not None:
             for (_, joint), body in zip(self.robot.bodies, self.link_parameters.reshape(-1, 10), strict=True):
-                dynamic = np.empty(10)
-                dynamic[_TO_TABLE_ORDER] = body
-                if abs(dynamic[0]) < 1e-6:  # pinocchio divides by the mass to find the centre
-                    dynamic[0] = 1e-6
-                model.inertias[joint] = pin.Inertia.FromDynamicParameters(dynamic)
+                # pinocchio divides by the mass to find the centre
+                model.inertias[joint] = _inertia(body if abs(body[0]) >= 1e-6 else np.r_[1e-6, body[1:]])
         return model
+
+
+def _inertia(body: Array) -> pin.Inertia:
+    """Of ten parameters in table D.1's order."""
+    dynamic = np.empty(10)
+    dynamic[_TO_TABLE_ORDER] = body
+    return pin.Inertia.FromDynamicParameters(dynamic)
 
 
 def _tree_derivatives(model: pin.Model, data: pin.Data, motion: Motion) -> tuple[Array, Array, Array]:
@@ -606,8 +590,8 @@ def load_robot(source: str | os.PathLike[str] | Robot) -> Robot:
     if isinstance(source, Robot):
         return source
     text = str(source)
-    if text.startswith("example-robot-data:"):
-        return _from_urdf(text, text.split(":", 1)[1], None, "fitted")
+    if text.startswith(virtual.EXAMPLE_ROBOT_PREFIX):
+        return _from_urdf(text, text.removeprefix(virtual.EXAMPLE_ROBOT_PREFIX))
     if text in robot_names():  # before the files: a folder or file of that name must not hide the robot
         return _from_file(robots_folder() / f"{text}.toml")
     path = Path(source)
@@ -616,7 +600,7 @@ def load_robot(source: str | os.PathLike[str] | Robot) -> Robot:
     if os.path.isdir(path):  # unlike the path's own method, no error where the name is too long for any file
         raise ValueError(f"{path} is a folder; expected a robot file or a URDF")
     if path.suffix or os.path.exists(path):
-        return _from_urdf(path, path.stem, None, "fitted")
+        return _from_urdf(path, path.stem)
     raise ValueError(f"unknown robot {text!r}: no such file, and {_near_robots(text)}")
 
 
@@ -631,7 +615,9 @@ def _near_robots(name: str) -> str:
     return f"{close_match(name, own)}; or the path of a URDF, or {prefix}NAME with a name of that package: {', '.join(others)}"
 
 
-def _from_urdf(source: str | Path, name: str, tip_frame: str | None, inertial_parameters: str) -> Robot:
+def _from_urdf(
+    source: str | Path, name: str, tip_frame: str | None = None, inertial_parameters: str = "fitted"
+) -> Robot:
     urdf = virtual.to_xml(virtual.normalise(virtual.read_urdf(source)))
     robot = Robot(name, urdf, "", inertial_parameters, ())
     for frame, inertia in zip(robot.tree.names, robot.tree.inertias, strict=True):
@@ -653,8 +639,7 @@ def _default_tip(tree: pin.Model) -> str:
         return 0 if joint == 0 else 1 + depth(int(tree.parents[joint]))
 
     bodies = [f for f in tree.frames if f.type == pin.FrameType.BODY]
-    deepest = max(depth(f.parentJoint) for f in bodies)
-    return [f.name for f in bodies if depth(f.parentJoint) == deepest][-1]
+    return str(max(reversed(bodies), key=lambda f: depth(f.parentJoint)).name)
 
 
 def _from_file(path: Path) -> Robot:
@@ -668,12 +653,10 @@ def _from_file(path: Path) -> Robot:
     inertial = table.get("inertial_parameters", "fitted")
     if inertial not in ("fitted", "known"):
         raise ValueError(f"{path}: inertial_parameters is {inertial!r}; expected 'fitted' or 'known'")
-    named = table["urdf"].startswith("example-robot-data:")
+    named = table["urdf"].startswith(virtual.EXAMPLE_ROBOT_PREFIX)
     urdf: str | Path = table["urdf"] if named else path.parent / table["urdf"]
-    try:
+    with named_in(path, "urdf"):
         robot = _from_urdf(urdf, table.get("name", path.stem), table.get("tip_frame"), inertial)
-    except ValueError as error:
-        raise ValueError(f"{path}: urdf: {error}") from None
     frames = [f.name for f in robot.tree.frames]
     if robot.tip_frame not in frames:
         raise ValueError(f"{path}: unknown tip_frame {robot.tip_frame!r}; {close_match(robot.tip_frame, frames)}")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+from typing import TYPE_CHECKING
 
-import yourdfpy  # type: ignore[import-untyped, unused-ignore]
+from rx90b_flex.flexify import BASE_JOINTS, GROUND_LINK, read_xml, to_xml, virtual_joint_names, with_robot
 
-from rx90b_flex.flexify import BASE_JOINTS, GROUND_LINK, read_xml, to_xml, virtual_joint_names
+if TYPE_CHECKING:
+    import yourdfpy  # type: ignore[import-untyped, unused-ignore]
 
 
 def unflexify(urdf: yourdfpy.URDF) -> tuple[yourdfpy.URDF, tuple[str, ...], tuple[str, ...], bool]:
@@ -42,9 +44,4 @@ def unflexify(urdf: yourdfpy.URDF) -> tuple[yourdfpy.URDF, tuple[str, ...], tupl
     robot.links = [link for link in robot.links if link.name not in links]
     torsion = tuple(name for name, names in found.items() if f"{name}_torsion" in names)
     bending = tuple(name for name, names in found.items() if f"{name}_bend_1" in names)
-    return (
-        read_xml(to_xml(yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False))),
-        torsion,
-        bending,
-        base,
-    )
+    return read_xml(to_xml(with_robot(urdf, robot))), torsion, bending, base

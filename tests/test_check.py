@@ -16,8 +16,8 @@ from data_folder import data_folder
 
 import rx90b_flex as rf
 from rx90b_flex import cli
-from rx90b_flex.diagnose.faults.fault import KINDS
 from rx90b_flex.signals import Recording, load_campaign
+from rx90b_flex.signals.data_fault import KINDS
 
 RATE_HZ, CUTOFF_HZ, PERIOD_S = 100.0, 15.0, 10.0
 ARM = ind.ur10(1.1)

@@ -121,7 +121,6 @@ def test_virtual_joints_follow_their_drive_in_the_order_drive_torsion_bendings(r
     names = list(model(fx.flexify(urdf, ["j1"], ["j1", "j2"])).names)[1:]
     assert names == ["j1", "j1_torsion", "j1_bend_1", "j1_bend_2", "j2", "j2_bend_1", "j2_bend_2"]
     assert fx.virtual_joint_names("j1") == ("j1_torsion", "j1_bend_1", "j1_bend_2")
-    assert fx.virtual_joint_names("j2", torsion=False) == ("j2_bend_1", "j2_bend_2")
 
 
 def test_the_drive_keeps_origin_axis_and_limits():

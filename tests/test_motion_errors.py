@@ -49,11 +49,11 @@ def test_the_simulated_motion_comes_nearer_to_the_log_when_the_spring_is_added(r
     assert "joint_3.joint_spring" in [e.effect.label for e in result.effects]
     errors = motion_errors(result)
     assert isinstance(errors, MotionErrors), errors
-    assert errors.motor_after_mrad[2] < errors.motor_before_mrad[2]
-    assert errors.link_before_mrad is None and errors.tip_before_mm is None
-    assert errors.tip_apart_mm > 0
+    assert errors.motor_rms_mrad.after[2] < errors.motor_rms_mrad.before[2]
+    assert errors.link_rms_mrad is None and errors.tip_rms_mm is None
+    assert errors.tip_apart_rms_mm > 0
     told = motion_json(errors)
-    assert told["motor_rms_mrad"]["after"] == errors.motor_after_mrad.tolist() and told["tip_rms_mm"] is None
+    assert told["motor_rms_mrad"]["after"] == errors.motor_rms_mrad.after.tolist() and told["tip_rms_mm"] is None
     page = report_html(result, errors)
     assert "Motion in closed loop" in page and "No link side was measured" in page
 
@@ -113,9 +113,9 @@ def test_effects_before_the_log_and_with_a_memory_take_part_and_without_a_law_in
         identified(*more),
         identified(*more, _Uncompiled(joint="joint_3", coefficient=1.0)),
     )
-    np.testing.assert_array_equal(plain.motor_after_mrad, plain.motor_before_mrad)
+    np.testing.assert_array_equal(*plain.motor_rms_mrad)
     # presliding friction holds joint 1 back, which changes its motion and no other's as much
-    change = np.abs(both.motor_after_mrad - both.motor_before_mrad)
+    change = np.abs(both.motor_rms_mrad.after - both.motor_rms_mrad.before)
     assert change[0] > change[1:].max()
     assert plain.seconds == both.seconds <= both.of_s
     assert slow.seconds == pytest.approx(LONGEST_SLOW_S, abs=0.01) and slow.seconds < both.seconds

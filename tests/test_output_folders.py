@@ -144,7 +144,7 @@ def test_a_link_to_nothing_is_no_folder_and_one_to_a_folder_is(tmp_path: Path) -
 )
 def test_a_place_that_cannot_be_is_one_line(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("mine")
-    for refuses in (check_folder, lambda out: fill_folder(out, SECOND, CLOSED_LOOP)):
+    for refuses in (lambda out: check_folder(out, CLOSED_LOOP), lambda out: fill_folder(out, SECOND, CLOSED_LOOP)):
         with pytest.raises(ValueError) as caught:
             refuses(tmp_path / name)
         assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
@@ -305,6 +305,6 @@ def test_a_disk_that_is_mounted_to_be_read_is_refused_before_any_work(tmp_path: 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="a place where nothing can be made is asked of Linux")
 def test_a_place_where_nothing_can_be_made_is_refused_at_once() -> None:
     with pytest.raises(ValueError, match=r"^/proc/x: cannot be written"):
-        check_folder(Path("/proc/x"))
+        check_folder(Path("/proc/x"), CLOSED_LOOP)
     with pytest.raises(ValueError, match=r"^/proc/x\.html: cannot be written"):
         check_file(Path("/proc/x.html"))

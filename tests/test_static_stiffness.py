@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 import pytest
 from scipy import stats
 
 import rx90b_flex as rf
+from rx90b_flex.identify.static_command import read_static_tests
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness, hysteresis_area
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals.static_test import StaticTest, read_static_test, write_static_test
+from rx90b_flex.signals.static_test import StaticTest, read_static_table
 from rx90b_flex.simulate.static_rig import (
     RigStates,
     StaticRig,
@@ -253,22 +255,28 @@ def test_too_few_readings_are_refused() -> None:
 # ---- files ----------------------------------------------------------------------------------------------------
 
 
-def test_a_test_survives_its_file(tmp_path: Path) -> None:
+def write(test: StaticTest, path: Path) -> Path:
+    direction = np.where(test.rising, "up", "down")
+    frame = {"moment_nm": test.moment, "deformation_rad": test.deformation, "direction": direction}
+    pd.DataFrame(frame).to_csv(path, index=False)
+    return path
+
+
+def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
     test = table(1e-5, np.random.default_rng(0))
-    write_static_test(test, tmp_path / "hinge.csv")
-    read = read_static_test(tmp_path / "hinge.csv")
+    read = read_static_table(write(test, tmp_path / "hinge.csv"), "hinge")
     assert read.coordinate == "hinge"
     for name in ("moment", "deformation", "rising"):
         np.testing.assert_array_equal(getattr(read, name), getattr(test, name))
 
 
-def test_a_toml_file_gives_the_lever_arm(tmp_path: Path) -> None:
+def test_a_file_of_tests_gives_the_lever_arm(tmp_path: Path) -> None:
     rows = "\n".join(f"{n},{n * 1e-6},{way}" for n, way in ((0, "up"), (50, "up"), (100, "up"), (50, "Down")))
     (tmp_path / "a.csv").write_text(f"load_n,deformation_rad,direction\n{rows}\n")
     (tmp_path / "a.toml").write_text(
-        'coordinate = "joint_2:bend_1"\nfile = "a.csv"\nlever_arm_m = 0.5\ndeformation_std_rad = 2.8e-5\n'
+        '[[test]]\ncoordinate = "joint_2:bend_1"\nfile = "a.csv"\nlever_arm_m = 0.5\ndeformation_std_rad = 2.8e-5\n'
     )
-    test = read_static_test(tmp_path / "a.toml")
+    (test,) = read_static_tests(tmp_path / "a.toml").tests
     assert test.coordinate == "joint_2:bend_1"
     np.testing.assert_allclose(test.moment, [0.0, 25.0, 50.0, 25.0])
     assert test.rising.tolist() == [True, True, True, False]
@@ -296,12 +304,12 @@ def test_bad_files_are_refused_by_file_and_place(
     tmp_path: Path, head: str, row: str, toml: str | None, said: str
 ) -> None:
     (tmp_path / "a.csv").write_text(f"{head}\n{row}\n")
-    path = tmp_path / "a.csv"
-    if toml is not None:
-        path = tmp_path / "a.toml"
-        path.write_text(toml + "\n")
+    (tmp_path / "a.toml").write_text(f'[[test]]\ncoordinate = "joint_2:bend_1"\n{toml}\n')
     with pytest.raises(ValueError, match=said) as error:
-        read_static_test(path)
+        if toml is None:
+            read_static_table(tmp_path / "a.csv", "joint_2:bend_1")
+        else:
+            read_static_tests(tmp_path / "a.toml")
     assert str(tmp_path) in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -319,12 +327,12 @@ def test_the_figure_names_its_axes_with_units(loaded: Loaded) -> None:
 )
 def test_a_reading_that_cannot_be_is_named(tmp_path: Path, cell: str, said: str) -> None:
     file = tmp_path / "weights.csv"
-    write_static_test(table(1e-6, np.random.default_rng(0)), file)
+    write(table(1e-6, np.random.default_rng(0)), file)
     lines = file.read_text().splitlines()
     place = lines[0].split(",").index("moment_nm")
     cells = lines[2].split(",")
     lines[2] = ",".join([*cells[:place], cell, *cells[place + 1 :]])
     file.write_text("\n".join(lines) + "\n")
     with pytest.raises(ValueError) as refused:
-        read_static_test(file)
+        read_static_table(file, "hinge")
     assert str(refused.value) == f"{file}: column 'moment_nm', {said}"

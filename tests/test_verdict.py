@@ -10,11 +10,11 @@ import pytest
 
 from rx90b_flex.diagnose.check import Checked
 from rx90b_flex.diagnose.evidence import Dependence
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.refused import verdict_despite
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable
+from rx90b_flex.signals.data_fault import DataFault
 
 JOINTS = ("one", "two")
 SIZE = 10.0  # N m, of each joint's torque
@@ -134,7 +134,7 @@ def look(*faults: DataFault) -> Checked:
     ("errors_say", "at_most"), [("explained", "partly_explained"), ("nothing_missing", "unexplained")]
 )
 def test_on_faulty_data_nothing_is_explained_however_small_the_errors(errors_say, at_most):
-    fault = DataFault("reversed_sign", "torque", ("one",), None, None, "turn it round")
+    fault = DataFault("reversed_sign", "torque", ("one",), "turn it round")
     assert verdict_despite(errors_say, look(fault), ()) == at_most
     assert verdict_despite(at_most, look(fault), ()) == at_most
     assert verdict_despite(errors_say, look(), ()) == errors_say
@@ -142,14 +142,14 @@ def test_on_faulty_data_nothing_is_explained_however_small_the_errors(errors_say
 
 def test_a_wrong_torque_gain_is_explained_only_by_a_model_that_has_it():
     """Left alone it becomes mass and friction, and errors are as small."""
-    gain = DataFault("torque_gain", "torque", ("two",), 3.0, 0.1, "check its motor constant", usable=True)
+    gain = DataFault("torque_gain", "torque", ("two",), "check its motor constant", usable=True, factor=3.0, std=0.1)
     assert verdict_despite("nothing_missing", look(gain), ()) == "unexplained"
     assert verdict_despite("explained", look(gain), {"one"}) == "partly_explained"
     assert verdict_despite("explained", look(gain), {"two"}) == "explained"
 
 
 def test_a_joint_that_is_held_is_no_reason_to_doubt():
-    held = DataFault("stuck", "motor_position", ("two",), None, None, "taken as held", usable=True)
+    held = DataFault("stuck", "motor_position", ("two",), "taken as held", usable=True)
     assert verdict_despite("nothing_missing", look(held), ()) == "nothing_missing"
 
 

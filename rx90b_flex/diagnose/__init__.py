@@ -25,4 +25,4 @@ __all__ = [
     "load_modal_table",
 ]
 
-__getattr__ = names_of(__name__, __file__)
+__getattr__ = names_of(__name__)

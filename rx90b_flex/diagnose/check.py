@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 
 from rx90b_flex.diagnose.faults.clipped import clipped
 from rx90b_flex.diagnose.faults.compare import Found, faults_of
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.repeated import repeated
@@ -31,7 +30,7 @@ from rx90b_flex.files.toml import named_in
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
-from rx90b_flex.signals.data_fault import DataFaultError
+from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 
 SCHEMA = 1
@@ -168,11 +167,12 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
     if robot is None:
         with named_in(campaign.path, "robot"):
             robot = load_robot(campaign.robot_source)
-    declared, rigid = robot, _rigid(robot, campaign)
+    with named_in(campaign.path, "joints"):
+        rigid = robot.rigid().restricted(campaign.joints)
     tell("looking at the signals", 0.1)
     faults, mended = glitches(campaign.recordings)
     still = no_excitation(mended)
-    faults += clipped(mended) + frozen(mended) + repeated(mended) + still
+    faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
     moving = moves(mended) > NEVER
     constant = np.array([len(np.unique(np.concatenate([r.torque[:, k] for r in mended]))) < 2
                          for k in range(len(campaign.joints))])  # fmt: skip
@@ -186,7 +186,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         found, look = faults_of(look)
         fit = look.fit()
         faults += [_fault(f) for f in found]
-        faults += impossible_sizes(look, faults)
+        faults += list(impossible_sizes(look, faults))
         faults += stuck(mended, np.sqrt(fit.error))
         lost = unrelated(campaign.joints, *look.errors_at_least(), moving, constant)
         faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign)
@@ -197,29 +197,23 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
         faults += unrelated(campaign.joints, np.ones(len(constant)), np.ones(len(constant)), constant, constant)
+    facts = tuple(_facts(r) for r in mended)
     tell("done", 1.0)
     return Checked(
         all(f.usable for f in faults),
-        tuple(_facts(r) for r in mended),
+        facts,
         tuple(faults),
         parameters,
         basics,
-        declared.name,
+        robot.name,
         campaign.joints,
         errors,
         sensible_cutoff_hz(mended),
         tuple(j for j, m in zip(campaign.joints, moving, strict=True) if not m),
         campaign.path,
-        _noise_floor(campaign, mended),
+        _noise_floor(campaign, mended, facts),
         side,
     )
-
-
-def _rigid(robot: Robot, campaign: Campaign) -> Robot:
-    try:
-        return robot.rigid().restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None
 
 
 def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> Look:
@@ -238,7 +232,7 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
 def _fault(found: Found) -> DataFault:
     h = found.hypothesis
     before, after = (float(np.sqrt(np.minimum(f.error, 1.0).mean())) for f in (found.before, found.after))
-    return DataFault(h.kind, h.signal, h.joints, h.factor, found.std, h.message, h.usable, before, after)
+    return DataFault(h.kind, h.signal, h.joints, h.message, h.usable, before, after, factor=h.factor, std=found.std)
 
 
 def _of_no_use(fault: DataFault, lost: Sequence[DataFault]) -> bool:
@@ -254,7 +248,7 @@ def _refused(path: Path, error: ValueError) -> Checked:
         cause = cause.__cause__
     if cause is None:
         raise error
-    fault = DataFault(cause.kind, cause.signal, cause.joints, cause.factor, None, str(error), rows=cause.rows)
+    fault = dataclasses.replace(cause.fault, message=str(error))
     return Checked(False, (), (fault,), (), (), "", (), (), None, (), path)
 
 
@@ -267,7 +261,7 @@ def _facts(recording: Recording) -> RecordingFacts:
     speed = np.abs(recording.position[window:] - recording.position[:-window])
     resting = (speed <= AT_REST * np.maximum(speed.max(axis=0, initial=0.0), 1e-12)).all(axis=1)
     return RecordingFacts(
-        recording.source.name if recording.source else recording.name,
+        recording.file_name,
         recording.role,
         recording.duration_s,
         recording.sample_rate_hz,
@@ -277,9 +271,11 @@ def _facts(recording: Recording) -> RecordingFacts:
     )
 
 
-def _noise_floor(campaign: Campaign, recordings: Sequence[Recording]) -> tuple[float, ...] | None:
-    periods = [r.period_s or found_period_s(r) for r in recordings]
-    repeating = [dataclasses.replace(r, period_s=p) for r, p in zip(recordings, periods, strict=True) if p is not None]
+def _noise_floor(
+    campaign: Campaign, recordings: Sequence[Recording], facts: Sequence[RecordingFacts]
+) -> tuple[float, ...] | None:
+    both = zip(recordings, facts, strict=True)
+    repeating = [dataclasses.replace(r, period_s=f.period_s) for r, f in both if f.period_s is not None]
     cutoff = campaign.cutoff_hz
     torques = [r.torque if cutoff is None else lowpass(r.torque, cutoff, r.sample_rate_hz) for r in repeating]
     floor = noise_between_periods(repeating, torques, campaign)

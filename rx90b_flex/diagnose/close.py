@@ -17,11 +17,10 @@ from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
-from rx90b_flex.diagnose.moving import MovingErrors, moving_errors
-from rx90b_flex.diagnose.refused import RefusedLoop, verdict_despite
+from rx90b_flex.diagnose.moving import MovingErrors
+from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
@@ -32,12 +31,12 @@ from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 if TYPE_CHECKING:
@@ -61,10 +60,6 @@ class FoundEffect:
     parameters : tuple of Estimate
     before, after : Errors
         Validation errors without and with it, each with everything identified again.
-    p_value : float
-        That nothing is there, corrected for all that was tried.
-    gain_t : float
-        Gain on held-out blocks over its standard error.
     rivals : tuple of TorqueTrial
         What else was tried in that round, best first.
     trial : TorqueTrial
@@ -77,11 +72,19 @@ class FoundEffect:
     parameters: tuple[Estimate, ...]
     before: Errors
     after: Errors
-    p_value: float
-    gain_t: float
     rivals: tuple[TorqueTrial, ...]
     trial: TorqueTrial
     alternatives: tuple[Alternative, ...] = ()
+
+    @property
+    def p_value(self) -> float:
+        """That nothing is there, corrected for all that was tried."""
+        return self.trial.p_value
+
+    @property
+    def gain_t(self) -> float:
+        """Gain on held-out blocks over its standard error."""
+        return self.trial.gain_t
 
 
 @dataclass(frozen=True)
@@ -149,13 +152,11 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ClosedLoop(Showing):
+class ClosedLoop(OfCampaign):
     """Result of closing the loop; the content of ``closed_loop.json`` as attributes.
 
     Attributes
     ----------
-    robot : str
-    joints : tuple of str
     before, after : RoleErrors
         Of the declared robot with its identified values, and of the robot that is written.
     noise_floor : tuple of float or None
@@ -178,12 +179,8 @@ class ClosedLoop(Showing):
     seed : int
     cautions : tuple of str
         What limits how far the result can be trusted, in sentences.
-    data_faults : tuple of DataFault
-        What the look at the data found; with `despite_faults` also what makes them not usable.
-    undeclared_basics : tuple of str
-        Effect types that every drive has and no joint declares, although the torques show them.
-    checked : Checked or None
-        All that the look at the data says.
+    checked : Checked
+        All that the look at the data says; with `despite_faults` also what makes them not usable.
     moving : MovingErrors
         The validation errors over rows in which the joint moves.
     explainable : Explainable or None
@@ -196,8 +193,6 @@ class ClosedLoop(Showing):
         What second encoders show of each gear; empty where there are none.
     """
 
-    robot: str
-    joints: tuple[str, ...]
     before: RoleErrors
     after: RoleErrors
     noise_floor: tuple[float, ...] | None
@@ -209,6 +204,7 @@ class ClosedLoop(Showing):
     predictions: tuple[Prediction, ...]
     source: Robot
     campaign: Campaign
+    checked: Checked
     last_round: LastRound
     seed: int
     moving: MovingErrors
@@ -217,9 +213,6 @@ class ClosedLoop(Showing):
     fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
     deflection: tuple[GearDeflection, ...] = ()
-    data_faults: tuple[DataFault, ...] = ()
-    undeclared_basics: tuple[str, ...] = ()
-    checked: Checked | None = None
 
     def plot_residual(self, joint: str, over: str = "velocity") -> Axes:
         """A joint's torque error on the validation recordings before and after.
@@ -302,16 +295,7 @@ def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
     torques = {role: replayed(robot, result.campaign, role) for role in ROLES}
     after = RoleErrors(*(Errors.of([r.torque for r, _ in x], [t for _, t in x]) for x in torques.values()))
     found = tuple(
-        FoundEffect(
-            g.effect,
-            g.parameters,
-            result.after.validation,
-            after.validation,
-            g.trial.p_value,
-            g.trial.gain_t,
-            (),
-            g.trial,
-        )
+        FoundEffect(g.effect, g.parameters, result.after.validation, after.validation, (), g.trial)
         for g in gears
         if g.effect is not None and g.trial is not None
     )
@@ -350,7 +334,8 @@ def _closed(
     _check_torques(campaign)
     tell("reading", 0.0)
     declared_robot = load_robot(campaign.robot_source) if robot is None else robot
-    _check_joints(campaign, declared_robot)
+    with named_in(campaign.path, "joints"):
+        declared_robot.restricted(campaign.joints)
     campaign, constants = resolved(campaign, declared_robot)
     campaign, scaled = calibrated(campaign)
     data = TorqueData.of(declared_robot, campaign)
@@ -363,7 +348,7 @@ def _closed(
     tell("looking at the data", 0.02)
     checked = check(campaign, robot=declared_robot)
     if not (checked.usable or despite_faults):
-        return RefusedLoop.of(checked, declared_robot, campaign)
+        return RefusedLoop(checked, declared_robot, campaign)
     tell("identifying the declared model", 0.05)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
     gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" for j in f.joints)
@@ -403,35 +388,24 @@ class _Ended:
         explainable = yardstick(shown, held_out.weighted(None), compared_with, after.validation)
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
-        remains = Remains(
-            campaign.joints,
-            bool(standing.steps),
-            before,
-            after,
-            floor,
-            known,
-            where,
-            bool(cautions) or in_doubt,
-            spread,
-        )
+        doubtful, found = bool(cautions) or in_doubt, bool(standing.steps)
+        remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread)
         search = residual.search(standing.model)
+        scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)
         return ClosedLoop(
-            self.source.name,
-            campaign.joints,
             before,
             after,
             None if floor is None else tuple(float(x) for x in floor),
             self._found(search),
-            verdict_despite(
-                remains.verdict, checked, {j for e in model.effects if e.traits.multiplies for j in e.joints}
-            ),
+            verdict_despite(remains.verdict, checked, scaled),
             Unexplained(after.validation.relative_error, where, left, bands(left)),
             model,
             declared,
             predictions,
             self.source,
             campaign,
+            checked,
             self._last_round(search),
             seed,
             _moving(predictions),
@@ -439,9 +413,6 @@ class _Ended:
             "" if known else str(explainable),
             self._if_not_possible(),
             (*cautions, *links_off, *constants, *_sensor_words(declared, model)),
-            data_faults=checked.data_faults,
-            undeclared_basics=checked.undeclared_basics,
-            checked=checked,
         )
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
@@ -497,8 +468,6 @@ class _Ended:
                     search.model.estimates(search.model.effects.index(effect)),
                     step.before.validation,
                     step.after.validation,
-                    step.trial.p_value,
-                    step.trial.gain_t,
                     step.rivals[:RIVALS],
                     step.trial,
                     self.residual.alternatives(search, model, step),
@@ -520,7 +489,7 @@ def _check_torques(campaign: Campaign) -> None:
 
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
-    return moving_errors(*zip(*((p.torque, p.before, p.after, p.velocity) for p in predictions), strict=True))
+    return MovingErrors.of(*zip(*((p.torque, p.before, p.after, p.velocity) for p in predictions), strict=True))
 
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
@@ -569,10 +538,3 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
         if e.traits.multiplies and e.joints[0] in sensors
     ]
     return tuple(words)
-
-
-def _check_joints(campaign: Campaign, robot: Robot) -> None:
-    try:
-        robot.restricted(campaign.joints)
-    except ValueError as error:
-        raise ValueError(f"{campaign.path}: joints: {error}") from None

@@ -37,7 +37,7 @@ class GearComparison:
     name : what it is.
     value, std, unit : its coefficient in terms of the gear.
     p_value : that nothing is there, corrected for what was tried on all gears.
-    share : of the squared error left on held-out blocks, its gain.
+    gain_share : of the squared error left on held-out blocks, its gain.
     shown : whether it is significant, lawful and gains on held-out blocks.
     """
 
@@ -46,7 +46,7 @@ class GearComparison:
     std: float
     unit: str
     p_value: float
-    share: float
+    gain_share: float
     shown: bool
 
 
@@ -130,20 +130,19 @@ def gear_deflections(source: Robot, campaign: Campaign, model: Identification) -
     torques = [_torques(model, r, campaign.cutoff_hz) for r in recordings]
     ratios = {joint: gears.encoder_ratio(recordings, joint) for joint in campaign.joints}
     own = [j for j, (ratio, widest) in ratios.items() if widest > 0.0 and abs(ratio - 1.0) <= SAME_RATIO]
-    out = []
-    for place, joint in enumerate(campaign.joints):
+
+    def of(place: int, joint: str) -> GearDeflection:
         if joint not in own:
-            out.append(GearDeflection(joint, _no_second(joint, *ratios[joint])))
-            continue
+            return GearDeflection(joint, _no_second(joint, *ratios[joint]))
         turning = _turns(source, joint)
         data = gears.gear_data(recordings, joint, cutoff, [t[:, place] for t in torques], turning)
         if data is None or not any(r.role == "identification" for r in data.runs):
-            out.append(GearDeflection(joint, f"{joint} moves too little for its second encoder to show its gear."))
-        else:
-            judged = _judged(data, len(own), [*source.effects, *model.in_tree])
-            spring = spring_words(model, joint) if turning else ""
-            out.append(dataclasses.replace(judged, message=f"{judged.message} {spring}".strip()))
-    return tuple(out)
+            return GearDeflection(joint, f"{joint} moves too little for its second encoder to show its gear.")
+        judged = _judged(data, len(own), [*source.effects, *model.in_tree])
+        spring = spring_words(model, joint) if turning else ""
+        return dataclasses.replace(judged, message=f"{judged.message} {spring}".strip())
+
+    return tuple(of(*numbered) for numbered in enumerate(campaign.joints))
 
 
 def _cutoff(recordings: Sequence[Recording]) -> float:
@@ -291,7 +290,7 @@ def _comparisons(fit: gears.GearFit, tests: int) -> tuple[GearComparison, ...]:
         t = gains.mean() / max(float(gains.std(ddof=1)) / np.sqrt(len(gains)), 1e-300)
         shown = p_value < SIGNIFICANCE and share > SMALLEST_GAIN and t > GAIN_T and (value > 0.0 or not more.positive)
         out.append(GearComparison(more.name, value, std, more.unit, p_value, share, bool(shown)))
-    return tuple(sorted(out, key=lambda x: -x.share))
+    return tuple(sorted(out, key=lambda x: -x.gain_share))
 
 
 def _words(fit: gears.GearFit, shown: bool, declared: bool, comparisons: Sequence[GearComparison]) -> str:
@@ -333,20 +332,17 @@ def with_gears(robot: Robot, found: Sequence[GearDeflection]) -> Robot:
 
 def deflection_json(found: Sequence[GearDeflection]) -> list[dict[str, Any]]:
     """The content of ``deflection`` in ``closed_loop.json``, one entry a joint."""
-    return [_gear_json(gear) for gear in found]
+    return [{"joint": gear.joint, "message": gear.message, **_measures(gear)} for gear in found]
 
 
-def _gear_json(gear: GearDeflection) -> dict[str, Any]:
-    out: dict[str, Any] = {"joint": gear.joint, "message": gear.message}
+def _measures(gear: GearDeflection) -> dict[str, Any]:
     fit = gear.fit
     if fit is None or gear.errors is None or gear.trial is None:
-        return out
-    return out | {
-        "rms": {
-            role: {"measured": e.measured, "before": e.before, "after": e.after} for role, e in gear.errors.items()
-        },
+        return {}
+    return {
+        "rms": {role: dataclasses.asdict(e) for role, e in gear.errors.items()},
         "compliance": {"value": fit.compliance, "std": fit.std("torque"), "unit": "rad/(N m)"},
-        "parameters": {p.name: {"value": p.value, "std": p.std, "unit": p.unit} for p in gear.parameters},
+        "parameters": estimates_json(gear.parameters),
         "drive_inertia": _finite(fit.inertia),
         "lag_s": fit.data.lag_s,
         "position_error_orders": list(fit.data.orders),
@@ -361,19 +357,13 @@ def _gear_json(gear: GearDeflection) -> dict[str, Any]:
             for c in gear.compliances
         ],
         "recordings_agree_p": _finite(gear.agreement),
-        "comparisons": [
-            {
-                "name": c.name,
-                "value": c.value,
-                "std": c.std,
-                "unit": c.unit,
-                "p_value": c.p_value,
-                "gain_share": c.share,
-                "shown": c.shown,
-            }
-            for c in gear.comparisons
-        ],
+        "comparisons": [dataclasses.asdict(c) for c in gear.comparisons],
     }
+
+
+def estimates_json(estimates: Sequence[Estimate]) -> dict[str, Any]:
+    """Parameters as ``closed_loop.json`` has them, by name."""
+    return {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in estimates}
 
 
 def _stiffness(compliance: RecordedCompliance) -> dict[str, float | None]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -19,41 +17,19 @@ LATER_S = 300.0  # between the parts of the experiment that repeats
 WIDER = 1.3  # range of a joint over the data's, from which it is worth asking for
 
 
-@dataclass(frozen=True, eq=False)
 class _Moves:
-    """How one joint moved in the data, and how it could."""
+    """How one joint moved in the data, from `low` to `high` and as fast as `fastest`, where all joints were on average, and how it
+    could move.
+    """
 
-    search: Search
-    joint: str
-
-    @cached_property
-    def column(self) -> int:
-        column = self.search.regression.robot.layout.index(self.joint)
-        assert column is not None
-        return column
-
-    @cached_property
-    def places(self) -> Array:
-        """Of all joints in the data, rad."""
-        return np.concatenate([s.sampled.q for s in self.search.regression.segments])
-
-    @cached_property
-    def fastest(self) -> float:
-        speeds = [s.sampled.v for s in self.search.regression.segments]
-        return float(np.abs(np.concatenate(speeds)[:, self.column]).max())
-
-    @cached_property
-    def low(self) -> float:
-        return float(self.places[:, self.column].min())
-
-    @cached_property
-    def high(self) -> float:
-        return float(self.places[:, self.column].max())
-
-    @cached_property
-    def rest(self) -> Array:
-        """Where the others were on average."""
-        return np.asarray(np.median(self.places, axis=0))
+    def __init__(self, search: Search, joint: str) -> None:
+        self.search, self.joint = search, joint
+        self.column = search.regression.robot.layout.names.index(f"{joint}:drive")
+        seen = [s.sampled for s in search.regression.segments]
+        places, rates = np.concatenate([m.q for m in seen]), np.concatenate([m.v for m in seen])
+        self.rest = np.asarray(np.median(places, axis=0))
+        self.low, self.high = float(places[:, self.column].min()), float(places[:, self.column].max())
+        self.fastest = float(np.abs(rates[:, self.column]).max())
 
     def motion(self, x: Array, others: Array | None = None, at: Array = TIME) -> Motion:
         """Of the joint's angle as a function of time; the others as given, (N, n), or at rest."""

@@ -50,7 +50,6 @@ class Coefficient:
 class Pose:
     """Matrices of the tree with every hinge at one pose: ``X = constant + sum_i c_i pattern_i``."""
 
-    angles: Array
     constant: Array  # (3, n, n): M, D, K
     patterns: Array  # (3, coefficients, n, n)
 
@@ -138,6 +137,12 @@ class Structure:
         names -= {f"{j}:drive" for j in self.robot.joints if j not in moving}
         return np.flatnonzero([c in names for c in self.full.coordinates])
 
+    def stiffens(self, number: int) -> bool:
+        """Whether a coefficient is not a damping: a softer hinge need not lose less."""
+        c = self.coefficients[number]
+        virtual = self.full.effects[c.effect].traits.virtual
+        return not virtual or c.column < len(virtual)
+
     def drives(self, free: Indices) -> Array:
         """B of the measured joints on the free coordinates, shape (free, joints)."""
         return self.full.input_matrix[free][:, [self.robot.joints.index(j) for j in self.joints]]
@@ -206,8 +211,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
     varied = {c.effect for c in coefficients}
 
     def of(derivatives: tuple[Array, Array, Array]) -> Array:
-        by_q, by_v, by_a = derivatives
-        return np.stack([by_a[0], by_v[0], by_q[0]])
+        return np.stack([by[0] for by in reversed(derivatives)])
 
     for i, c in enumerate(coefficients):
         if c.effect < 0:
@@ -222,7 +226,7 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
     for i, effect in enumerate(full.effects):
         if i not in varied and effect.traits.in_dynamics and not effect.traits.is_friction:
             constant = constant + of(effect.derivatives(motion))
-    return Pose(angles, constant, patterns)
+    return Pose(constant, patterns)
 
 
 def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float], new_std: float) -> list[Change]:
@@ -240,20 +244,13 @@ def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float
         if e >= declared:
             out.append(_addition(structure.robot, effect, groups, sizes, new_std))
         elif effect.traits.virtual or set(effect.joints) <= set(structure.joints):
-            out.append(_factor(effect, _place(effect), tuple(i for i in at if _stiffens(structure, i))))
+            out.append(_factor(effect, _place(effect), tuple(i for i in at if structure.stiffens(i))))
             if effect.traits.virtual:
                 shared.setdefault(effect.type_name(), []).append(e)
     for several in (s for s in shared.values() if len(s) > 1):
-        at = tuple(i for (e, _), i in numbers.items() if e in several and _stiffens(structure, i))
+        at = tuple(i for (e, _), i in numbers.items() if e in several and structure.stiffens(i))
         out.append(_factor(full.effects[several[0]], "all", at))
     return out
-
-
-def _stiffens(structure: Structure, number: int) -> bool:
-    """Whether a coefficient is not a damping: a softer hinge need not lose less."""
-    c = structure.coefficients[number]
-    virtual = structure.full.effects[c.effect].traits.virtual
-    return not virtual or c.column < len(virtual)
 
 
 def _place(effect: Effect) -> str:

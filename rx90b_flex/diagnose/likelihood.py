@@ -14,7 +14,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -296,6 +296,39 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
 
     nuisance: tuple[Change, ...] = ()  # in every model
     smallest_error: float  # of the model: stated, not estimated
+    largest_error: ClassVar[float] = 3.0  # that is weighed
+
+    @cached_property
+    def model_errors(self) -> Array:
+        """Model errors that are weighed, the smallest last, shape (E,)."""
+        errors = np.geomspace(1e-5, self.largest_error, 61)
+        return np.append(errors[self.smallest_error < errors], self.smallest_error)
+
+    def of_independent(
+        self,
+        left: Array,
+        slopes: Array,
+        variance: Array,
+        scale: Array | float,
+        model_error: float,
+        cost: float | None = None,
+    ) -> State:
+        """For `evaluate`: errors (m,) independent of each other, slopes (m, p) of what the model predicts by x.
+
+        Their variances are the stated ones and that of a model error of so much of `scale`; `cost` is the deviance where that is more
+        than theirs.
+        """
+        total = variance + (max(model_error, self.smallest_error) * scale) ** 2
+        weighted = slopes / total[:, None]
+        deviance = float((np.log(2.0 * np.pi * total) + left**2 / total).sum()) if cost is None else cost
+        of_each = variance + (self.model_errors[:, None] * scale) ** 2
+        likely = np.argmin((np.log(of_each) + left**2 / of_each).sum(axis=1))
+        return State(deviance, -weighted.T @ left, weighted.T @ slopes, float(self.model_errors[likely]))
+
+    @staticmethod
+    def by_chi_squared(squares: float, count: float, fit: LikelihoodFit) -> float:
+        """Probability of so large a sum of so many squares over their variances after a fit, for `chance`."""
+        return float(stats.chi2.sf(squares, max(count - len(fit.x), 1.0)))
 
     @property
     @abstractmethod

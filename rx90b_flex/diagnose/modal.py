@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
 
 from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleLoop, FlexibleResidual, Structure
 from rx90b_flex.diagnose.likelihood import (
@@ -49,14 +49,15 @@ MODEL_ERROR = 0.005  # of a frequency: what separates a robot that moves from it
 SEPARATING_DEG = (-60.0, 0.0, 60.0, 120.0)  # angles of the second and third moving joint that are looked at
 SPURIOUS = 0.05  # of measured modes: chance of one that is none of the robot's (mains, a double pole of a fit)
 MISSED = 0.1  # chance that a mode inside the band is not seen
-ERRORS = np.geomspace(1e-5, 1.0, 61)  # model errors that are weighed
-TABLE_KEYS = ("robot", "joints", "band_hz", "pose")
-POSE_KEYS = ("angles_deg", "resonance", "antiresonance", "role")
-LIST_KEYS = ("hz", "std_hz")
 ROLES = ("identification", "validation")
 
 
 # ---- the table -------------------------------------------------------------------------------------------------------
+
+
+def list_name(locked: str | None) -> str:
+    """Of a list of modes: ``resonances``, ``antiresonances of joint_1``."""
+    return "resonances" if locked is None else f"antiresonances of {locked}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +78,8 @@ class ModeList:
 
     @property
     def name(self) -> str:
-        """As a heading: ``resonances``, ``antiresonances of joint_1``."""
-        return "resonances" if self.locked is None else f"antiresonances of {self.locked}"
+        """As a heading."""
+        return list_name(self.locked)
 
     @cached_property
     def log(self) -> Array:
@@ -151,7 +152,7 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
     """
     path = Path(path)
     table = TomlTable(str(path), "", read_toml(path, "modal table"))
-    table.allow(*TABLE_KEYS)
+    table.allow("robot", "joints", "band_hz", "pose")
     joints = table.texts("joints")
     read = tuple(_read_pose(pose, joints) for pose in table.sections("pose"))
     if not any(p.role == "identification" for p in read):
@@ -168,12 +169,11 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
 
 
 def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
-    table.allow(*POSE_KEYS)
-    angles = table.optional("angles_deg", table.section)
-    turned = {} if angles is None else {j: float(np.deg2rad(angles.number(j))) for j in angles.values}
-    locked = table.optional("antiresonance", table.section)
-    lists = [] if locked is None else [_read_list(locked.section(j), j) for j in joints if locked.has(j)]
-    for joint in locked.values if locked is not None else ():
+    table.allow("angles_deg", "resonance", "antiresonance", "role")
+    angles, locked = (table.section_or_empty(key) for key in ("angles_deg", "antiresonance"))
+    turned = {joint: float(np.deg2rad(angles.number(joint))) for joint in angles.values}
+    lists = [_read_list(locked.section(j), j) for j in joints if locked.has(j)]
+    for joint in locked.values:
         if joint not in joints:
             raise table.problem("antiresonance", f"the drive of {joint!r} did not move; {close_match(joint, joints)}")
     if table.has("resonance"):
@@ -184,7 +184,7 @@ def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
 
 
 def _read_list(table: TomlTable, locked: str | None) -> ModeList:
-    table.allow(*LIST_KEYS)
+    table.allow("hz", "std_hz")
     hz = table.numbers("hz")
     std = table.numbers("std_hz", len(hz), "hz lists")
     if not ((hz > 0).all() and (std >= 0).all()):
@@ -291,15 +291,33 @@ class Compared:
     pose : int
         Number of the pose in the table.
     measured : ModeList
-    model_hz : array
-        All elastic modes of the model, ascending.
+    model : array, shape (m,)
+        Logarithms of Hz of all elastic modes of the model, ascending.
+    slopes : array, shape (m, p)
+        Theirs by the model's parameters.
     pairing : Pairing
     """
 
     pose: int
     measured: ModeList
-    model_hz: Array
+    model: Array
+    slopes: Array
     pairing: Pairing
+
+    @cached_property
+    def model_hz(self) -> Array:
+        """All elastic modes of the model, ascending."""
+        return np.exp(self.model)
+
+    @property
+    def residual(self) -> Array:
+        """Difference of the logarithms of each pair, as a fit has it."""
+        return self.measured.log[self.pairing.measured] - self.model[self.pairing.model]
+
+    @property
+    def variance(self) -> Array:
+        """Of each pair's measured logarithm."""
+        return self.measured.variance[self.pairing.measured]
 
     @property
     def errors(self) -> Array:
@@ -313,17 +331,10 @@ class Compared:
         return np.log(self.measured.hz[:count] / self.model_hz[:count])
 
 
-@dataclass(frozen=True, eq=False)
-class _Paired:
-    """One list of measured modes with the model's, for a fit."""
-
-    pose: int
-    measured: ModeList
-    model: Array  # logarithms of Hz
-    pairing: Pairing
-    residual: Array  # of each pair
-    variance: Array
-    slopes: Array  # (pairs, p)
+def _pooled(lists: Sequence[Compared]) -> tuple[Array, Array, Array]:
+    """Residuals of all pairs, their variances, and slopes of the model's, (k,), (k,), (k, p)."""
+    slopes = np.concatenate([c.slopes[c.pairing.model] for c in lists])
+    return np.concatenate([c.residual for c in lists]), np.concatenate([c.variance for c in lists]), slopes
 
 
 class ModalResidual(FlexibleResidual):
@@ -338,6 +349,8 @@ class ModalResidual(FlexibleResidual):
     model_error : float
         Relative error of a frequency that is always allowed for.
     """
+
+    largest_error = 1.0
 
     def __init__(
         self, structure: Structure, poses: Sequence[ModalPose], band_hz: tuple[float, float], model_error: float
@@ -356,65 +369,39 @@ class ModalResidual(FlexibleResidual):
         structure = Structure.of(robot, table.joints, angles, table.band_hz, new_std)
         return ModalResidual(structure, poses, table.band_hz, model_error)
 
-    @cached_property
-    def _lists(self) -> list[tuple[int, ModeList]]:
-        return [(k, m) for k, pose in enumerate(self.poses) for m in pose.lists]
-
     @property
     def size(self) -> float:
-        return float(sum(len(m.hz) for _, m in self._lists))
+        return float(sum(len(m.hz) for pose in self.poses for m in pose.lists))
 
-    def _paired(self, changes: tuple[Change, ...], x: Array, error: float) -> list[_Paired]:
+    def _paired(self, changes: tuple[Change, ...], x: Array, error: float) -> list[Compared]:
         out = []
         for k, pose in enumerate(self.poses):
             matrices = self.structure.matrices(k, changes, x)
             for measured in pose.lists:
                 model, slopes = modes_of(self.structure, changes, matrices, measured.locked)
-                found = pair(measured, model, error, self.band_hz)
-                residual = measured.log[found.measured] - model[found.model]
-                variance = measured.variance[found.measured]
-                out.append(_Paired(k, measured, model, found, residual, variance, slopes[found.model]))
+                out.append(Compared(k, measured, model, slopes, pair(measured, model, error, self.band_hz)))
         return out
 
     def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
-        error = max(model_error, self.smallest_error)
-        paired = self._paired(changes, x, error)
-        residual, variance = (np.concatenate([getattr(p, n) for p in paired]) for n in ("residual", "variance"))
-        slopes = np.concatenate([p.slopes for p in paired])
-        weighted = slopes / (variance + error**2)[:, None]
-        deviance = sum(p.pairing.cost for p in paired)
-        return State(deviance, -weighted.T @ residual, weighted.T @ slopes, self._model_error(residual, variance))
-
-    def _model_error(self, residual: Array, variance: Array) -> float:
-        """Most likely model error of these pairs."""
-        errors = np.append(ERRORS[self.smallest_error < ERRORS], self.smallest_error)
-        total = variance[:, None] + errors**2
-        return float(errors[np.argmin((np.log(total) + residual[:, None] ** 2 / total).sum(axis=0))])
-
-    def _of(self, fit: LikelihoodFit) -> list[_Paired]:
-        return self._paired(fit.changes, fit.x, max(fit.model_error, self.smallest_error))
+        paired = self._paired(changes, x, max(model_error, self.smallest_error))
+        residual, variance, slopes = _pooled(paired)
+        return self.of_independent(residual, slopes, variance, 1.0, model_error, sum(c.pairing.cost for c in paired))
 
     def chance(self, fit: LikelihoodFit) -> float:
         """By chi-squared of all pairs at the stated errors; a measured mode without a partner counts as four standard deviations."""
-        total, count = 0.0, 0
-        for p in self._of(fit):
-            alone = len(p.measured.hz) - len(p.residual)
-            total += float((p.residual**2 / (p.variance + self.smallest_error**2)).sum()) + 16.0 * alone
-            count += len(p.measured.hz)
-        return float(stats.chi2.sf(total, max(count - len(fit.x), 1)))
+        squares = ((c.residual**2 / (c.variance + self.smallest_error**2), alone([c])) for c in self.compare(fit))
+        return self.by_chi_squared(sum(float(x.sum()) + 16.0 * without for x, without in squares), self.size, fit)
 
     def compare(self, fit: LikelihoodFit) -> tuple[Compared, ...]:
         """Every list of the table beside a fitted model's modes."""
-        return tuple(Compared(p.pose, p.measured, np.exp(p.model), p.pairing) for p in self._of(fit))
+        return tuple(self._paired(fit.changes, fit.x, max(fit.model_error, self.smallest_error)))
 
     def left_out(self, fit: LikelihoodFit) -> float:
         """Root mean square of the errors with which each measured mode is predicted by a fit to the others.
 
         To first order: an error over ``1 - h``, h its leverage in the fit.
         """
-        paired = self._of(fit)
-        residual, variance = (np.concatenate([getattr(p, n) for p in paired]) for n in ("residual", "variance"))
-        slopes = np.concatenate([p.slopes for p in paired])
+        residual, variance, slopes = _pooled(self.compare(fit))
         weight = 1.0 / (variance + max(fit.model_error, self.smallest_error) ** 2)
         leverage = np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes) * weight
         return rms(residual / np.maximum(1.0 - leverage, 1e-3))
@@ -482,11 +469,9 @@ class ModalLoop(FlexibleLoop):
     separations: Mapping[tuple[str, str], Separation]
 
     def _distinct(self) -> int | None:
-        groups = 0
-        for pose in {c.pose for c in self.after}:
-            logs = np.sort(np.concatenate([c.measured.log for c in self.after if c.pose == pose]))
-            groups += 1 + int((np.diff(logs) > self.result.after.model_error).sum())
-        return groups
+        poses = ([c.measured.log for c in self.after if c.pose == k] for k in {c.pose for c in self.after})
+        gaps = (np.diff(np.sort(np.concatenate(logs))) for logs in poses)
+        return sum(1 + int((gap > self.result.after.model_error).sum()) for gap in gaps)
 
     def separation(self, found: FoundChange, other: LikelihoodTrial) -> str:
         known = self.separations.get((found.change.label, other.change.label))
@@ -497,12 +482,12 @@ class ModalLoop(FlexibleLoop):
             **self.json_of_all("modes"),
             "before": _errors_json(self.before, self.left_out_before, self.result.before, self.result.chance_before),
             "after": _errors_json(self.after, self.left_out_after, self.result.after, self.result.chance_after),
-            "validation": None
-            if not self.validation_before
-            else {
+            "validation": {
                 "before": {"log_frequency_rms": _number(error_rms(self.validation_before))},
                 "after": {"log_frequency_rms": _number(error_rms(self.validation_after))},
-            },
+            }
+            if self.validation_before
+            else None,
             "modes": [
                 {
                     "pose": b.pose,
@@ -593,7 +578,7 @@ def _separation(
         reach[joint] = [a for a in np.deg2rad(SEPARATING_DEG) if low <= a <= high]
     poses = [{**pose.angles, **dict(zip(turned, a, strict=True))} for a in itertools.product(*reach.values())]
     structure = Structure.of(robot, table.joints, [ModalPose(p, ()).drive_angles(robot) for p in poses], table.band_hz)
-    best: tuple[float, Separation] | None = None
+    found_at: list[tuple[float, Separation]] = []
     for k, angles in enumerate(poses):
         both = [structure.matrices(k, f.changes, f.x) for f in (found, trial.fit)]
         for locked in (None, *table.joints):
@@ -604,10 +589,9 @@ def _separation(
                 continue
             gap = np.where(inside, np.abs(a[:count] - b[:count]), 0.0)
             at = int(np.argmax(gap))
-            if best is None or gap[at] > best[0]:
-                name = "resonances" if locked is None else f"antiresonances of {locked}"
-                best = float(gap[at]), Separation(angles, name, float(np.exp(a[at])), float(np.exp(b[at])))
-    return best[1] if best else None
+            name = list_name(locked)
+            found_at.append((gap[at], Separation(angles, name, float(np.exp(a[at])), float(np.exp(b[at])))))
+    return max(found_at, key=lambda x: x[0])[1] if found_at else None
 
 
 def error_rms(compared: Iterable[Compared]) -> float:

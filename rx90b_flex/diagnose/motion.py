@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,53 +21,53 @@ LONGEST_S = 10.0  # simulated of a recording
 LONGEST_SLOW_S = 3.0  # where an effect has no compiled law: a second then takes about two to simulate
 
 
+class BeforeAfter(NamedTuple):
+    """A number, or an array, of the model before and after."""
+
+    before: Any
+    after: Any
+
+
 @dataclass(frozen=True, eq=False)
 class MotionErrors:
-    """Simulated motion less measured motion of one validation recording, both under the same references.
+    """Simulated motion less measured motion of one validation recording, root mean squares, both under the same references.
 
     Attributes
     ----------
     recording : str
     seconds : float
         Simulated and compared.
-    motor_before_mrad, motor_after_mrad : array, shape (joints,)
-        Root mean square, of the motor angle seen through the gears.
-    link_before_mrad, link_after_mrad : array, shape (joints,), or None
+    motor_rms_mrad : two arrays, shape (joints,)
+        Of the motor angle seen through the gears.
+    link_rms_mrad : two arrays, shape (joints,), or None
         Of the angle behind the gears, where that was measured.
-    tip_before_mm, tip_after_mm : float or None
-        Distance of the tip from where the measured link angles put it, hinges straight; root mean square.
-    tip_apart_mm : float
-        Distance between the tips of the two simulations, root mean square.
+    tip_rms_mm : two floats or None
+        Distance of the tip from where the measured link angles put it, hinges straight.
+    tip_apart_rms_mm : float
+        Distance between the tips of the two simulations.
     of_s : float
         Length of the recording; a part is simulated where it is long, a shorter one where effects make that slow.
     """
 
     recording: str
     seconds: float
-    motor_before_mrad: Array
-    motor_after_mrad: Array
-    link_before_mrad: Array | None
-    link_after_mrad: Array | None
-    tip_before_mm: float | None
-    tip_after_mm: float | None
-    tip_apart_mm: float
+    motor_rms_mrad: BeforeAfter
+    link_rms_mrad: BeforeAfter | None
+    tip_rms_mm: BeforeAfter | None
+    tip_apart_rms_mm: float
     of_s: float
 
     def as_json(self) -> dict[str, Any]:
         """The content of ``motion.json``, but for its schema."""
-
-        def both(before: Array | float | None, after: Array | float | None) -> dict[str, Any] | None:
-            if before is None or after is None:
-                return None
-            return {"before": np.asarray(before).tolist(), "after": np.asarray(after).tolist()}
-
+        pairs = {name: getattr(self, name) for name in ("motor_rms_mrad", "link_rms_mrad", "tip_rms_mm")}
         return {
             "recording": self.recording,
             "seconds": self.seconds,
-            "motor_rms_mrad": both(self.motor_before_mrad, self.motor_after_mrad),
-            "link_rms_mrad": both(self.link_before_mrad, self.link_after_mrad),
-            "tip_rms_mm": both(self.tip_before_mm, self.tip_after_mm),
-            "tip_apart_rms_mm": self.tip_apart_mm,
+            **{
+                name: pair and {when: np.asarray(x).tolist() for when, x in pair._asdict().items()}
+                for name, pair in pairs.items()
+            },
+            "tip_apart_rms_mm": self.tip_apart_rms_mm,
         }
 
 
@@ -112,34 +112,21 @@ def _simulated(robot: Robot, controller: CS8, recording: Recording, seconds: flo
 
 
 def _compared(before: Simulation, after: Simulation, recording: Recording) -> MotionErrors:
-    count = min(len(before.time), len(after.time), recording.samples)
-    robot = after.robot
+    count, rate = min(len(before.time), len(after.time), recording.samples), recording.sample_rate_hz
+    runs, robot, links = (before, after), after.robot, recording.link_position
 
-    def off(run: Simulation, name: str) -> Array | None:
-        measured, simulated = getattr(recording, name), getattr(run.recording, name)
-        if measured is None or simulated is None:
-            return None
-        return 1e3 * np.sqrt(((simulated[:count] - measured[:count]) ** 2).mean(axis=0))
+    def off(measured: Array, simulated: Array) -> Array:
+        return np.asarray(1e3 * np.sqrt(((simulated[:count] - measured[:count]) ** 2).mean(axis=0)))
 
-    def tip_off(run: Simulation) -> float | None:
-        if recording.link_position is None:
-            return None
-        return _distance_mm(run.tip[:count], tip_poses(robot.tree, robot.tip_frame, recording.link_position[:count]))
-
-    motor = [off(run, "position") for run in (before, after)]
-    assert motor[0] is not None and motor[1] is not None
-    return MotionErrors(
-        recording.name,
-        count / recording.sample_rate_hz,
-        motor[0],
-        motor[1],
-        off(before, "link_position"),
-        off(after, "link_position"),
-        tip_off(before),
-        tip_off(after),
-        _distance_mm(before.tip[:count], after.tip[:count]),
-        recording.samples / recording.sample_rate_hz,
-    )
+    motor = BeforeAfter(*(off(recording.position, run.recording.position) for run in runs))
+    link = tip = None
+    if links is not None:
+        seen = [off(links, run.recording.link_position) for run in runs if run.recording.link_position is not None]
+        link = BeforeAfter(*seen) if len(seen) == len(runs) else None
+        there = tip_poses(robot.tree, robot.tip_frame, links[:count])
+        tip = BeforeAfter(*(_distance_mm(run.tip[:count], there) for run in runs))
+    apart = _distance_mm(before.tip[:count], after.tip[:count])
+    return MotionErrors(recording.name, count / rate, motor, link, tip, apart, recording.samples / rate)
 
 
 def _distance_mm(one: Array, other: Array) -> float:

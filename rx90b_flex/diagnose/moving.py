@@ -30,25 +30,18 @@ class MovingErrors:
     at_rest: float
 
     @staticmethod
-    def of(measured: Array, before: Array, after: Array, velocity: Array) -> MovingErrors:
-        """From measured and predicted torque of all validation recordings, and velocity; each (N, joints)."""
-        moving = ~resting(velocity)
-        size = float(np.linalg.norm(measured[moving]))
-
-        def relative(predicted: Array) -> float:
-            return float(np.linalg.norm((measured - predicted)[moving])) / size if size > 0 else 0.0
-
-        return MovingErrors(relative(before), relative(after), 1.0 - float(moving.mean()))
+    def of(
+        measured: Sequence[Array], before: Sequence[Array], after: Sequence[Array], velocity: Sequence[Array]
+    ) -> MovingErrors:
+        """From measured and predicted torque of every validation recording, and velocity; each (N, joints)."""
+        moving = ~resting(np.concatenate(velocity))
+        torque, *predicted = (np.concatenate(x)[moving] for x in (measured, before, after))
+        size = float(np.linalg.norm(torque))
+        less, more = (float(np.linalg.norm(torque - x)) / size if size > 0 else 0.0 for x in predicted)
+        return MovingErrors(less, more, 1.0 - float(moving.mean()))
 
 
 def resting(velocity: Array) -> Mask:
     """Rows in which each joint stands still, for velocities (N, joints) of all recordings together."""
     speed = np.abs(velocity)
     return np.asarray(speed < np.maximum(AT_REST * speed.max(axis=0), AT_REST_RAD_S))
-
-
-def moving_errors(
-    measured: Sequence[Array], before: Sequence[Array], after: Sequence[Array], velocity: Sequence[Array]
-) -> MovingErrors:
-    """`MovingErrors.of` over several recordings, each (N, joints)."""
-    return MovingErrors.of(*(np.concatenate(parts) for parts in (measured, before, after, velocity)))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import dataclasses
+import io
 import json
 import os
 from collections.abc import Callable, Iterable
@@ -13,14 +16,13 @@ import numpy as np
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import faults_json
 from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction
-from rx90b_flex.diagnose.deflection import deflection_json, with_gears
+from rx90b_flex.diagnose.deflection import deflection_json, estimates_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.refused import RefusedLoop, refused_json
 from rx90b_flex.diagnose.residual import RoleErrors
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
-from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
@@ -51,7 +53,7 @@ def closed_loop_json(result: ClosedLoop | RefusedLoop) -> dict[str, Any]:
             "after": {"relative_error": result.moving.after},
             "at_rest": result.moving.at_rest,
         },
-        "fitted": _fitted(result),
+        "fitted": result.fitted and {"before": _roles(result.fitted.before), "after": _roles(result.fitted.after)},
         "unexplained": {
             "relative_error": result.unexplained.relative_error,
             "where": [{"joint": d.joint, "signal": d.signal, "score": d.score} for d in result.unexplained.where],
@@ -75,27 +77,18 @@ def _explainable(result: ClosedLoop) -> dict[str, Any] | None:
     return {"validation": {"relative_error": known.validation.relative_error}, "share": known.share}
 
 
-def _fitted(result: ClosedLoop) -> dict[str, Any] | None:
-    """Errors with the fitted values; null where those are of a robot that can exist, as the written one is."""
-    fitted = result.fitted
-    return None if fitted is None else {"before": _roles(fitted.before), "after": _roles(fitted.after)}
-
-
 def motion_json(motion: MotionErrors | str) -> dict[str, Any]:
     """The content of ``motion.json``; `motion` as `rx90b_flex.diagnose.motion.motion_errors` gives it."""
     return {"schema": SCHEMA} | ({"not_simulated": motion} if isinstance(motion, str) else motion.as_json())
 
 
 def _roles(errors: RoleErrors) -> dict[str, Any]:
-    return {
-        role: {"relative_error": e.relative_error, "torque_rms": list(e.torque_rms)}
-        for role, e in (("validation", errors.validation), ("identification", errors.identification))
-    }
+    return {role: e | {"torque_rms": list(e["torque_rms"])} for role, e in dataclasses.asdict(errors).items()}
 
 
 def _effect(found: FoundEffect) -> dict[str, Any]:
     return _named(found.effect) | {
-        "parameters": {p.name: _estimate(p) for p in found.parameters},
+        "parameters": estimates_json(found.parameters),
         "validation_relative_error_before": found.before.relative_error,
         "validation_relative_error_after": found.after.relative_error,
         "p_value": found.p_value,
@@ -138,10 +131,6 @@ def _alternative(other: Alternative) -> dict[str, Any]:
     }
 
 
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
-
-
 def closed_loop_robot(result: ClosedLoop) -> Robot:
     """The robot with the effects added and the identified values, flexible effects as declared.
 
@@ -156,13 +145,9 @@ def prediction_table(prediction: Prediction) -> str:
     joints = prediction.recording.joints
     names = ["time", *(f"{p}{j}" for p in ("tau_", "tau_before_", "tau_after_") for j in joints)]
     values = np.column_stack([prediction.recording.time, prediction.torque, prediction.before, prediction.after])
-    lines = [",".join(_quoted(n) for n in names)]
-    lines += [",".join(map(repr, row)) for row in values.tolist()]
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n') else name
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([names, *values.tolist()])
+    return out.getvalue()
 
 
 def write_result(

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Look
-from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, PER_JOINT, RigidFit
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, OUT, PER_JOINT
 from rx90b_flex.diagnose.faults.sample import BASICS, other_effects
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.robot import LINK_PARAMETERS, Robot
 
-PLACES = {"drive_inertia": 0, "viscous_friction": 1, "coulomb_friction": 2, "torque_offset": 3}
 NULL = 1e-3  # of a scaled parameter that lies in undetermined directions, below which it is determined by itself
 SINGULAR = 1e-6  # scaled singular value over the largest, below which a direction is undetermined
 WEAK = 0.3  # standard deviation over a parameter's size
 WORTH = 0.1  # of the summed log error: a basic effect that explains less is not missed
-STRONG_RIDGE = 1e9
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ def statuses(look: Look, robot: Robot, moving: Mask) -> tuple[ParameterStatus, .
         if effect.type_name() in BASICS and effect.joints[0] in joints:
             k = joints.index(effect.joints[0])
             names.append(f"{effect.label}.{effect.coefficient_names[0]}")
-            places.append(links + PER_JOINT * k + PLACES[effect.type_name()])
+            places.append(links + PER_JOINT * k + BASICS.index(effect.type_name()))
             still.append(effect.type_name() != "torque_offset" and not moving[k])
     at = links + PER_JOINT * len(joints)
     for effect in other_effects(robot):
@@ -104,19 +101,15 @@ def _status(x: Array, theta: Array, prior: Array) -> list[str]:
 def undeclared_basics(look: Look, robot: Robot, moving: Mask) -> tuple[str, ...]:
     """Drive inertia, dry and viscous friction and offsets that no joint declares, and that would explain something."""
     declared = {e.type_name() for e in robot.effects} | {t for e in robot.effects for t in e.traits.replaces}
-    links = 10 * len(robot.bodies)
+    links = look.reading.links
     whole = look.fit().score
     out = []
     for name in ("coulomb_friction", "viscous_friction", "drive_inertia", "torque_offset"):
         if name in declared:
             continue
-        places = [links + PER_JOINT * k + PLACES[name] for k in np.flatnonzero(moving)]
+        places = [links + PER_JOINT * k + BASICS.index(name) for k in np.flatnonzero(moving).tolist()]
         if not places:
             continue
-        products = look.products(look.reading)
-        ridge = products.ridge.copy()
-        ridge[places] = STRONG_RIDGE
-        without = RigidFit.of(dataclasses.replace(products, ridge=ridge), look.reading)
-        if without.score - whole > WORTH:
+        if look.fit_held(places, OUT).score - whole > WORTH:
             out.append(name)
     return tuple(out)

@@ -4,28 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from rx90b_flex.diagnose.check import Checked, faults_json
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign
+from rx90b_flex.signals.data_fault import DataFault
 
 DATA_FAULT = "data_fault"
 
 
+class OfCampaign(Showing):
+    """A result about a declared robot and a campaign whose data were looked at."""
+
+    source: Robot
+    campaign: Campaign
+    checked: Checked
+
+    @property
+    def robot(self) -> str:
+        """Name of the robot."""
+        return self.source.name
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Of the campaign."""
+        return self.campaign.joints
+
+    @property
+    def data_faults(self) -> tuple[DataFault, ...]:
+        """What the look at the data found."""
+        return self.checked.data_faults
+
+    @property
+    def undeclared_basics(self) -> tuple[str, ...]:
+        """Effect types that every drive has and no joint declares, although the torques show them."""
+        return self.checked.undeclared_basics
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class RefusedLoop(Showing):
+class RefusedLoop(OfCampaign):
     """Result of a loop that was not begun; the content of its ``closed_loop.json`` as attributes.
 
     Attributes
     ----------
-    robot : str
-    joints : tuple of str
-    data_faults : tuple of DataFault
     checked : Checked
-        All that the look at the data says.
+        All that the look at the data says, which found them not usable.
     source : Robot
         The declared robot, as loaded.
     campaign : Campaign
@@ -36,25 +61,18 @@ class RefusedLoop(Showing):
     before, after, noise_floor, explainable, moving, unexplained : None
     """
 
-    robot: str
-    joints: tuple[str, ...]
-    data_faults: tuple[DataFault, ...]
+    verdict: ClassVar[str] = DATA_FAULT
+    effects: ClassVar[tuple[()]] = ()
+    before: ClassVar[None] = None
+    after: ClassVar[None] = None
+    noise_floor: ClassVar[None] = None
+    explainable: ClassVar[None] = None
+    moving: ClassVar[None] = None
+    unexplained: ClassVar[None] = None
+
     checked: Checked
     source: Robot
     campaign: Campaign
-    verdict: str = DATA_FAULT
-    effects: tuple[()] = ()
-    before: None = None
-    after: None = None
-    noise_floor: None = None
-    explainable: None = None
-    moving: None = None
-    unexplained: None = None
-
-    @staticmethod
-    def of(checked: Checked, robot: Robot, campaign: Campaign) -> RefusedLoop:
-        """From a look that found the data not usable."""
-        return RefusedLoop(robot.name, campaign.joints, checked.data_faults, checked, robot, campaign)
 
 
 def refused_json(result: RefusedLoop) -> dict[str, Any]:

@@ -11,17 +11,17 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import ndimage
 
-from rx90b_flex.diagnose.flexible import NEW_STD, FlexibleLoop, FlexibleResidual, Structure
-from rx90b_flex.diagnose.likelihood import MOST_CHANGES, Change, LikelihoodFit, State, close_residual
+from rx90b_flex.diagnose.flexible import FlexibleLoop, FlexibleResidual, Structure
+from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, State, close_residual
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
@@ -29,10 +29,8 @@ from rx90b_flex.identify.grey_data import REACH_HZ, smoothed_covariance
 from rx90b_flex.identify.grey_model import DELAY_STD, DELAY_UNIT, Delay, late
 from rx90b_flex.robot import Robot, load_robot
 
-MODEL_ERROR = (
-    0.03  # of |P| about a line: what parts a simulated campaign of section 6.6.2 from the right model at its mean pose
-)
-ERRORS = np.geomspace(1e-5, 3.0, 61)  # model errors that are weighed
+# of |P| about a line: what parts a simulated campaign of section 6.6.2 from the right model at its mean pose
+MODEL_ERROR = 0.03
 LINES = 60  # a response is fitted at, at the most; those between are held out
 NUISANCE_STD = 2.0  # of the logarithms of friction slopes and dampings
 
@@ -143,7 +141,7 @@ class ResponseResidual(FlexibleResidual):
         """Of each response at each model error: what a squared error counts, (E, F*n*n), and the sum of log variances, (E,)."""
         out = []
         for own, size in zip(self._variances, self._sizes, strict=True):
-            variance = own.ravel() + (self._errors[:, None] * size.ravel()) ** 2
+            variance = own.ravel() + (self.model_errors[:, None] * size.ravel()) ** 2
             out.append((1.0 / variance, np.asarray(np.log(variance).sum(axis=1))))
         return out
 
@@ -161,9 +159,9 @@ class ResponseResidual(FlexibleResidual):
 
     def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
         # errors on a grid, so that few of them have to be factorised
-        error = float(self._errors[np.argmin(np.abs(np.log(self._errors / max(model_error, 1e-9))))])
+        error = float(self.model_errors[np.argmin(np.abs(np.log(self.model_errors / max(model_error, 1e-9))))])
         deviance, gradient, information = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
-        likely = np.zeros(len(self._errors))
+        likely = np.zeros(len(self.model_errors))
         parts = zip(self.responses, self._whiteners(error), self._weights, self._together, strict=True)
         for k, (r, (whitener, logs), (weights, log_variances), many) in enumerate(parts):
             model, by_x = _response(self.structure, k, changes, x, r.hz)
@@ -174,33 +172,24 @@ class ResponseResidual(FlexibleResidual):
             gradient += 2.0 * (slopes.conj() @ white).real / many
             information += 2.0 * (slopes.conj() @ slopes.T).real / many
             likely += (log_variances + weights @ np.abs(e.ravel()) ** 2) / many
-        return State(deviance, gradient, information, float(self._errors[np.argmin(likely)]))
+        return State(deviance, gradient, information, float(self.model_errors[np.argmin(likely)]))
 
-    @cached_property
-    def _errors(self) -> Array:
-        return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
+    def _left(self, fit: LikelihoodFit) -> Iterator[tuple[ComplexArray, ComplexArray]]:
+        """Of each response, errors as they are and over the stated errors, (F, n*n)."""
+        stated = self._whiteners(self.smallest_error)
+        for r, model, (whitener, _) in zip(self.responses, self.predict(fit), stated, strict=True):
+            e = (r.value - model).reshape(len(r.hz), -1)
+            yield e, np.einsum("fab,fb->fa", whitener, e)
 
     def chance(self, fit: LikelihoodFit) -> float:
-        total, count = 0.0, 0.0
-        for k, (r, (whitener, _), many) in enumerate(
-            zip(self.responses, self._whiteners(self.smallest_error), self._together, strict=True)
-        ):
-            e = (r.value - self._predicted(k, fit, r.hz)).reshape(len(r.hz), -1)
-            total += 2.0 * float((np.abs(np.einsum("fab,fb->fa", whitener, e)) ** 2).sum()) / many
-            count += 2.0 * r.value.size / many
-        return float(stats.chi2.sf(total, max(count - len(fit.x), 1.0)))
+        squares = (2.0 * float((np.abs(white) ** 2).sum()) for _, white in self._left(fit))
+        total = sum(s / many for s, many in zip(squares, self._together, strict=True))
+        return self.by_chi_squared(total, self.size, fit)
 
-    def errors(self, fit: LikelihoodFit) -> list[tuple[float, float]]:
-        """Of each response, root mean square error over |P| about each line, and over the stated errors."""
-        out = []
-        for k, (r, (whitener, _), size) in enumerate(
-            zip(self.responses, self._whiteners(self.smallest_error), self._sizes, strict=True)
-        ):
-            e = (r.value - self._predicted(k, fit, r.hz)).reshape(len(r.hz), -1)
-            white = np.einsum("fab,fb->fa", whitener, e)
-            both = (float(np.sqrt(np.mean(np.abs(x) ** 2))) for x in (e / size, white))
-            out.append((next(both), next(both)))
-        return out
+    def errors(self, fit: LikelihoodFit) -> tuple[ResponseErrors, ...]:
+        """Of each response."""
+        both = ((e / size, white) for (e, white), size in zip(self._left(fit), self._sizes, strict=True))
+        return tuple(ResponseErrors(*(float(np.sqrt(np.mean(np.abs(x) ** 2))) for x in each)) for each in both)
 
     def torque_delay(self, fit: LikelihoodFit) -> Delay:
         """By how much a fit has torques logged later than angles."""
@@ -208,13 +197,11 @@ class ResponseResidual(FlexibleResidual):
         assert place is not None
         return Delay(DELAY_UNIT * float(fit.x[place]), DELAY_UNIT * float(np.sqrt(fit.covariance[place, place])))
 
-    def _predicted(self, pose: int, fit: LikelihoodFit, hz: Array) -> ComplexArray:
-        return response_of(self.structure, pose, (*self.nuisance, *fit.changes), fit.x, hz)
-
     def predict(self, fit: LikelihoodFit, hz: Sequence[Array] | None = None) -> tuple[ComplexArray, ...]:
         """Responses of a fitted model, at the data's lines or others."""
         lines = [r.hz for r in self.responses] if hz is None else hz
-        return tuple(self._predicted(k, fit, h) for k, h in enumerate(lines))
+        changes = (*self.nuisance, *fit.changes)
+        return tuple(response_of(self.structure, k, changes, fit.x, h) for k, h in enumerate(lines))
 
 
 def _nuisances(structure: Structure) -> tuple[Change, ...]:
@@ -224,9 +211,7 @@ def _nuisances(structure: Structure) -> tuple[Change, ...]:
     for i, c in enumerate(structure.coefficients):
         if c.effect < 0:
             slopes.append(_nuisance("viscous_friction", structure.joints[c.column], "friction_slope", (i,)))
-        elif structure.full.effects[c.effect].traits.virtual and c.column >= len(
-            structure.full.effects[c.effect].traits.virtual
-        ):
+        elif not structure.stiffens(i):
             of = min(c.effect, declared)  # what may be added shares one damping, over that usual of its stiffness
             dampings.setdefault(of, []).append(i)
     places = {k: "_".join(e.place) or "base" for k, e in enumerate(structure.robot.effects)}
@@ -240,9 +225,9 @@ def _nuisance(kind: str, place: str, name: str, moved: tuple[int, ...]) -> Chang
     return Change(kind, place, False, (name,), ("-",), one, zero, NUISANCE_STD, (moved,))
 
 
-def thinned(response: FrequencyResponse, lines: int = LINES) -> tuple[FrequencyResponse, FrequencyResponse | None]:
-    """Every k-th line, `lines` at the most, and the others."""
-    step = -(-len(response.hz) // lines)
+def thinned(response: FrequencyResponse) -> tuple[FrequencyResponse, FrequencyResponse | None]:
+    """Every k-th line, `LINES` at the most, and the others."""
+    step = -(-len(response.hz) // LINES)
     kept = np.arange(len(response.hz)) % step == step // 2
     return _lines(response, kept), _lines(response, ~kept) if step > 1 else None
 
@@ -346,8 +331,6 @@ def close_response(
     held_out: Sequence[FrequencyResponse] = (),
     band_hz: tuple[float, float] = (8.0, 80.0),
     model_error: float = MODEL_ERROR,
-    new_std: float = NEW_STD,
-    most: int = MOST_CHANGES,
     progress: Progress | None = None,
 ) -> ResponseLoop:
     """Find what a robot lacks to have measured frequency responses.
@@ -366,8 +349,7 @@ def close_response(
         Lines used.
     model_error : float
         Part of |P| about a line that is allowed for beside the covariance.
-    new_std, most, progress
-        As for `close_modal`.
+    progress : callable, optional
 
     Raises
     ------
@@ -384,17 +366,17 @@ def close_response(
     others = [*between, *enumerate(everything[len(given) :], start=len(given))]
 
     def residual(parts: Sequence[FrequencyResponse]) -> ResponseResidual:
-        structure = Structure.of(source, given[0].joints, [r.pose for r in parts], band_hz, new_std)
+        structure = Structure.of(source, given[0].joints, [r.pose for r in parts], band_hz)
         return ResponseResidual(structure, parts, model_error)
 
     data = residual([used for used, _ in split])
-    result = close_residual(data, progress, most)
+    result = close_residual(data, progress)
     whole = residual(everything)
     rest = residual([r for _, r in others]) if others else None
     fits = (result.before, result.after)
     before, after = (whole.predict(f) for f in fits)
-    errors = [_response_errors(data, f) for f in fits]
-    left = [_response_errors(rest, f) if rest else () for f in fits]
+    errors = [data.errors(f) for f in fits]
+    left = [rest.errors(f) if rest else () for f in fits]
     return ResponseLoop(
         source, given[0].joints, data, result, tuple(everything), len(given), before, after, *errors, *left
     )
@@ -413,10 +395,6 @@ def _in_band(
         if len(r.hz) < 2:
             raise ValueError(f"{len(r.hz)} lines between {band_hz[0]:g} and {band_hz[1]:g} Hz; expected 2 or more")
     return everything
-
-
-def _response_errors(residual: ResponseResidual, fit: LikelihoodFit) -> tuple[ResponseErrors, ...]:
-    return tuple(ResponseErrors(*pair) for pair in residual.errors(fit))
 
 
 def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[FrequencyResponse, ...], str]:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import cached_property
 
 import numpy as np
-from scipy import stats
 
 from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, LikelihoodResidual, State
 from rx90b_flex.effects.motion import Array
-
-ERRORS = np.geomspace(1e-5, 3.0, 61)  # model errors that are weighed
 
 
 class TableResidual(LikelihoodResidual):
@@ -50,26 +46,9 @@ class TableResidual(LikelihoodResidual):
 
     def evaluate(self, changes: tuple[Change, ...], x: Array, model_error: float) -> State:
         predicted, slopes = self.predict(changes, x)
-        left, variance = self.measured - predicted, self._variance(max(model_error, self.smallest_error))
-        deviance = float((np.log(2.0 * np.pi * variance) + left**2 / variance).sum())
-        weighted = slopes / variance[:, None]
-        of_each = self._variances
-        likely = np.argmin((np.log(of_each) + left**2 / of_each).sum(axis=1))
-        return State(deviance, -weighted.T @ left, weighted.T @ slopes, float(self._errors[likely]))
+        return self.of_independent(self.measured - predicted, slopes, self.std**2, self.measured, model_error)
 
     def chance(self, fit: LikelihoodFit) -> float:
         left = self.measured - self.predict((*self.nuisance, *fit.changes), fit.x)[0]
-        squares = float((left**2 / self._variance(self.smallest_error)).sum())
-        return float(stats.chi2.sf(squares, max(len(left) - len(fit.x), 1)))
-
-    def _variance(self, error: float) -> Array:
-        return self.std**2 + (error * self.measured) ** 2
-
-    @cached_property
-    def _errors(self) -> Array:
-        return np.append(self.smallest_error, ERRORS[self.smallest_error < ERRORS])
-
-    @cached_property
-    def _variances(self) -> Array:
-        """At every model error, (E, m)."""
-        return np.stack([self._variance(e) for e in self._errors])
+        variance = self.std**2 + (self.smallest_error * self.measured) ** 2
+        return self.by_chi_squared(float((left**2 / variance).sum()), len(left), fit)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.look import Look
-from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, PER_JOINT, RigidFit
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, OUT, PER_JOINT
+from rx90b_flex.diagnose.faults.sample import BASICS
 from rx90b_flex.diagnose.faults.sizes import torque_sizes
 from rx90b_flex.effects.motion import Mask
+from rx90b_flex.signals.data_fault import DataFault
 
-OFFSET = 3  # place of a joint's offset among its own columns: a sensor behind the gear has one, too
-REMOVED = 1e9  # ridge that takes a column out of a fit
 NO_WORSE = 1.1  # squared error without friction and rotor inertia, over that with them, at which they do not show
 
 
@@ -75,13 +73,9 @@ def _words(stated: str | None, found: str) -> str:
 
 def _drives_show(look: Look, moving: Mask) -> bool:
     """Whether a moving joint's torque is predicted better with what sits in its drive than with links and offsets alone."""
-    reading = look.reading
-    products, whole = look.products(reading), look.fit()
-    links = 10 * len(reading.robot.bodies)
-    ridge = products.ridge.copy()
-    ridge[links:] = REMOVED
-    offsets = links + PER_JOINT * np.arange(len(look.sample.joints)) + OFFSET
-    ridge[offsets] = products.ridge[offsets]
-    without = RigidFit.of(dataclasses.replace(products, ridge=ridge), reading)
-    worse = without.error + FLOOR > NO_WORSE * (whole.error + FLOOR)
+    links, columns = look.reading.links, look.columns(look.reading).shape[2]
+    # a sensor behind the gear has an offset, too
+    offsets = links + PER_JOINT * np.arange(len(look.sample.joints)) + BASICS.index("torque_offset")
+    without = look.fit_held([c for c in range(links, columns) if c not in offsets], OUT)
+    worse = without.error + FLOOR > NO_WORSE * (look.fit().error + FLOOR)
     return bool((worse & moving).any())

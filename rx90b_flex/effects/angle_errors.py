@@ -50,30 +50,27 @@ class _AngleError(LogEffect, PeriodicEffect):
         """Change of the torque per change of the angle, its rate, its second rate, each (N, n), and its slope, (N,)."""
 
     def columns(self, motion: Motion) -> Array:
-        place = self._place(motion)
-        in_phase, quarter = self._parts(motion)
-        s, c = self._sine_and_cosine(motion.q[:, place])
-        return np.stack([s * in_phase + c * quarter, c * in_phase - s * quarter], axis=2)
+        return np.stack(self._in_rows(motion, slice(None)), axis=2)
 
     def factors(self, motion: Motion) -> None:
         return None
 
     def leading(self, motion: Motion) -> tuple[Array, Array]:
         place = self._place(motion)
-        in_phase, quarter = self._parts(motion, place)
-        s, c = self._sine_and_cosine(motion.q[:, place])
-        basis = np.concatenate([s * in_phase + c * quarter, c * in_phase - s * quarter], axis=1)
+        basis = np.concatenate(self._in_rows(motion, slice(place, place + 1)), axis=1)
         return motion.coordinates.port(self.joint, "drive"), basis
 
-    def _parts(self, motion: Motion, row: int | None = None) -> tuple[Array, Array]:
-        """Torque in phase with sin and a quarter turn ahead of it; each (N, n), or (N, 1) for one row.
+    def _in_rows(self, motion: Motion, rows: slice) -> tuple[Array, Array]:
+        """Torque in some rows (N, r) per unit of each coefficient.
 
         With delta = sin(order q): delta' = order q' cos, delta'' = order q'' cos - (order q')^2 sin.
         """
         (order,) = self.known_shape()
-        position, centripetal, ahead = self._constants(motion)
-        rows = slice(None) if row is None else slice(row, row + 1)
-        return position[:, rows] - order**2 * centripetal[:, rows], order * ahead[:, rows]
+        position, centripetal, ahead = (x[:, rows] for x in self._constants(motion))
+        in_phase, quarter = position - order**2 * centripetal, order * ahead
+        angle = order * motion.q[:, self._place(motion), None]
+        s, c = np.sin(angle), np.cos(angle)
+        return s * in_phase + c * quarter, c * in_phase - s * quarter
 
     def _constants(self, motion: Motion) -> tuple[Array, ...]:
         """What of these does not depend on the order: what grows with its square, and what turns ahead with it; each (N, n)."""
@@ -109,10 +106,6 @@ class _AngleError(LogEffect, PeriodicEffect):
 
     def _place(self, motion: Motion) -> int:
         return int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
-
-    def _sine_and_cosine(self, q: Array) -> tuple[Array, Array]:
-        (order,) = self.known_shape()
-        return np.sin(order * q)[:, None], np.cos(order * q)[:, None]
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
         place = self._place(at.motion)
@@ -333,6 +326,10 @@ class _LostMotion(JointForce, part="flexibility"):
     stiffness: float
     contact: float
 
+    @property
+    def coefficients(self) -> Array:
+        return np.ones(1)
+
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         port = motion.coordinates.port(self.joint, self.port_kind)
         values = np.array([self.gap, self.stiffness, self.contact])
@@ -362,18 +359,6 @@ class _LostMotion(JointForce, part="flexibility"):
         for x, row in zip(at.q, out, strict=True):
             self.law(float(x), 0.0, (self.gap, self.stiffness, self.contact), row)
         return out[:, 0], out[:, 1]
-
-    def columns(self, motion: Motion) -> Array:
-        at = motion.joint(self.joint, self.port_kind)
-        return np.outer(self._asked(at)[0], at.port)[:, :, None]
-
-    def force(self, motion: Motion) -> Array:
-        return np.asarray(self.columns(motion)[:, :, 0])
-
-    def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
-        at = motion.joint(self.joint, self.port_kind)
-        by_q = self._asked(at)[1][:, None, None] * np.outer(at.port, at.port)
-        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
 
     def potential(self, motion: Motion) -> Array:
         at = motion.joint(self.joint, self.port_kind)

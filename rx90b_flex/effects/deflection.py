@@ -38,10 +38,9 @@ from rx90b_flex.compiled.torsion import (
 )
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
-FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])  # central differences,
-SECOND = np.array(
-    [-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
-)  # as `convolve` reads them
+# central differences, as `convolve` reads them
+FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])
+SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
 CUBIC = 4  # coefficients
 CORRECTIONS = 3  # of the steps, each with the eighth-order derivatives of the one before
 LARGE_SWEEPS = 4  # in which the tree itself is asked what its derivatives leave out

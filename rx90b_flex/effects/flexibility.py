@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -21,18 +21,11 @@ from rx90b_flex.effects.parameters import DAMPING, STIFFNESS, derived, linear
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
 NO_LAG = 1.0e-6  # and what shows in no log
-LOSSY = (
-    0.1  # damping ratio of drives that a search over time begins with: what swings for long fits at one stiffness alone
-)
+# damping ratio of drives that a search over time begins with: what swings for long fits at one stiffness alone
+LOSSY = 0.1
 STARTS = 10  # stiffnesses that it begins with
-HARDER = (
-    0.03,
-    0.1,
-    0.3,
-    1.0,
-    3.0,
-    10.0,
-)  # times a drive's torque at its largest twist: hardening that a search begins with
+# times a drive's torque at its largest twist: hardening that a search begins with
+HARDER = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 ABOVE = 6.0  # times the cutoff: where links swing on the stiffest of them
 
 
@@ -70,12 +63,9 @@ class _Flexibility(Effect, part="flexibility"):
         return 0.5 * deformation**2 @ stiffness
 
     def laws(self, motion: Motion) -> tuple[Law, ...]:
-        stiffness, damping = np.split(self.known_coefficients(), 2)
-        hinges = self._hinges(motion.coordinates)
-        return tuple(
-            Law(port, stiffness=float(k), damping=float(d))
-            for port, k, d in zip(hinges, stiffness, damping, strict=True)
-        )
+        both = np.split(self.known_coefficients(), 2)
+        hinges = zip(self._hinges(motion.coordinates), *both, strict=True)
+        return tuple(Law(port, stiffness=float(k), damping=float(d)) for port, k, d in hinges)
 
     def starts_at_rest(self, sizes: RestSizes) -> Array:
         """Stiffnesses that put what stands behind a hinge alone at frequencies of the band."""
@@ -155,6 +145,7 @@ class _OnRigidTree(
 
     in_files: ClassVar[type[Effect]]  # what it stands for
     coefficient: ClassVar[tuple[str, str]]  # name and unit
+    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {}  # and bounds
 
     joint: str
 
@@ -183,20 +174,22 @@ class _OnRigidTree(
         return np.zeros(1)
 
     @classmethod
+    def shape_names(cls) -> tuple[str, ...]:
+        return tuple(cls.shapes)
+
+    @classmethod
+    def shape_bounds(cls) -> Array:
+        return np.array(list(cls.shapes.values())).reshape(-1, 2).T
+
+    @classmethod
     def everywhere(cls, sites: Sites) -> list[Self]:
         return []
 
 
-class _Stated(Effect):
+class _Stated(_OnRigidTree):
     """One whose value is stated: it is taken as it is."""
 
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return ()
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.zeros((2, 0))
+    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     @property
     def shape(self) -> Array:
@@ -216,6 +209,7 @@ class _DriveDeflection(_OnRigidTree):
 
     in_files: ClassVar[type[Effect]] = DriveFlexibility
     coefficient: ClassVar[tuple[str, str]] = ("compliance", "rad/(N m)")
+    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {"stiffness": (1e-6, 1e15), "lag": LAGS}
 
     stiffness: float | None = derived("N m/rad", lower=0.0)
     damping: float | None = derived("N m s/rad", lower=0.0)
@@ -237,14 +231,6 @@ class _DriveDeflection(_OnRigidTree):
         if self.stiffness is None or self.damping is None or not np.isfinite(self.stiffness):
             return DAMPING_TIME
         return self.damping / self.stiffness
-
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return ("stiffness", "lag")
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.array([[1e-6, LAGS[0]], [1e15, LAGS[1]]])
 
     @property
     def shape(self) -> Array:
@@ -414,7 +400,7 @@ class BaseFlexibility(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _StatedBending(_Stated, _OnRigidTree):
+class _StatedBending(_Stated):
     """What motors feel on a rigid tree of hinges across the axes, beyond what its twisting drives do.
 
     The motors' motion is put on the tree with all hinges of the model, which give way to it (see `deflection`). The first of
@@ -536,6 +522,7 @@ class _HardeningDeflection(_OnRigidTree, needs=StiffnessHardening.traits.needs):
 
     in_files: ClassVar[type[Effect]] = StiffnessHardening
     coefficient: ClassVar[tuple[str, str]] = ("cubic", "N m/rad^3")
+    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {"cubic": (1e-6, 1e24)}
 
     cubic: float | None = derived("N m/rad^3", lower=0.0)
 
@@ -545,14 +532,6 @@ class _HardeningDeflection(_OnRigidTree, needs=StiffnessHardening.traits.needs):
 
     def with_coefficients(self, values: Sequence[float] | Array) -> Self:
         return self if np.isnan(values[0]) else dataclasses.replace(self, cubic=float(values[0]))
-
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return ("cubic",)
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.array([[1e-6], [1e24]])
 
     @property
     def shape(self) -> Array:

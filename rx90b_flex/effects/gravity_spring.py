@@ -74,13 +74,17 @@ class GravitySpring(LawEffect, behind_gear=True, part="spring"):
             raise ValueError(f"{self.label}: the anchors meet, where the spring's force has no direction")
         return length, rest
 
+    def _ends(self) -> Array:
+        """The anchors, (2, 3)."""
+        if self.anchors is None:
+            raise ValueError(f"{self.label}: anchors have no value; they cannot be identified")
+        return np.asarray(self.anchors, dtype=float).reshape(2, 3)
+
     def _geometry(self, motion: Motion) -> Array:
         """Parts of ``fixed . R(theta) moving`` (constant, by cosine, by sine), and the anchors' squared distances from
         the axis.
         """
-        if self.anchors is None:
-            raise ValueError(f"{self.label}: anchors have no value; they cannot be identified")
-        fixed, moving = np.asarray(self.anchors, dtype=float).reshape(2, 3)
+        fixed, moving = self._ends()
         axis = motion.on_tree.joint_axis(self.joint)
         along = axis * (axis @ moving)  # Rodrigues' formula for the turn about the axis
         turned = fixed @ (moving - along), fixed @ np.cross(axis, moving)
@@ -100,9 +104,7 @@ class GravitySpring(LawEffect, behind_gear=True, part="spring"):
         out[2] = 0.0
 
     def line_spring(self) -> tuple[Array, Array, float, float]:
-        if self.anchors is None:
-            raise ValueError(f"{self.label}: anchors have no value; they cannot be identified")
-        fixed, moving = np.asarray(self.anchors, dtype=float).reshape(2, 3)
+        fixed, moving = self._ends()
         stiffness, prestress = (float(x) for x in self.known_coefficients())
         return fixed, moving, stiffness, prestress
 

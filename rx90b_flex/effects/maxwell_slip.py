@@ -82,10 +82,11 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding
 
     def _consistent(self, torques: Array, deflections: Array) -> Self:
         def known(x: Array) -> tuple[float, ...] | None:
-            return None if np.isnan(x).any() else tuple(float(v) for v in x)
+            return None if np.isnan(x).any() else tuple(x.tolist())
 
+        stiffnesses = known(torques / deflections)
         return dataclasses.replace(
-            self, torques=known(torques), stiffnesses=known(torques / deflections), deflections=known(deflections)
+            self, torques=known(torques), stiffnesses=stiffnesses, deflections=known(deflections)
         )
 
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:

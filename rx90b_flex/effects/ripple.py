@@ -18,21 +18,6 @@ GROUP = 16  # orders of a spectrum over the angle that are worked out together
 AT_ONCE = 20_000  # samples whose turns are worked out at a time
 
 
-def sine_and_cosine(amplitude: float | None, phase: float | None) -> Array:
-    """Coefficients of sin and cos in ``amplitude * sin(x + phase)``; shape (2,), NaN where not known."""
-    a = np.nan if amplitude is None else amplitude
-    p = np.nan if phase is None else phase
-    return np.array([a * np.cos(p), a * np.sin(p)])
-
-
-def amplitude_and_phase(values: Sequence[float] | Array) -> tuple[float | None, float | None]:
-    """The inverse of `sine_and_cosine`; phase in (-pi, pi]."""
-    sine, cosine = (float(x) for x in values)
-    if np.isnan(sine) or np.isnan(cosine):
-        return None, None
-    return float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
-
-
 def highest_peaks(power: Array, most: int) -> Indices:
     """Places of the highest local maxima, highest first."""
     beside = np.concatenate([[-np.inf], power, [-np.inf]])
@@ -65,11 +50,15 @@ class SineEffect(JointEffect):
 
     @property
     def coefficients(self) -> Array:
-        return sine_and_cosine(self.amplitude, self.phase)
+        amplitude, phase = (np.nan if x is None else x for x in (self.amplitude, self.phase))
+        return np.array([amplitude * np.cos(phase), amplitude * np.sin(phase)])
 
     def with_coefficients(self, values: Sequence[float] | Array) -> Self:
-        values_of: dict[str, Any] = dict(zip(("amplitude", "phase"), amplitude_and_phase(values), strict=True))
-        return dataclasses.replace(self, **values_of)
+        sine, cosine = (float(x) for x in values)
+        known = not np.isnan([sine, cosine]).any()
+        amplitude, phase = (float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))) if known else (None, None)
+        change: dict[str, Any] = {"amplitude": amplitude, "phase": phase}
+        return dataclasses.replace(self, **change)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +81,7 @@ class PeriodicEffect(SineEffect, repeats=True):
     def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """The highest peaks of the residual's spectrum over the joint's angle, for each weight of the samples."""
         orders = self.shape_starts(motion)[:, 0]
-        best: list[Indices] = []
-        for power in self._spectra(orders, residual, cutoff_hz):
-            best.append(highest_peaks(power, self.PEAKS))
+        best = [highest_peaks(power, self.PEAKS) for power in self._spectra(orders, residual, cutoff_hz)]
         if not best:  # a joint that never moves shows no order
             return np.empty((0, 1))
         return orders[np.unique(np.concatenate(best))][:, None]

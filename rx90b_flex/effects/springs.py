@@ -59,8 +59,7 @@ class JointSpring(SumOfLaws, JointEffect, behind_gear=True, part="spring", scale
 
     @property
     def coefficients(self) -> Array:
-        stiffness = np.nan if self.stiffness is None else self.stiffness
-        rest = np.nan if self.rest_angle is None else self.rest_angle
+        stiffness, rest = (np.nan if x is None else x for x in (self.stiffness, self.rest_angle))
         return np.array([stiffness, stiffness * rest])
 
     def with_coefficients(self, values: Sequence[float] | Array) -> Self:

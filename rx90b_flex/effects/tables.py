@@ -64,15 +64,13 @@ def effect_from_table(
         raise ValueError(f"{where}: unknown effect type {table['type']!r}{why}")
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
-    key = {"robot or joint": "joint"}.get(cls.traits.on, cls.traits.on if cls.traits.on != "robot" else None)
-    allowed = ["type", *([key] if key else []), *cls.parameters(), *cls.choices()]
-    check_keys(table, allowed, where)
+    key = {"robot": "", "robot or joint": "joint"}.get(cls.traits.on, cls.traits.on)
+    check_keys(table, ["type", *filter(None, [key]), *cls.parameters(), *cls.choices()], where)
     values: dict[str, Any] = {}
-    if key:
-        if key in table:
-            values |= _read_place(cls, key, table[key], where, joints, frames)
-        elif cls.traits.on != "robot or joint":
-            raise ValueError(f"{where}: key {key!r} is missing")
+    if key in table:
+        values |= _read_place(key, table[key], where, joints, frames)
+    elif cls.traits.on not in ("robot", "robot or joint"):
+        raise ValueError(f"{where}: key {key!r} is missing")
     for name, parameter in cls.parameters().items():
         if name in table:
             values[parameter.attribute] = _read_value(table[name], parameter, f"{where}: {name}")
@@ -86,23 +84,15 @@ def effect_from_table(
     return cls(**values)
 
 
-def _read_place(
-    cls: type[Effect], key: str, found: Any, where: str, joints: Sequence[str], frames: Sequence[str]
-) -> dict[str, Any]:
-    if key == "joint":
-        if found not in joints:
-            raise ValueError(f"{where}: unknown joint {found!r}; {close_match(str(found), joints)}")
-        return {"joint": found}
-    if key == "frame":
-        if found not in frames:
-            raise ValueError(f"{where}: unknown frame {found!r}; {close_match(str(found), frames)}")
-        return {"frame": found}
-    if not isinstance(found, list) or len(found) != 2 or found[0] == found[1]:
+def _read_place(key: str, found: Any, where: str, joints: Sequence[str], frames: Sequence[str]) -> dict[str, Any]:
+    pair = key == "joints"
+    if pair and (not isinstance(found, list) or len(found) != 2 or found[0] == found[1]):
         raise ValueError(f"{where}: joints is {found!r}; expected two different joints [a, b]")
-    for name in found:
-        if name not in joints:
-            raise ValueError(f"{where}: unknown joint {name!r}; {close_match(str(name), joints)}")
-    return {"joint_pair": tuple(found)}
+    kind, known = ("frame", frames) if key == "frame" else ("joint", joints)
+    for name in found if pair else [found]:
+        if name not in known:
+            raise ValueError(f"{where}: unknown {kind} {name!r}; {close_match(str(name), known)}")
+    return {"joint_pair": tuple(found)} if pair else {kind: found}
 
 
 def _read_value(found: Any, parameter: Parameter, where: str) -> Any:

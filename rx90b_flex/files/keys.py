@@ -19,6 +19,11 @@ def suggestion(word: str, candidates: Sequence[str]) -> str:
     return f" (did you mean {' or '.join(repr(name) for name in close)}?)" if close else ""
 
 
+def shortened(path: object) -> str:
+    """A path in a message, its beginning where it is very long."""
+    return str(path) if len(str(path)) <= 200 else f"{str(path)[:60]}..."
+
+
 def check_keys(found: Iterable[str], allowed: Sequence[str], where: object) -> None:
     """Refuse a table's keys that mean nothing.
 

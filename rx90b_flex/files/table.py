@@ -146,6 +146,10 @@ class TomlTable:
             raise self.problem(key, f"found {shown(value)}, a table [{key}] is expected")
         return TomlTable(self.file, f"{self.name} {key}" if self.name else f"[{key}]", value)
 
+    def section_or_empty(self, key: str) -> TomlTable:
+        """A table that may be left out: without a key then."""
+        return self.section(key) if self.has(key) else TomlTable(self.file, f"[{key}]", {})
+
     def sections(self, key: str) -> list[TomlTable]:
         value = self._get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):

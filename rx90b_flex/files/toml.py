@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from rx90b_flex.files.keys import shortened
+
 LARGEST = 64 * 2**20  # bytes: files that people write are some thousand
 DEEPEST = 100  # arrays and tables within each other; where the parser itself ends depends on who calls it
 
@@ -40,39 +42,29 @@ def read_toml(path: Path, what: str, missing: str = "") -> dict[str, Any]:
         if path.stat().st_size > LARGEST:
             raise ValueError(f"{path}: {path.stat().st_size} bytes; a {what} (TOML) is expected")
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        _check_numbers(table)
+        _check_numbers(table, path)
     except FileNotFoundError:
         raise ValueError(f"{path}: {missing or f'no such {what}'}") from None
     except OSError as error:
-        raise ValueError(f"{_short(path)}: cannot be read: {error.strerror}") from None
+        raise ValueError(f"{shortened(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     except RecursionError:
         raise ValueError(f"{path}: not a TOML file that can be read: tables or arrays too deep in each other") from None
-    except _WrongNumberError as error:
-        raise ValueError(f"{path}: {error}") from None
     except ValueError as error:  # the parser's own, and Python's on integers of thousands of digits
         text = " ".join(str(error).split())
         raise ValueError(text if text.startswith(str(path)) else f"{path}: not a TOML file: {text}") from None
     return table
 
 
-def _short(path: Path) -> str:
-    return str(path) if len(str(path)) <= 200 else f"{str(path)[:60]}..."
-
-
-class _WrongNumberError(Exception):
-    """A number that cannot be used."""
-
-
-def _check_numbers(table: dict[str, Any]) -> None:
+def _check_numbers(table: dict[str, Any], path: Path) -> None:
     for place, value in _leaves(table, ""):
         if isinstance(value, int) and not isinstance(value, bool):
             try:
                 float(value)
             except OverflowError:
                 digits = int(math.log10(abs(value))) + 1
-                raise _WrongNumberError(f"{place}: a number of {digits} digits; a smaller one is expected") from None
+                raise ValueError(f"{path}: {place}: a number of {digits} digits; a smaller one is expected") from None
 
 
 def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:

@@ -27,4 +27,4 @@ __all__ = [
     "plan",
 ]
 
-__getattr__ = names_of(__name__, __file__)
+__getattr__ = names_of(__name__)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from rx90b_flex.on_demand import names_of
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign, save_recording, write_campaign
 
 if TYPE_CHECKING:
@@ -38,10 +39,5 @@ __all__ = [
     "write_campaign",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from rx90b_flex.signals import filters  # not at the top: who reads a file waits for no filters
-
-    return getattr(filters, name)
+# on demand: who reads a file waits for no filters
+__getattr__ = names_of(__name__)

@@ -22,12 +22,9 @@ def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
     Four times the frequency below which 99.9 % of the velocity's power lies, over all moving joints; between 1 Hz and a fifth
     of the sample rate.
     """
-    highest = LOWEST_HZ
-    for recording in recordings:
-        for position in recording.position.T:
-            highest = max(highest, _highest_hz(np.diff(position), recording.sample_rate_hz))
+    found = [_highest_hz(np.diff(position), r.sample_rate_hz) for r in recordings for position in r.position.T]
     rate = min(r.sample_rate_hz for r in recordings)
-    return float(np.clip(OVER_MOTION * highest, LOWEST_HZ, 0.2 * rate))
+    return float(np.clip(OVER_MOTION * max(LOWEST_HZ, *found), LOWEST_HZ, 0.2 * rate))
 
 
 def _highest_hz(speed: Array, rate: float) -> float:
@@ -58,13 +55,10 @@ def found_period_s(recording: Recording) -> float | None:
     unlike = np.maximum(squares - 2 * product, 0.0) / np.maximum(squares, 1e-300)
     first = max(2, round(SHORTEST_PERIOD_S * rate))
     # the start of every curve is alike: a period comes after a time at which the motion was somewhere else
-    elsewhere = np.flatnonzero(unlike[:] > 0.1)
+    elsewhere = np.flatnonzero(unlike > 0.1)
     first = max(first, int(elsewhere[0]) if len(elsewhere) else len(unlike))
-    below = np.flatnonzero(unlike[first:] < REPEATS)
-    if len(below) == 0:
+    edges = first + np.flatnonzero(np.diff(unlike[first:] < REPEATS, prepend=False, append=False))
+    if len(edges) == 0:
         return None
-    begin = first + int(below[0])
-    end = begin
-    while end + 1 < len(unlike) and unlike[end + 1] < REPEATS:
-        end += 1
-    return float((begin + int(np.argmin(unlike[begin : end + 1]))) / rate)
+    begin, end = edges[:2]
+    return float((begin + np.argmin(unlike[begin:end])) / rate)

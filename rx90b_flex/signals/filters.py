@@ -26,14 +26,8 @@ _RESAMPLE_PASS = 0.8
 # to the acceleration does not matter.
 ACCURACY = 8  # order of the differences of a motion
 FEWEST_OF_QUARTIC = 8  # samples that a continuation goes through
-PLAIN = (
-    (34, 4),
-    (24, 4),
-    (16, 4),
-    (11, 4),
-    (8, 4),
-    (ACCURACY + 2, ACCURACY + 1),
-)  # the last as off-centre differences have it
+# samples and degree of continuations where there is no low-pass, the last as off-centre differences have it
+PLAIN = ((34, 4), (24, 4), (16, 4), (11, 4), (8, 4), (ACCURACY + 2, ACCURACY + 1))
 FORETOLD = 8  # times that a continuation is tried on samples that are known
 FEWEST_SAMPLES = 64  # that noise can be told from motion in
 _SIGNAL_OVER_FLOOR = 4.0
@@ -227,11 +221,9 @@ def _beyond(position: Array, margin: int, ahead: int, ways: Sequence[tuple[int, 
     """What comes after the last sample, (margin, ...)."""
     samples = position.reshape(len(position), -1)
     ways = [way for way in ways if way[0] + 2 * ahead <= len(samples)] or [ways[-1]]
-    scores = (
-        np.array([_foretold(samples, way, ahead) for way in ways]) if len(ways) > 1 else np.zeros((1, samples.shape[1]))
-    )
+    scores = [_foretold(samples, way, ahead) for way in ways] if len(ways) > 1 else [np.zeros(samples.shape[1])]
     out = np.empty((margin, samples.shape[1]))
-    for column, best in enumerate(scores.argmin(axis=0)):
+    for column, best in enumerate(np.argmin(scores, axis=0)):
         span, degree = ways[best]
         further = min(span, margin)
         longer = np.r_[samples[:, column], _polynomial(span, degree, further) @ samples[-span:, column]]

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rx90b_flex.files.keys import shortened
 from rx90b_flex.interrupts import calm
 
 
@@ -64,19 +65,8 @@ CLOSED_LOOP = Output("closed_loop.json", (*_MODEL, "motion.json", "prediction_*.
 IDENTIFIED = Output("identification.json", (*_MODEL, "prediction_*.csv"))
 CHECKED = Output("check.json", ("check.html",))
 MOTOR_SIGNALS = Output("frf.json", _MODEL)
-PATH_CHECK = Output(
-    "path_check.json",
-    (
-        "report.html",
-        "seam.csv",
-        "corrected_path.csv",
-        "corrected_joints.csv",
-        "measured.json",
-        "measured.csv",
-        "as_planned",
-        "corrected",
-    ),
-)
+_PATHS = ("seam.csv", "corrected_path.csv", "corrected_joints.csv", "measured.json", "measured.csv")
+PATH_CHECK = Output("path_check.json", ("report.html", *_PATHS, "as_planned", "corrected"))
 RUN = Output(
     "state.parquet", ("campaign.toml", "robot.toml", "robot.urdf", "tip.csv", "tip.png", "tip.svg"), recordings=True
 )
@@ -93,9 +83,7 @@ FOLDERS = ("as_planned", "corrected", "references", "logs")
 _PART = re.compile(r"-[0-9a-f]{16}\.part")
 
 
-def fill_folder(
-    folder: Path, fill: Callable[[Path], None], output: Output | None = None, overwrite: bool = False
-) -> None:
+def fill_folder(folder: Path, fill: Callable[[Path], None], output: Output, overwrite: bool = False) -> None:
     """Have a folder filled out of sight, then put it in place.
 
     Where the folder exists, what an earlier run left in it (see `Output`) is taken away as a whole; other files stay. Two runs at
@@ -106,8 +94,8 @@ def fill_folder(
     folder : Path
     fill : callable
         Is given the folder to fill.
-    output : Output, optional
-        What is written; without it, names that are taken are refused.
+    output : Output
+        What is written.
     overwrite : bool
         Whether what has a name that is needed may be taken away even where no earlier run wrote it.
 
@@ -132,13 +120,11 @@ def fill_folder(
             if parent.exists() and not any(parent.iterdir()):
                 parent.rmdir()
         if isinstance(error, OSError):
-            raise ValueError(f"{_short(folder)}: cannot be written: {why(error)}") from error
+            raise ValueError(f"{shortened(folder)}: cannot be written: {why(error)}") from error
         raise
 
 
-def check_folder(
-    folder: Path, output: Output | None = None, overwrite: bool = False, reads: Sequence[Path | str] = ()
-) -> None:
+def check_folder(folder: Path, output: Output, overwrite: bool = False, reads: Sequence[Path | str] = ()) -> None:
     """Refuse an output folder that cannot be written, or that holds something in the way, before any work is done.
 
     `reads` are the files and folders that the run reads: what it writes must not take their place.
@@ -154,15 +140,17 @@ def check_folder(
         refuse_unwritable(existing)
         if max(len(os.fsencode(part)) for part in folder.absolute().parts) > os.pathconf(existing, "PC_NAME_MAX") - 40:
             raise ValueError(f"{str(folder)[:60]}...: the name is too long for a folder")
-        if folder.is_dir() and output is not None:
+        if folder.is_dir():
             place = Path(os.path.realpath(folder))
             _refuse_what_is_in_the_way(place, output.own(place), output, overwrite)
             going = output.own(place) | _earlier(place, output)
             for read in (Path(os.path.realpath(r)) for r in reads):
                 if read == place or (read.parent == place and read.name in going):
-                    raise ValueError(f"{_short(folder)}: holds {read.name}, which this run reads; give another folder")
+                    raise ValueError(
+                        f"{shortened(folder)}: holds {read.name}, which this run reads; give another folder"
+                    )
     except OSError as error:
-        raise ValueError(f"{_short(folder)}: cannot be written: {why(error)}") from None
+        raise ValueError(f"{shortened(folder)}: cannot be written: {why(error)}") from None
 
 
 def refuse_unwritable(folder: Path) -> None:
@@ -219,21 +207,14 @@ def why(error: OSError) -> str:
     return error.strerror or " ".join(str(error).split()) or type(error).__name__
 
 
-def _short(folder: Path) -> str:
-    return str(folder) if len(str(folder)) <= 200 else f"{str(folder)[:60]}..."
-
-
-def _earlier(folder: Path, output: Output | None) -> set[str]:
+def _earlier(folder: Path, output: Output) -> set[str]:
     """Names that earlier runs left: of each result that is there as a whole, and of one that was being put in place."""
     whole = [r for r in RESULTS if (folder / r.mark).is_file()]
-    if output is not None and output.replaced and (_interrupted(folder) or (folder / output.mark).is_file()):
+    # with what is old out of sight, a run was killed while it replaced files here
+    interrupted = any((part / "old").is_dir() for part in _parts(folder, folder.name))
+    if output.replaced and (interrupted or (folder / output.mark).is_file()):
         whole.append(output)
     return {name for r in whole for name in r.own(folder) if not _unlike(folder / name)}
-
-
-def _interrupted(folder: Path) -> bool:
-    """Whether a run was killed while it replaced files here."""
-    return any((part / "old").is_dir() for part in _parts(folder, folder.name))
 
 
 def _unlike(path: Path) -> str:
@@ -245,22 +226,22 @@ def _unlike(path: Path) -> str:
     return ""
 
 
-def _refuse_what_is_in_the_way(folder: Path, needed: set[str], output: Output | None, overwrite: bool) -> None:
+def _refuse_what_is_in_the_way(folder: Path, needed: set[str], output: Output, overwrite: bool) -> None:
     """Names that are needed must be free, or of an earlier result."""
     if overwrite:
         return
-    order = [*output.names, output.mark] if output is not None else []
+    order = [*output.names, output.mark]
     free = sorted(needed - _earlier(folder, output))
     for name in sorted(free, key=lambda n: order.index(n) if n in order else -1):
         path = folder / name
         if path.exists() or path.is_symlink():
             kind = f", {_unlike(path)}," if _unlike(path) else ""
             raise ValueError(
-                f"{_short(folder)}: has {name}{kind} already, which is of no earlier result; give another folder, or --overwrite"
+                f"{shortened(folder)}: has {name}{kind} already, which is of no earlier result; give another folder, or --overwrite"
             )
 
 
-def _put_in_place(folder: Path, part: Path, output: Output | None, overwrite: bool) -> None:
+def _put_in_place(folder: Path, part: Path, output: Output, overwrite: bool) -> None:
     """Rename what is new to where it belongs; what it replaces goes out of sight before, and back where that fails."""
     if not folder.exists():
         os.replace(part / "new", folder)
@@ -272,10 +253,9 @@ def _put_in_place(folder: Path, part: Path, output: Output | None, overwrite: bo
         part = folder / part.name
     going = {name for name in needed if os.path.lexists(folder / name)} | _earlier(folder, output)
     first = {r.mark for r in RESULTS}
-    last = output.mark if output is not None else ""
     (part / "old").mkdir()
     moves = [(folder / name, part / "old" / name) for name in sorted(going, key=lambda n: n not in first)]
-    moves += [(part / "new" / name, folder / name) for name in sorted(needed, key=lambda n: n == last)]
+    moves += [(part / "new" / name, folder / name) for name in sorted(needed, key=lambda n: n == output.mark)]
     done: list[tuple[Path, Path]] = []
     try:
         for move in moves:

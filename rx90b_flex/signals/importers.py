@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,50 +163,43 @@ def import_logs(files: Sequence[Path], axes: Axes, options: ReadingOptions | Non
     if not files:
         raise ValueError("no files to import")
     _check_options(options, axes)
-    findings: list[tuple[str, Finding]] = []
-    parts: list[Recording] = []
     _refuse_the_same_file(files)
-    for file, (recording, found) in zip(files, _all_in_one_unit(files, axes, options), strict=True):
-        parts.append(recording)
-        findings += [(file.name, finding) for finding in found]
-    parts, more = _alike(parts, options)
-    findings += [("all files", finding) for finding in more]
+    imports = _all_in_one_unit(files, axes, options)
+    of_all = _Findings()
+    parts = _alike([i.recording for i in imports], options, of_all)
     if len(parts) == 1:
         recordings = _split(parts[0])
         first, second = (f"{r.duration_s:.4g} s" for r in recordings)
-        findings.append(
-            ("all files", Finding(f"one file: its first {first} identify, the last {second} validate", "sure"))
-        )
+        of_all.add(f"one file: its first {first} identify, the last {second} validate")
     else:
         recordings = tuple(
             dataclasses.replace(r, role="identification" if k < len(parts) - 1 else "validation", name=name)
             for k, (r, name) in enumerate(zip(parts, _unique([r.name for r in parts]), strict=True))
         )
-        findings.append(("all files", Finding(f"the last file, {recordings[-1].name}, validates", "sure")))
-    findings += [("all files", finding) for finding in _too_short(recordings)]
-    return Imported(recordings, tuple(findings))
+        of_all.add(f"the last file, {recordings[-1].name}, validates")
+    _warn_of_short(recordings, of_all)
+    by_file = [(file.name, finding) for file, i in zip(files, imports, strict=True) for finding in i.found]
+    return Imported(recordings, (*by_file, *(("all files", finding) for finding in of_all)))
 
 
-def _too_short(recordings: Sequence[Recording]) -> list[Finding]:
+class _Findings(list[Finding]):
+    """What is worked out, in the order in which it is."""
+
+    def add(self, what: str, sure: Sureness = "sure") -> None:
+        self.append(Finding(what, sure))
+
+
+def _warn_of_short(recordings: Sequence[Recording], found: _Findings) -> None:
     """A word where recordings are so short that what is found in them is uncertain, or that a search cannot be made."""
     fitted = sum(r.duration_s for r in recordings if r.role == "identification")
     fewest = min(r.samples for r in recordings)
-    out = []
     if fitted < SHORT_S:
-        out.append(
-            Finding(
-                f"{fitted:.3g} s identify: parameters will be uncertain; record more than {SHORT_S:g} s, and at least "
-                f"{FEWEST_S:g} s for close-loop",
-                "sure",
-            )
+        found.add(
+            f"{fitted:.3g} s identify: parameters will be uncertain; record more than {SHORT_S:g} s, and at least "
+            f"{FEWEST_S:g} s for close-loop"
         )
     if fewest < FEWEST_SAMPLES:
-        out.append(
-            Finding(
-                f"a part of {fewest} samples: state a cutoff_hz, for noise cannot be told from motion in it", "sure"
-            )
-        )
-    return out
+        found.add(f"a part of {fewest} samples: state a cutoff_hz, for noise cannot be told from motion in it")
 
 
 def _refuse_the_same_file(files: Sequence[Path]) -> None:
@@ -215,17 +208,15 @@ def _refuse_the_same_file(files: Sequence[Path]) -> None:
             raise ValueError(f"{file}: given twice; a recording that is fitted cannot validate, too")
 
 
-def _all_in_one_unit(
-    files: Sequence[Path], axes: Axes, options: ReadingOptions
-) -> list[tuple[Recording, list[Finding]]]:
-    """Every file's recording; a unit that is worked out is the same for all of them."""
-    read = [_one(read_log(file, options.topic), axes, options) for file in files]
-    scales = [scale for _, _, scale in read]
+def _all_in_one_unit(files: Sequence[Path], axes: Axes, options: ReadingOptions) -> list[_Import]:
+    """Every file; a unit that is worked out is the same for all of them."""
+    imports = [_Import(read_log(file, options.topic), axes, options) for file in files]
+    scales = [i.scale for i in imports]
     if len(set(scales)) > 1:
-        stated = [all(f.sure != "likely" for f in found if f.what.startswith("angles:")) for _, found, _ in read]
+        stated = [all(f.sure != "likely" for f in i.found if f.what.startswith("angles:")) for i in imports]
         other = next(k for k, scale in enumerate(scales) if scale != scales[0])
         names = {1.0: "rad", _DEGREE: "degrees"}
-        widest = [float(np.median(np.ptp(r.position, axis=0) / scale)) for r, _, scale in read]
+        widest = [float(np.median(np.ptp(i.recording.position, axis=0) / i.scale)) for i in imports]
         if any(stated) or max(widest) > MIXED * min(widest):
             one, two = (names.get(scales[k], f"{scales[k]:g} rad") for k in (other, 0))
             raise ValueError(
@@ -234,8 +225,8 @@ def _all_in_one_unit(
             )
         # motions of one size: what could be either is what the wider one must be
         options = dataclasses.replace(options, degrees=True)
-        read = [_one(read_log(file, options.topic), axes, options) for file in files]
-    return [(recording, found) for recording, found, _ in read]
+        imports = [_Import(i.log, axes, options) for i in imports]
+    return imports
 
 
 def _check_options(options: ReadingOptions, axes: Axes) -> None:
@@ -264,59 +255,323 @@ def _check_options(options: ReadingOptions, axes: Axes) -> None:
 # ---- one file -------------------------------------------------------------------------------------------------
 
 
-def _one(log: Log, axes: Axes, options: ReadingOptions) -> tuple[Recording, list[Finding], float]:
-    """The recording, what was worked out, and what angles were multiplied with."""
-    found = [Finding(note, "sure") for note in log.notes]
-    time, time_name = _time(log, options, found)
-    places = _places(log, axes, options, time_name)
-    joints, signals = _complete(log, axes, options, places, found)
-    names = [c.name for columns in signals.values() for c in columns]
-    rows, time = _usable(log, names, time, found)
-    values = {
-        signal: np.stack([log.column(c.name)[rows] for c in columns], axis=1) for signal, columns in signals.items()
-    }
-    scale = _to_si(log, axes, options, joints, signals, values, found)
-    if options.gear:
-        _to_joint_side(options, joints, values, found)
-    rate, values, time = _uniform(log, time, values, found)
-    recording = Recording(
-        name=stem_of(log.path),
-        role="identification",
-        time=time,
-        sample_rate_hz=rate,
-        joints=joints,
-        source=log.path,
-        **{FIELDS[signal]: array for signal, array in values.items()},  # type: ignore[arg-type]
-    )
-    return recording, found, scale
+class _Import:
+    """A log on its way to a recording.
+
+    Attributes
+    ----------
+    recording : with the role identification.
+    found : what was worked out.
+    scale : what the first joint's angles were multiplied with.
+    """
+
+    def __init__(self, log: Log, axes: Axes, options: ReadingOptions) -> None:
+        self.log, self.axes, self.options = log, axes, options
+        self.found = _Findings(Finding(note, "sure") for note in log.notes)
+        time, time_name = self._time()
+        joints, signals = self._complete(self._places(time_name))
+        names = [c.name for columns in signals.values() for c in columns]
+        rows, time = self._usable(names, time)
+        values = {
+            signal: np.stack([log.column(c.name)[rows] for c in columns], axis=1) for signal, columns in signals.items()
+        }
+        self.scale = self._to_si(joints, signals, values)
+        if options.gear:
+            self._to_joint_side(joints, values)
+        rate, time = self._uniform(time, values)
+        fields: dict[str, Any] = {FIELDS[signal]: array for signal, array in values.items()}
+        self.recording = Recording(
+            name=stem_of(log.path), role="identification", time=time, sample_rate_hz=rate, joints=joints, source=log.path,
+            **fields,
+        )  # fmt: skip
+
+    def _problem(self, what: str) -> ValueError:
+        return ValueError(f"{self.log.path}: {what}")
+
+    def _time(self) -> tuple[Array, str | None]:
+        """Times, and the column that they are in."""
+        log, options = self.log, self.options
+        if log.time is not None:
+            return log.time, None
+        candidates = [name for name in log.names if _is_time(name)]
+        exact = [name for name in candidates if name.lower() == TIME]
+        if candidates:
+            name = (exact or candidates)[0]
+            time = log.column(name) - log.column(name)[0]
+            stated = [_TIME_UNITS[w] for w in _time_words(name)[1:] if w in _TIME_UNITS]
+            step = float(np.nanmedian(np.abs(np.diff(time))))
+            # the unit in which the rate is one that robots are logged at
+            scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
+            unit = next(u for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)) if s == scale)
+            sure = bool(stated) or (scale == 1.0 and step > 1e-5)
+            self.found.add(f"time: column {name!r}, in {unit}", "sure" if sure else "likely")
+            return time * scale, name
+        if options.rate_hz is None:
+            raise self._problem("no time column; expected one named time, or --rate with the sample rate in Hz")
+        self.found.add(f"time: {options.rate_hz:g} Hz", "stated")
+        return np.arange(len(log.values)) / options.rate_hz, None
+
+    # which column is what
+
+    def _places(self, time_name: str | None) -> dict[str, list[_Column]]:
+        """Signal -> columns that can hold it."""
+        log, stated = self.log, self.options.columns
+        taken = {name for names in stated.values() for name in names}
+        for name in taken:
+            if name not in log.names:
+                raise self._problem(f"no column {name!r}{suggestion(name, log.names)}")
+        read: dict[str, list[_Column]] = {}
+        numbered = [n for n in log.names if n not in taken and n != time_name]
+        # the joints count from 0 where a column says so
+        from_zero = any(self._number_in(n) == 0 and _signal_of(_words(n))[0] for n in numbered)
+        for name in numbered:
+            column = self._column(name, from_zero)
+            if column is not None and column.signal not in stated:
+                read.setdefault(column.signal, []).append(column)
+        joints = self.options.joints or self.axes.joints
+        for signal, names in stated.items():
+            if len(names) > len(joints):
+                raise ValueError(
+                    f"--columns {signal} lists {len(names)} columns; expected at most {len(joints)}, one a joint"
+                )
+            read[signal] = [
+                _Column(name, signal, joint, "stated", _unit(signal, _words(name)), 0)
+                for name, joint in zip(names, joints, strict=False)
+            ]
+        return read
+
+    def _column(self, name: str, from_zero: bool) -> _Column | None:
+        """What a column is by the format itself, else by its name; None: nothing known."""
+        joints, words, sure = self.axes.joints, _words(name), True
+        if self.log.roles:
+            role, joint = self.log.roles[name]
+            return _Column(name, role, joint, "sure", 1.0, 0) if joint in joints else None
+        for joint in sorted(joints, key=len, reverse=True):  # shoulder_pan before shoulder
+            place = _find(_words(joint), words)
+            if place is not None:
+                rest = words[: place[0]] + words[place[1] :]
+                break
+        else:
+            number, among = self._number_in(name), self.options.joints or joints
+            index = 0 if number is None else number if from_zero else number - 1
+            if not 0 <= index < len(among) or (number is None and len(among) != 1):
+                return None
+            joint, sure = among[index], number is None
+            rest = [w for w in words if not w.isdigit()]
+        signal, left = _signal_of(rest)
+        if signal is None:
+            return None
+        return _Column(name, signal, joint, "sure" if sure else "likely", _unit(signal, words), len(left))
+
+    def _number_in(self, name: str) -> int | None:
+        """The number of a joint in a name: its last one, where no joint's own name is in it."""
+        words = _words(name)
+        if any(_find(_words(joint), words) for joint in self.axes.joints):
+            return None
+        numbers = [int(w) for w in words if w.isdigit()]
+        return numbers[-1] if numbers else None
+
+    def _complete(self, places: Mapping[str, list[_Column]]) -> tuple[tuple[str, ...], dict[str, list[_Column]]]:
+        """The joints that have position and torque, and the signals that all of these have."""
+        by_joint: dict[str, dict[str, _Column]] = {}
+        for signal, columns in places.items():
+            at = by_joint.setdefault(signal, {})
+            for column in sorted(columns, key=lambda c: c.extra):
+                other = at.setdefault(column.joint, column)
+                if other is not column and other.extra == column.extra:
+                    raise self._problem(
+                        f"columns {other.name!r} and {column.name!r} can both be {signal} of {column.joint}; "
+                        f"choose with --columns {signal}=..."
+                    )
+        for signal in REQUIRED:
+            if not by_joint.get(signal):
+                raise self._nothing_found(signal)
+        wanted = self.options.joints or self.axes.joints
+        joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in REQUIRED))
+        if not joints:
+            shown = "; ".join(f"{signal} of {', '.join(c.joint for c in cs)}" for signal, cs in places.items())
+            raise self._problem(f"no joint has both position and torque; {shown}")
+        signals = {}
+        for signal in FIELDS:
+            at = by_joint.get(signal, {})
+            have = [at[j] for j in joints if j in at]
+            if len(have) == len(joints):
+                signals[signal] = have
+                sure: Sureness = next((s for s in ("likely", "sure") if any(c.sure == s for c in have)), "stated")
+                self.found.add(f"{signal}: {', '.join(c.name for c in have)} for {', '.join(joints)}", sure)
+            elif have:
+                self.found.add(f"{signal}: left out, none for {', '.join(j for j in joints if j not in at)}")
+        without = [j for j in wanted if j not in joints]
+        if without:
+            self.found.add(f"held at zero, for they have no columns: {', '.join(without)}")
+        return joints, signals
+
+    def _nothing_found(self, signal: str) -> ValueError:
+        log, joints, hint = self.log, self.axes.joints, ""
+        shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
+        if signal == "torque" and any(_CURRENT & set(_words(n)) for n in log.names):
+            hint = "; currents must first be multiplied by motor constant and gear ratio"
+        if log.roles and not any(joint in joints for _, joint in log.roles.values()):
+            hint = f"; the robot's joints are {', '.join(joints)}"
+        return self._problem(
+            f"no column can be {signal}; it has {shown}{hint}; "
+            f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(joints)})"
+        )
+
+    # units
+
+    def _to_si(self, joints: tuple[str, ...], signals: Mapping[str, list[_Column]], values: dict[str, Array]) -> float:
+        """Bring values to SI, in place; what the first joint's angles were multiplied with."""
+        degrees = self.options.degrees
+        position = signals["motor_position"]
+        if degrees is None and all(c.scale is None for c in position) and not self.options.gear:
+            degrees = self._looks_like_degrees(joints, position, values["motor_position"])
+            unit = "degrees, for in rad they would leave the robot's limits" if degrees else "rad"
+            self.found.add(f"angles: in {unit}", "likely")
+        elif degrees is not None:
+            self.found.add(f"angles: in {'degrees' if degrees else 'rad'}", "stated")
+        first = 1.0
+        for signal, columns in signals.items():
+            assumed = _DEGREE if degrees and "torque" not in signal else 1.0
+            # an option overrules what names say
+            overruled = self.options.degrees is not None and "torque" not in signal
+            scales = np.array([assumed if c.scale is None or overruled else c.scale for c in columns])
+            values[signal] = values[signal] * scales
+            told = [c.name for c in columns if c.scale not in (None, 1.0)]
+            if told and not overruled:
+                self.found.add(f"{signal}: brought to SI from the unit in the name of {', '.join(told)}")
+            if signal == "motor_position":
+                first = float(scales[0])
+        return first
+
+    def _looks_like_degrees(self, joints: tuple[str, ...], columns: Sequence[_Column], position: Array) -> bool:
+        """Whether angles fit the robot's limits in degrees but not in rad; refused where they fit in neither."""
+        at = [self.axes.joints.index(j) for j in joints]
+        lower, upper = np.array(self.axes.lower)[at], np.array(self.axes.upper)[at]
+        slack = 0.1  # rad: offsets, and overshoot over the limits
+
+        def outside(scale: float) -> NDArray[np.bool_]:
+            q = scale * position
+            return np.asarray((q.min(axis=0) < lower - slack) | (q.max(axis=0) > upper + slack))
+
+        if not outside(1.0).any():
+            return False
+        in_degrees = outside(_DEGREE)
+        if not in_degrees.any():
+            return True
+        worst = int(np.argmax(in_degrees))
+        low, high = position[:, worst].min(), position[:, worst].max()
+        raise self._problem(
+            f"column {columns[worst].name!r} runs from {low:.4g} to {high:.4g}, outside the limits of {joints[worst]} "
+            f"in rad ({lower[worst]:.4g} to {upper[worst]:.4g}) and in degrees; motor side (--gear)? another joint (--columns)?"
+        )
+
+    def _to_joint_side(self, joints: tuple[str, ...], values: dict[str, Array]) -> None:
+        """Bring motor-side values to the joint side, in place, as a campaign's [motor] table does."""
+        count, rows, offset = len(joints), self.options.gear, self.options.offset
+        if [len(row) for row in rows] not in ([count], [count] * count):
+            raise ValueError(f"--gear: expected {count} numbers, or {count} rows of them, for {', '.join(joints)}")
+        gear = np.diag(rows[0]) if len(rows) == 1 else np.array(rows)
+        if not np.isfinite(gear).all() or np.linalg.matrix_rank(gear) < count:
+            raise ValueError("--gear: singular; joint angles cannot be found from motor angles")
+        if offset and len(offset) != count:
+            raise ValueError(f"--offset lists {len(offset)} numbers; expected one for each of {', '.join(joints)}")
+        for signal, array in values.items():
+            if signal == "link_position":
+                continue
+            if "torque" in signal:
+                values[signal] = array @ gear
+            else:
+                at_zero = np.array(offset or 0.0) if "position" in signal else 0.0
+                values[signal] = np.linalg.solve(gear, array.T).T + at_zero
+        self.found.add("motor side, brought to the joint side by --gear", "stated")
+
+    # rows and times
+
+    def _usable(self, names: Sequence[str], time: Array) -> tuple[NDArray[np.intp], Array]:
+        """Rows to keep: rising times, the longest part between interruptions, no empty cells."""
+        self._check_finite(names, time)
+        empty = np.isnan(np.column_stack([self.log.column(name) for name in names]))
+        self._check_number(int(np.count_nonzero(~empty.all(axis=1))), "with numbers")
+        whole = np.flatnonzero(~empty.any(axis=1))
+        if len(whole) == 0:
+            column = int(np.argmax(empty.sum(axis=0)))
+            raise self._problem(f"column {names[column]!r}: no row has numbers in this and in all other columns")
+        rows = np.arange(whole[0], whole[-1] + 1)
+        if empty[rows].any():
+            column = int(np.argmax(empty[rows].any(axis=0)))
+            row = int(rows[np.argmax(empty[rows, column])])
+            raise self._problem(f"column {names[column]!r}, row {row + 1}: empty or NaN")
+        if len(rows) < len(empty):
+            self.found.add(f"{len(empty) - len(rows)} rows with empty cells at the ends left out")
+        time = time[rows]
+        back = np.flatnonzero(np.diff(time) < 0.0)
+        if len(back):
+            raise self._problem(f"row {rows[back[0] + 1] + 1}: time runs backwards, from {time[back[0]]:.9g} s "
+                                f"to {time[back[0] + 1]:.9g} s after the start")  # fmt: skip
+        fresh = np.r_[True, np.diff(time) > 0.0]
+        if not fresh.all():
+            self.found.add(f"{np.count_nonzero(~fresh)} rows with the time of the row before left out")
+            rows, time = rows[fresh], time[fresh]
+        self._check_number(len(rows), "at different times")
+        steps = np.diff(time)
+        ends = np.r_[0, np.flatnonzero(steps > GAP * np.median(steps)) + 1, len(time)]
+        if len(ends) > 2:
+            longest = int(np.argmax(np.diff(ends)))
+            part = slice(ends[longest], ends[longest + 1])
+            rows, time = rows[part], time[part]
+            self.found.add(
+                f"{len(ends) - 2} interruptions: only the longest part is used, {time[0]:.4g} to {time[-1]:.4g} s"
+            )
+            self._check_number(len(rows), "between interruptions")
+        return rows, time - time[0]
+
+    def _check_number(self, rows: int, which: str) -> None:
+        if rows < SHORTEST:
+            raise self._problem(f"{rows} rows {which}; expected {SHORTEST} or more")
+
+    def _check_finite(self, names: Sequence[str], time: Array) -> None:
+        if not np.isfinite(time).all():
+            raise self._problem(f"row {int(np.argmin(np.isfinite(time))) + 1}: no time")
+        for name in names:
+            values = self.log.column(name)
+            bad = np.abs(values) > LARGEST
+            if bad.any():
+                row = int(np.argmax(bad))
+                said = "infinite" if np.isinf(values[row]) else f"{values[row]:g}; expected below {LARGEST:g}"
+                raise self._problem(f"column {name!r}, row {row + 1}: {said}")
+
+    def _uniform(self, time: Array, values: dict[str, Array]) -> tuple[float, Array]:
+        """Rate and times of a uniform grid, on which values are put, in place."""
+        printed = float(np.max(printed_resolution(time, False)))  # s: times may be off the grid by as much
+        mean = (len(time) - 1) / time[-1]
+        if not SLOWEST_HZ <= mean <= FASTEST_HZ:
+            raise self._problem(
+                f"times: {mean:.3g} samples a second; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g}; are they in another unit?"
+            )
+        rate = _round_rate(mean, printed / time[-1])
+        grid = np.arange(len(time)) / rate
+        if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
+            self.found.add(f"{rate:g} Hz, {len(time)} samples")
+            return rate, grid
+        from scipy.interpolate import PchipInterpolator  # here, for most logs do without
+
+        rate = _round_rate(1.0 / float(np.median(np.diff(time))))
+        grid = np.arange(int(np.floor(time[-1] * rate + 1e-9)) + 1) / rate
+        for signal, array in values.items():
+            values[signal] = PchipInterpolator(time, array, axis=0)(np.minimum(grid, time[-1]))
+        spread = np.ptp(np.diff(time))
+        self.found.add(
+            f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the median rate, {rate:g} Hz, {len(grid)} samples",
+            "likely",
+        )
+        return rate, grid
 
 
 def _words(name: str) -> list[str]:
     """`jointPos_1 [deg]` gives joint, pos, 1, deg."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
     return re.findall(r"[a-z]+|\d+", spaced.lower())
-
-
-def _time(log: Log, options: ReadingOptions, found: list[Finding]) -> tuple[Array, str | None]:
-    if log.time is not None:
-        return log.time, None
-    candidates = [name for name in log.names if _is_time(name)]
-    exact = [name for name in candidates if name.lower() == TIME]
-    if exact or candidates:
-        name = (exact or candidates)[0]
-        time = log.column(name) - log.column(name)[0]
-        stated = [_TIME_UNITS[w] for w in _time_words(name)[1:] if w in _TIME_UNITS]
-        step = float(np.nanmedian(np.abs(np.diff(time))))
-        # the unit in which the rate is one that robots are logged at
-        scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
-        unit = next(u for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)) if s == scale)
-        sure: Sureness = "sure" if stated or (scale == 1.0 and step > 1e-5) else "likely"
-        found.append(Finding(f"time: column {name!r}, in {unit}", sure))
-        return time * scale, name
-    if options.rate_hz is None:
-        raise ValueError(f"{log.path}: no time column; expected one named time, or --rate with the sample rate in Hz")
-    found.append(Finding(f"time: {options.rate_hz:g} Hz", "stated"))
-    return np.arange(len(log.values)) / options.rate_hz, None
 
 
 def _time_words(name: str) -> list[str]:
@@ -329,81 +584,11 @@ def _is_time(name: str) -> bool:
     return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in _TIME_UNITS for w in words)
 
 
-def _places(log: Log, axes: Axes, options: ReadingOptions, time_name: str | None) -> dict[str, list[_Column]]:
-    """Signal -> columns that can hold it."""
-    taken = {name for names in options.columns.values() for name in names}
-    for name in taken:
-        if name not in log.names:
-            raise ValueError(f"{log.path}: no column {name!r}{suggestion(name, log.names)}")
-    read: dict[str, list[_Column]] = {}
-    numbered = [n for n in log.names if n not in taken and n != time_name]
-    # the joints count from 0 where a column says so
-    from_zero = any(_number_in(n, axes) == 0 and _signal_of(_words(n))[0] for n in numbered)
-    for name in numbered:
-        column = _stated_column(log, name, axes) if log.roles else _column(name, axes, options, from_zero)
-        if column is not None and column.signal not in options.columns:
-            read.setdefault(column.signal, []).append(column)
-    for signal, names in options.columns.items():
-        joints = options.joints or axes.joints
-        if len(names) > len(joints):
-            raise ValueError(
-                f"--columns {signal} lists {len(names)} columns; expected at most {len(joints)}, one a joint"
-            )
-        read[signal] = [
-            _Column(name, signal, joint, "stated", _unit(signal, _words(name)), 0)
-            for name, joint in zip(names, joints, strict=False)
-        ]
-    return read
-
-
-def _stated_column(log: Log, name: str, axes: Axes) -> _Column | None:
-    assert log.roles is not None
-    signal, joint = log.roles[name]
-    return _Column(name, signal, joint, "sure", 1.0, 0) if joint in axes.joints else None
-
-
-def _column(name: str, axes: Axes, options: ReadingOptions, from_zero: bool) -> _Column | None:
-    words = _words(name)
-    joint, rest, sure = None, words, "sure"
-    for candidate in sorted(axes.joints, key=len, reverse=True):  # shoulder_pan before shoulder
-        place = _find(_words(candidate), words)
-        if place is not None:
-            joint = candidate
-            rest = words[: place[0]] + words[place[1] :]
-            break
-    if joint is None:
-        number = _number_in(name, axes)
-        among = options.joints or axes.joints
-        if number is None:
-            if len(among) != 1:
-                return None
-            joint = among[0]
-        else:
-            index = number if from_zero else number - 1
-            if not 0 <= index < len(among):
-                return None
-            joint, sure = among[index], "likely"
-        rest = [w for w in words if not w.isdigit()]
-    signal, left = _signal_of(rest)
-    if signal is None:
-        return None
-    return _Column(name, signal, joint, "sure" if sure == "sure" else "likely", _unit(signal, words), len(left))
-
-
 def _find(part: Sequence[str], words: Sequence[str]) -> tuple[int, int] | None:
     for start in range(len(words) - len(part) + 1):
         if list(words[start : start + len(part)]) == list(part):
             return start, start + len(part)
     return None
-
-
-def _number_in(name: str, axes: Axes) -> int | None:
-    """The number of a joint in a name: its last one, where no joint's own name is in it."""
-    words = _words(name)
-    if any(_find(_words(joint), words) for joint in axes.joints):
-        return None
-    numbers = [int(w) for w in words if w.isdigit()]
-    return numbers[-1] if numbers else None
 
 
 def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
@@ -436,245 +621,6 @@ def _unit(signal: str, words: Sequence[str]) -> float | None:
     return found[0] if found else 1.0 if {"rad", "nm"} & set(words) else None
 
 
-def _complete(
-    log: Log, axes: Axes, options: ReadingOptions, places: Mapping[str, list[_Column]], found: list[Finding]
-) -> tuple[tuple[str, ...], dict[str, list[_Column]]]:
-    """The joints that have position and torque, and the signals that all of these have."""
-    by_joint: dict[str, dict[str, _Column]] = {}
-    for signal, columns in places.items():
-        at: dict[str, _Column] = {}
-        for column in sorted(columns, key=lambda c: c.extra):
-            other = at.setdefault(column.joint, column)
-            if other is not column and other.extra == column.extra:
-                raise ValueError(
-                    f"{log.path}: columns {other.name!r} and {column.name!r} can both be {signal} of {column.joint}; "
-                    f"choose with --columns {signal}=..."
-                )
-        by_joint[signal] = at
-    for signal in REQUIRED:
-        if not by_joint.get(signal):
-            raise ValueError(_nothing_found(log, axes, signal))
-    wanted = options.joints or axes.joints
-    joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in REQUIRED))
-    if not joints:
-        raise ValueError(f"{log.path}: no joint has both position and torque; {_shown(places)}")
-    signals = {}
-    for signal in FIELDS:
-        at = by_joint.get(signal, {})
-        have = [at[j] for j in joints if j in at]
-        if len(have) == len(joints):
-            signals[signal] = have
-            sure: Sureness = next((s for s in ("likely", "sure") if any(c.sure == s for c in have)), "stated")
-            found.append(Finding(f"{signal}: {', '.join(c.name for c in have)} for {', '.join(joints)}", sure))
-        elif have:
-            missing = [j for j in joints if j not in at]
-            found.append(Finding(f"{signal}: left out, none for {', '.join(missing)}", "sure"))
-    without = [j for j in wanted if j not in joints]
-    if without:
-        found.append(Finding(f"held at zero, for they have no columns: {', '.join(without)}", "sure"))
-    return joints, signals
-
-
-def _nothing_found(log: Log, axes: Axes, signal: str) -> str:
-    shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
-    hint = ""
-    if signal == "torque" and any(_CURRENT & set(_words(n)) for n in log.names):
-        hint = "; currents must first be multiplied by motor constant and gear ratio"
-    if log.roles and not any(joint in axes.joints for _, joint in log.roles.values()):
-        hint = f"; the robot's joints are {', '.join(axes.joints)}"
-    return (
-        f"{log.path}: no column can be {signal}; it has {shown}{hint}; "
-        f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(axes.joints)})"
-    )
-
-
-def _shown(places: Mapping[str, list[_Column]]) -> str:
-    return "; ".join(f"{signal} of {', '.join(c.joint for c in columns)}" for signal, columns in places.items())
-
-
-# ---- units and times ------------------------------------------------------------------------------------------
-
-
-def _to_si(
-    log: Log,
-    axes: Axes,
-    options: ReadingOptions,
-    joints: tuple[str, ...],
-    signals: Mapping[str, list[_Column]],
-    values: dict[str, Array],
-    found: list[Finding],
-) -> float:
-    """Bring values to SI, in place; what the first joint's angles were multiplied with."""
-    degrees = options.degrees
-    position = signals["motor_position"]
-    unstated = all(c.scale is None for c in position)
-    if degrees is None and unstated and not options.gear:
-        degrees = _looks_like_degrees(log, axes, joints, position, values["motor_position"])
-        unit = "degrees, for in rad they would leave the robot's limits" if degrees else "rad"
-        found.append(Finding(f"angles: in {unit}", "likely"))
-    elif degrees is not None:
-        found.append(Finding(f"angles: in {'degrees' if degrees else 'rad'}", "stated"))
-    first = 1.0
-    for signal, columns in signals.items():
-        assumed = np.pi / 180 if degrees and "torque" not in signal else 1.0
-        # an option overrules what names say
-        overruled = options.degrees is not None and "torque" not in signal
-        scales = np.array([assumed if c.scale is None or overruled else c.scale for c in columns])
-        values[signal] = values[signal] * scales
-        told = [c.name for c in columns if c.scale not in (None, 1.0)]
-        if told and not overruled:
-            found.append(Finding(f"{signal}: brought to SI from the unit in the name of {', '.join(told)}", "sure"))
-        if signal == "motor_position":
-            first = float(scales[0])
-    return first
-
-
-def _looks_like_degrees(
-    log: Log, axes: Axes, joints: tuple[str, ...], columns: Sequence[_Column], position: Array
-) -> bool:
-    """Whether angles fit the robot's limits in degrees but not in rad.
-
-    Raises
-    ------
-    ValueError
-        They fit in neither.
-    """
-    at = [axes.joints.index(j) for j in joints]
-    lower, upper = np.array(axes.lower)[at], np.array(axes.upper)[at]
-    slack = 0.1  # rad: offsets, and overshoot over the limits
-
-    def outside(scale: float) -> NDArray[np.bool_]:
-        q = scale * position
-        return np.asarray((q.min(axis=0) < lower - slack) | (q.max(axis=0) > upper + slack))
-
-    in_rad = outside(1.0)
-    if not in_rad.any():
-        return False
-    in_degrees = outside(np.pi / 180)
-    if not in_degrees.any():
-        return True
-    worst = int(np.argmax(in_degrees))
-    low, high = position[:, worst].min(), position[:, worst].max()
-    raise ValueError(
-        f"{log.path}: column {columns[worst].name!r} runs from {low:.4g} to {high:.4g}, outside the limits of {joints[worst]} "
-        f"in rad ({lower[worst]:.4g} to {upper[worst]:.4g}) and in degrees; motor side (--gear)? another joint (--columns)?"
-    )
-
-
-def _to_joint_side(
-    options: ReadingOptions, joints: tuple[str, ...], values: dict[str, Array], found: list[Finding]
-) -> None:
-    """Bring motor-side values to the joint side, in place, as a campaign's [motor] table does."""
-    count, rows = len(joints), options.gear
-    if [len(row) for row in rows] not in ([count], [count] * count):
-        raise ValueError(f"--gear: expected {count} numbers, or {count} rows of them, for {', '.join(joints)}")
-    gear = np.diag(rows[0]) if len(rows) == 1 else np.array(rows)
-    if not np.isfinite(gear).all() or np.linalg.matrix_rank(gear) < count:
-        raise ValueError("--gear: singular; joint angles cannot be found from motor angles")
-    if options.offset and len(options.offset) != count:
-        raise ValueError(f"--offset lists {len(options.offset)} numbers; expected one for each of {', '.join(joints)}")
-    offset = np.array(options.offset) if options.offset else np.zeros(count)
-    for signal, array in values.items():
-        if signal == "link_position":
-            continue
-        if "torque" in signal:
-            values[signal] = array @ gear
-        else:
-            values[signal] = np.linalg.solve(gear, array.T).T + (offset if "position" in signal else 0.0)
-    found.append(Finding("motor side, brought to the joint side by --gear", "stated"))
-
-
-def _usable(log: Log, names: Sequence[str], time: Array, found: list[Finding]) -> tuple[NDArray[np.intp], Array]:
-    """Rows to keep: rising times, the longest part between interruptions, no empty cells."""
-    _check_finite(log, names, time)
-    table = np.column_stack([log.column(name) for name in names])
-    empty = np.isnan(table)
-    rows = np.flatnonzero(~empty.all(axis=1))
-    if len(rows) < SHORTEST:
-        raise ValueError(f"{log.path}: {len(rows)} rows with numbers; expected {SHORTEST} or more")
-    whole = np.flatnonzero(~empty.any(axis=1))
-    if len(whole) == 0:
-        column = int(np.argmax(empty.sum(axis=0)))
-        raise ValueError(f"{log.path}: column {names[column]!r}: no row has numbers in this and in all other columns")
-    inside = np.arange(whole[0], whole[-1] + 1)
-    if empty[inside].any():
-        column = int(np.argmax(empty[inside].any(axis=0)))
-        row = int(inside[np.argmax(empty[inside, column])])
-        raise ValueError(f"{log.path}: column {names[column]!r}, row {row + 1}: empty or NaN")
-    if len(inside) < len(table):
-        found.append(Finding(f"{len(table) - len(inside)} rows with empty cells at the ends left out", "sure"))
-    rows, time = inside, time[inside]
-    back = np.flatnonzero(np.diff(time) < 0.0)
-    if len(back):
-        raise ValueError(f"{log.path}: row {rows[back[0] + 1] + 1}: time runs backwards, from {time[back[0]]:.9g} s "
-                         f"to {time[back[0] + 1]:.9g} s after the start")  # fmt: skip
-    fresh = np.r_[True, np.diff(time) > 0.0]
-    if not fresh.all():
-        found.append(Finding(f"{np.count_nonzero(~fresh)} rows with the time of the row before left out", "sure"))
-        rows, time = rows[fresh], time[fresh]
-    if len(rows) < SHORTEST:
-        raise ValueError(f"{log.path}: {len(rows)} rows at different times; expected {SHORTEST} or more")
-    steps = np.diff(time)
-    ends = np.r_[0, np.flatnonzero(steps > GAP * np.median(steps)) + 1, len(time)]
-    if len(ends) > 2:
-        longest = int(np.argmax(np.diff(ends)))
-        part = slice(ends[longest], ends[longest + 1])
-        found.append(
-            Finding(
-                f"{len(ends) - 2} interruptions: only the longest part is used, {time[part][0]:.4g} to {time[part][-1]:.4g} s",
-                "sure",
-            )
-        )
-        rows, time = rows[part], time[part]
-        if len(rows) < SHORTEST:
-            raise ValueError(f"{log.path}: {len(rows)} rows between interruptions; expected {SHORTEST} or more")
-    return rows, time - time[0]
-
-
-def _check_finite(log: Log, names: Sequence[str], time: Array) -> None:
-    if not np.isfinite(time).all():
-        raise ValueError(f"{log.path}: row {int(np.argmin(np.isfinite(time))) + 1}: no time")
-    for name in names:
-        bad = np.abs(log.column(name)) > LARGEST
-        if bad.any():
-            row = int(np.argmax(bad))
-            found = log.column(name)[row]
-            said = "infinite" if np.isinf(found) else f"{found:g}; expected below {LARGEST:g}"
-            raise ValueError(f"{log.path}: column {name!r}, row {row + 1}: {said}")
-
-
-def _uniform(
-    log: Log, time: Array, values: dict[str, Array], found: list[Finding]
-) -> tuple[float, dict[str, Array], Array]:
-    """Rate, values and times on a uniform grid."""
-    printed = float(np.max(printed_resolution(time, False)))  # s: times may be off the grid by as much
-    mean = (len(time) - 1) / time[-1]
-    if not SLOWEST_HZ <= mean <= FASTEST_HZ:
-        raise ValueError(
-            f"{log.path}: times: {mean:.3g} samples a second; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g}; are they in another unit?"
-        )
-    rate = _round_rate((len(time) - 1) / time[-1], printed / time[-1])
-    grid = np.arange(len(time)) / rate
-    if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
-        found.append(Finding(f"{rate:g} Hz, {len(time)} samples", "sure"))
-        return rate, values, grid
-    from scipy.interpolate import PchipInterpolator  # here, for most logs do without
-
-    rate = _round_rate(1.0 / float(np.median(np.diff(time))))
-    grid = np.arange(int(np.floor(time[-1] * rate + 1e-9)) + 1) / rate
-    out = {
-        signal: PchipInterpolator(time, array, axis=0)(np.minimum(grid, time[-1])) for signal, array in values.items()
-    }
-    spread = np.ptp(np.diff(time))
-    found.append(
-        Finding(
-            f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the median rate, {rate:g} Hz, {len(grid)} samples",
-            "likely",
-        )
-    )
-    return rate, out, grid
-
-
 def _round_rate(rate: float, slack: float = 0.0) -> float:
     """The nearest number of three digits where that is within 0.05 %, as clocks drift, and what print allows (relative)."""
     nice = float(f"{rate:.3g}")
@@ -684,9 +630,8 @@ def _round_rate(rate: float, slack: float = 0.0) -> float:
 # ---- all files together ---------------------------------------------------------------------------------------
 
 
-def _alike(parts: list[Recording], options: ReadingOptions) -> tuple[list[Recording], list[Finding]]:
+def _alike(parts: list[Recording], options: ReadingOptions, found: _Findings) -> list[Recording]:
     """The same rate, joints and signals in every recording."""
-    found: list[Finding] = []
     rate = options.rate_hz or parts[0].sample_rate_hz
     for k, part in enumerate(parts):
         if part.joints != parts[0].joints:
@@ -699,28 +644,28 @@ def _alike(parts: list[Recording], options: ReadingOptions) -> tuple[list[Record
                     f"{part.source}: {part.sample_rate_hz:g} Hz; expected {rate:g}, as in {parts[0].source}, or --rate for all"
                 )
             parts[k] = _at_rate(part, rate)
-            found.append(
-                Finding(f"{part.name}: resampled from {part.sample_rate_hz:g} to {rate:g} Hz, filtered", "stated")
-            )
+            found.add(f"{part.name}: resampled from {part.sample_rate_hz:g} to {rate:g} Hz, filtered", "stated")
     for field in [f for s, f in FIELDS.items() if s not in REQUIRED]:
         have = [getattr(part, field) is not None for part in parts]
         if any(have) and not all(have):
-            found.append(Finding(f"{field}: left out, not in every file", "sure"))
+            found.add(f"{field}: left out, not in every file")
             parts = [dataclasses.replace(part, **{field: None}) for part in parts]  # type: ignore[arg-type]
-    return parts, found
+    return parts
+
+
+def _arrays(part: Recording) -> dict[str, Array]:
+    """The fields that a recording has of those that can be told by names."""
+    found = {field: getattr(part, field) for field in FIELDS.values()}
+    return {field: array for field, array in found.items() if array is not None}
 
 
 def _at_rate(part: Recording, rate: float) -> Recording:
     from rx90b_flex.signals.filters import resample  # here, for most logs do without
 
-    changed: dict[str, Array] = {}
-    for field in FIELDS.values():
-        array = getattr(part, field)
-        if array is not None:
-            try:
-                changed[field] = resample(array, part.sample_rate_hz, rate)
-            except ValueError as error:
-                raise ValueError(f"{part.source}: --rate {rate:g}: {error}") from None
+    try:
+        changed = {field: resample(array, part.sample_rate_hz, rate) for field, array in _arrays(part).items()}
+    except ValueError as error:
+        raise ValueError(f"{part.source}: --rate {rate:g}: {error}") from None
     time = np.arange(len(changed["position"])) / rate
     return dataclasses.replace(part, time=time, sample_rate_hz=rate, **changed)  # type: ignore[arg-type]
 
@@ -731,13 +676,13 @@ def _split(whole: Recording) -> tuple[Recording, ...]:
         raise ValueError(
             f"{whole.source}: {whole.samples} samples; too few to fit on one part and to validate on another"
         )
-    parts: list[tuple[str, Role, slice]] = [
+    parts: tuple[tuple[str, Role, slice], ...] = (
         ("fit", "identification", slice(None, at)),
         ("check", "validation", slice(at, None)),
-    ]
+    )
     out = []
     for name, role, rows in parts:
-        arrays = {f: getattr(whole, f)[rows] for f in FIELDS.values() if getattr(whole, f) is not None}
+        arrays: dict[str, Any] = {field: array[rows] for field, array in _arrays(whole).items()}
         out.append(dataclasses.replace(whole, name=f"{whole.name}_{name}", role=role, time=whole.time[rows], **arrays))
     return tuple(out)
 

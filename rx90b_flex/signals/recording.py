@@ -19,7 +19,7 @@ from rx90b_flex.files.keys import suggestion
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, read_toml, toml_text
 from rx90b_flex.signals import tables
-from rx90b_flex.signals.data_fault import DataFaultError
+from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.stated import (
     JOINT_SIDES,
     Accelerometer,
@@ -148,15 +148,19 @@ class Recording:
                     f"{where}: acceleration has shape {array.shape}, ({len(self.time)}, 3 a sensor) is expected"
                 )
             object.__setattr__(self, "acceleration", array)
-        if self.period_s is not None:
-            problem = _period_problem(self.period_s, self.sample_rate_hz, self.samples)
-            if problem:
-                raise ValueError(f"{where}: period_s = {self.period_s!r} {problem}")
+        problem = _period_problem(self.period_s, self.sample_rate_hz, self.samples)
+        if problem:
+            raise ValueError(f"{where}: period_s = {self.period_s!r} {problem}")
         if self.date is not None:
             try:
                 datetime.date.fromisoformat(self.date)
             except ValueError:
                 raise ValueError(f"{where}: date = {self.date!r}, a day such as 2026-03-02 is expected") from None
+
+    @property
+    def file_name(self) -> str:
+        """Name of its file, or its own where it came from none."""
+        return self.source.name if self.source else self.name
 
     @property
     def samples(self) -> int:
@@ -236,7 +240,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     path = Path(path)
     missing = "no such file; a campaign file (TOML) is expected"
     root = TomlTable(str(path), "", read_toml(path, "campaign file", missing))
-    layout = _read_layout(root)
+    layout = _read_layout(root, path)
     entries = [_read_entry(section, path, layout) for section in root.sections("recording")]
     if not any(entry.role == "identification" for entry in entries):
         raise root.problem("recording", 'none has role = "identification"; at least one is needed')
@@ -259,19 +263,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         names.add((entry.role, name))
         recordings.append(dataclasses.replace(recording, name=name))
 
-    return Campaign(
-        path=path,
-        robot=layout.robot,
-        robot_source=named_beside(path, layout.robot),
-        sample_rate_hz=layout.sample_rate_hz,
-        joints=layout.joints,
-        recordings=tuple(recordings),
-        cutoff_hz=layout.cutoff_hz,
-        noise_torque=layout.noise_torque,
-        torque_constants=layout.torque_constants,
-        torque_side=layout.torque_side,
-        accelerometers=layout.accelerometers,
-    )
+    return dataclasses.replace(layout.stated, recordings=tuple(recordings))
 
 
 def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
@@ -351,7 +343,7 @@ def write_campaign(
         save_recording(recording, target)
         content["recording"].append(_entry_of(recording, file))
     campaign = directory / "campaign.toml"
-    tables.write_whole(campaign, lambda temporary: _write_text(temporary, toml_text(content)))
+    tables.write_whole(campaign, lambda temporary: temporary.write_text(toml_text(content), encoding="utf-8"))
     return campaign
 
 
@@ -371,20 +363,13 @@ def _entry_of(recording: Recording, file: str) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _CampaignLayout:
-    """The campaign file apart from its recordings."""
+    """The campaign file apart from its recordings: what it states, and how columns become signals."""
 
-    robot: str
-    sample_rate_hz: float
-    joints: tuple[str, ...]
+    stated: Campaign  # without recordings
     columns: dict[str, tuple[str, ...]]
     gear_matrix: Array | None
     offset: Array
-    cutoff_hz: float | None
-    noise_torque: tuple[float, ...] | None
-    torque_constants: tuple[float | None, ...] | None
-    torque_side: str | None
-    accelerometers: tuple[Accelerometer, ...]
-    acceleration: tuple[str, ...]  # their columns
+    acceleration: tuple[str, ...]  # columns of the accelerometers
 
 
 @dataclass(frozen=True)
@@ -401,7 +386,7 @@ class _Entry:
     date: str | None
 
 
-def _read_layout(root: TomlTable) -> _CampaignLayout:
+def _read_layout(root: TomlTable, path: Path) -> _CampaignLayout:
     root.allow(
         "robot", "sample_rate_hz", "joints", "signals", "motor", "preprocessing", "noise", "torque", "accelerometer", "recording"
     )  # fmt: skip
@@ -416,7 +401,8 @@ def _read_layout(root: TomlTable) -> _CampaignLayout:
     used: dict[str, str] = {}
     from_current = signals.has("motor_current") and not signals.has("torque")
     for item in SIGNALS:
-        if not signals.has(item.key) and (item.key not in REQUIRED or (item.key == "torque" and from_current)):
+        needed = item.key in REQUIRED and not (item.key == "torque" and from_current)
+        if not (needed or signals.has(item.key)):
             continue
         names = signals.texts(item.key)
         if len(names) != count:
@@ -434,32 +420,28 @@ def _read_layout(root: TomlTable) -> _CampaignLayout:
 
     gear_matrix, offset, constants = _read_motor(root, joints, signals.has("motor_current"), from_current)
 
-    cutoff = None
-    if root.has("preprocessing"):
-        preprocessing = root.section("preprocessing")
-        preprocessing.allow("cutoff_hz")
-        if preprocessing.has("cutoff_hz"):
-            cutoff = preprocessing.positive("cutoff_hz")
-            if cutoff >= 0.5 * rate:
-                raise preprocessing.problem(
-                    "cutoff_hz", f"found {cutoff:g}, below half of sample_rate_hz ({0.5 * rate:g}) is expected"
-                )
+    preprocessing = root.section_or_empty("preprocessing")
+    preprocessing.allow("cutoff_hz")
+    cutoff = preprocessing.optional("cutoff_hz", preprocessing.positive)
+    if cutoff is not None and cutoff >= 0.5 * rate:
+        raise preprocessing.problem(
+            "cutoff_hz", f"found {cutoff:g}, below half of sample_rate_hz ({0.5 * rate:g}) is expected"
+        )
     noise = None
     if root.has("noise"):
         section = root.section("noise")
         section.allow("torque_rms")
-        values = section.numbers("torque_rms", count)
-        if np.any(values < 0.0):
-            raise section.problem("torque_rms", f"found {float(values.min()):g}, numbers of 0 or more are expected")
-        noise = tuple(float(value) for value in values)
+        noise = tuple(section.numbers("torque_rms", count).tolist())
+        if min(noise) < 0.0:
+            raise section.problem("torque_rms", f"found {min(noise):g}, numbers of 0 or more are expected")
     side = read_torque_side(root, gear_matrix is not None, from_current) if root.has("torque") else None
     sensors, acceleration = read_accelerometers(root)
     for name in acceleration:
         if name in used:
             raise root.problem("accelerometer", f"column {name!r} is already used by {used[name]}")
-    return _CampaignLayout(
-        root.text("robot"), rate, joints, columns, gear_matrix, offset, cutoff, noise, constants, side, sensors, acceleration
-    )  # fmt: skip
+    robot = root.text("robot")
+    stated = Campaign(path, robot, named_beside(path, robot), rate, joints, (), cutoff, noise, constants, side, sensors)
+    return _CampaignLayout(stated, columns, gear_matrix, offset, acceleration)
 
 
 def _read_motor(
@@ -467,7 +449,7 @@ def _read_motor(
 ) -> tuple[Array | None, Array, tuple[float | None, ...] | None]:
     """Gear matrix, offset and torque constants; the constants None where the torque does not come from currents."""
     count = len(joints)
-    motor = root.section("motor") if root.has("motor") else TomlTable(root.file, "[motor]", {})
+    motor = root.section_or_empty("motor")
     motor.allow("gear_matrix", "offset", "torque_constant")
     if motor.has("torque_constant") and not has_current:
         raise motor.problem("torque_constant", "there is no [signals] motor_current that it belongs to")
@@ -496,20 +478,20 @@ def _read_entry(section: TomlTable, campaign: Path, layout: _CampaignLayout) -> 
     if role is None:
         hint = suggestion(text, ROLES)
         raise section.problem("role", f'found {text!r}{hint}, "identification" or "validation" is expected')
-    start = section.number("start_s") if section.has("start_s") else None
-    end = section.number("end_s") if section.has("end_s") else None
+    start, end = (section.optional(key, section.number) for key in ("start_s", "end_s"))
     if start is not None and end is not None and start >= end:
         raise section.problem("end_s", f"found {end:g}, more than start_s = {start:g} is expected")
-    period = section.positive("period_s") if section.has("period_s") else None
-    if period is not None:
-        problem = _period_problem(period, layout.sample_rate_hz, None)
-        if problem:
-            raise section.problem("period_s", f"{period!r} {problem}")
+    period = section.optional("period_s", section.positive)
+    problem = _period_problem(period, layout.stated.sample_rate_hz, None)
+    if problem:
+        raise section.problem("period_s", f"{period!r} {problem}")
     return _Entry(section, file, role, start, end, period, read_flange_load(section), read_date(section))
 
 
-def _period_problem(period_s: float, rate: float, samples: int | None) -> str | None:
-    """What is wrong with a period, or None. `samples` None: the length is not known yet."""
+def _period_problem(period_s: float | None, rate: float, samples: int | None) -> str:
+    """What is wrong with a period, in words. `samples` None: the length is not known yet."""
+    if period_s is None:
+        return ""
     if not (math.isfinite(period_s) and period_s > 0.0):
         return "is no time above 0"
     count = period_s * rate
@@ -517,7 +499,7 @@ def _period_problem(period_s: float, rate: float, samples: int | None) -> str | 
         return f"is {count:.6g} sample periods at {rate:g} Hz, a whole number of 2 or more is expected"
     if samples is not None and round(count) > samples:
         return f"is {round(count)} samples, more than the recording's {samples}"
-    return None
+    return ""
 
 
 def _refuse_repeats(section: TomlTable, key: str, names: Sequence[str]) -> None:
@@ -531,33 +513,23 @@ def _refuse_repeats(section: TomlTable, key: str, names: Sequence[str]) -> None:
 
 def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recording:
     """The part of a table that one [[recording]] asks for, checked and brought to the joint side."""
-    time, part = _part(table, entry, layout.sample_rate_hz)
-    first = part.start
-    values = _signals(table, part, layout)
-    if entry.period_s is not None:
-        problem = _period_problem(entry.period_s, layout.sample_rate_hz, part.stop - first)
-        if problem:
-            raise ValueError(f"{table.path}: {entry.where.name} period_s: {entry.period_s!r} {problem}")
+    rate = layout.stated.sample_rate_hz
+    time, part = _part(table, entry, rate)
+    values: dict[str, Any] = _signals(table, part, layout)
+    problem = _period_problem(entry.period_s, rate, part.stop - part.start)
+    if problem:
+        raise ValueError(f"{table.path}: {entry.where.name} period_s: {entry.period_s!r} {problem}")
     return Recording(
         name=tables.stem_of(table.path),
         role=entry.role,
         time=time[part].copy(),
-        sample_rate_hz=layout.sample_rate_hz,
-        joints=layout.joints,
-        position=values["position"],
-        torque=values["torque"],
-        velocity=values.get("velocity"),
-        link_position=values.get("link_position"),
-        reference_position=values.get("reference_position"),
-        reference_velocity=values.get("reference_velocity"),
-        feedforward_torque=values.get("feedforward_torque"),
-        joint_torque=values.get("joint_torque"),
-        motor_current=values.get("motor_current"),
-        acceleration=values.get("acceleration"),
+        sample_rate_hz=rate,
+        joints=layout.stated.joints,
+        **values,
         payload=entry.payload,
         period_s=entry.period_s,
         source=table.path,
-        date=entry.date or _day_of(float(time[first])),
+        date=entry.date or _day_of(float(time[part.start])),
     )
 
 
@@ -592,17 +564,13 @@ def _signals(table: tables.Table, part: slice, layout: _CampaignLayout) -> dict[
             continue
         measured = table.columns(names)[part]
         _check_finite(table.path, names, measured, first)
-        joint_side = _to_joint_side(measured, item, layout)
-        if item.kind == "angle":
-            _check_angles(table.path, names, joint_side, item, layout)
-        else:
-            _check_sizes(table.path, names, joint_side, item, layout)
-        values[item.field] = joint_side
+        values[item.field] = _to_joint_side(measured, item, layout)
+        _check_sizes(table.path, names, values[item.field], item, layout)
     if layout.acceleration:
         values["acceleration"] = table.columns(layout.acceleration)[part]
         _check_finite(table.path, layout.acceleration, values["acceleration"], first)
-    if layout.torque_constants is not None:
-        values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.torque_constants])
+    if layout.stated.torque_constants is not None:
+        values["torque"] = values["motor_current"] * np.array([c or 1.0 for c in layout.stated.torque_constants])
     return values
 
 
@@ -615,7 +583,7 @@ def _day_of(clock: float) -> str | None:
 
 def _to_joint_side(measured: Array, item: Signal, layout: _CampaignLayout) -> Array:
     gear = layout.gear_matrix
-    if gear is None or item.always_joint_side or (item.key == "torque" and layout.torque_side in JOINT_SIDES):
+    if gear is None or item.always_joint_side or (item.key == "torque" and layout.stated.torque_side in JOINT_SIDES):
         return measured
     if item.kind == "torque":
         return measured @ gear  # rows are samples: (gear.T @ torque).T
@@ -631,43 +599,31 @@ def _check_finite(file: Path, names: Sequence[str], values: Array, first: int) -
     row = int(np.argmax(bad[:, column]))
     found = "missing or NaN" if np.isnan(values[row, column]) else f"{values[row, column]:g}"
     count = int(np.count_nonzero(bad[:, column]))
-    raise DataFaultError(
+    message = (
         f"{file}: column {names[column]!r}, row {first + row + 1}: {found}"
-        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected",
-        "glitch",
-        rows=tuple(int(r) + first + 1 for r in np.flatnonzero(bad.any(axis=1))[:20]),
+        f" ({count} such row{'s' if count > 1 else ''} in this column); finite numbers are expected"
     )
+    rows = np.flatnonzero(bad.any(axis=1))[:20] + first + 1
+    raise DataFaultError(DataFault("glitch", None, (), message, rows=tuple(rows.tolist())))
 
 
-def _check_angles(file: Path, names: Sequence[str], angles: Array, item: Signal, layout: _CampaignLayout) -> None:
-    largest = np.max(np.abs(angles), axis=0)
-    joint = int(np.argmax(largest))
-    if largest[joint] > _LARGEST_ANGLE:
+def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, layout: _CampaignLayout) -> None:
+    joints, largest = layout.stated.joints, np.max(np.abs(values), axis=0)
+    worst = int(np.argmax(largest))
+    found = f"{file}: column {names[worst]!r}: {item.key} of {joints[worst]!r} reaches {largest[worst]:.4g}"
+    if item.kind == "angle" and largest[worst] > _LARGEST_ANGLE:
         cause = (
             "probably degrees, or motor side without a [motor] gear_matrix"
             if layout.gear_matrix is None or item.always_joint_side
             else "probably degrees, or joint side although [motor] gives a gear_matrix, or a wrong gear_matrix"
         )
-        beyond = tuple(name for name, x in zip(layout.joints, largest, strict=True) if x > _LARGEST_ANGLE)
-        degrees = layout.gear_matrix is None and largest[joint] <= _LARGEST_DEGREES
-        raise DataFaultError(
-            f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} rad"
-            f" on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}",
-            "unit",
-            item.key,
-            layout.joints if degrees else beyond,
-            180.0 / math.pi if degrees else None,
-        )
-
-
-def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, layout: _CampaignLayout) -> None:
-    largest = np.max(np.abs(values), axis=0)
-    joint = int(np.argmax(largest))
-    if largest[joint] > tables.LARGEST:
-        raise ValueError(
-            f"{file}: column {names[joint]!r}: {item.key} of {layout.joints[joint]!r} reaches {largest[joint]:.4g} on the joint side;"
-            f" SI units, below {tables.LARGEST:g}, are expected"
-        )
+        beyond = tuple(name for name, x in zip(joints, largest, strict=True) if x > _LARGEST_ANGLE)
+        degrees = layout.gear_matrix is None and largest[worst] <= _LARGEST_DEGREES
+        message = f"{found} rad on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
+        factor = 180.0 / math.pi if degrees else None
+        raise DataFaultError(DataFault("unit", item.key, joints if degrees else beyond, message, factor=factor))
+    if largest[worst] > tables.LARGEST:
+        raise ValueError(f"{found} on the joint side; SI units, below {tables.LARGEST:g}, are expected")
 
 
 def _select(file: Path, time: Array, entry: _Entry, rate: float) -> tuple[int, int]:
@@ -718,7 +674,3 @@ def _file_names(recordings: Sequence[Recording], file_format: str) -> list[str]:
 
 def _acceleration_columns(sensors: int) -> list[str]:
     return [f"acc_{i + 1}_{axis}" for i in range(sensors) for axis in "xyz"]
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -136,7 +136,7 @@ def read_torque_constants(motor: TomlTable, joints: Sequence[str]) -> tuple[floa
         for name in found:
             if name not in joints:
                 raise motor.problem(key, f"unknown joint {name!r}{suggestion(name, joints)}")
-        return tuple(_constant(motor, key, found.get(joint)) for joint in joints)
+        found = [found.get(joint) for joint in joints]
     if not isinstance(found, list):
         raise motor.problem(
             key, f"found {shown(found)}, a list of {len(joints)} numbers or a table by joint is expected"

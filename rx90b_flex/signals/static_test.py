@@ -11,15 +11,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
-from rx90b_flex.files.table import TomlTable
-from rx90b_flex.files.toml import read_toml
-from rx90b_flex.signals.tables import read_parquet, read_table, stem_of, write_whole
+from rx90b_flex.signals.tables import read_parquet, read_table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DIRECTIONS = ("up", "down")
-KEYS = ("coordinate", "file", "lever_arm_m", "moment_std_nm", "deformation_std_rad")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,62 +61,32 @@ class StaticTest:
         return len(self.moment)
 
 
-def read_static_test(path: str | os.PathLike[str]) -> StaticTest:
-    """Read a dead-weight test.
-
-    A table (.csv, .csv.gz, .parquet) has one row a reading and the columns ``moment_nm`` or ``load_n``,
-    ``deformation_rad`` and ``direction`` (``up`` or ``down``). A TOML file describes one::
-
-        coordinate = "joint_2:bend_1"
-        file = "joint_2_bend_1.csv"       # relative to this file
-        lever_arm_m = 0.985               # needed where the table has load_n: moment = load * lever arm
-        moment_std_nm = 0.2               # optional, of one reading
-        deformation_std_rad = 2.9e-5      # optional, of one reading
-
-    A table read by itself gets its file name as coordinate.
-
-    Raises
-    ------
-    ValueError
-        One line that names the file and the key, column or row.
-    """
-    path = Path(path)
-    if path.suffix.lower() != ".toml":
-        return read_static_table(path, stem_of(path), None, None, None)
-    table = TomlTable(str(path), "", read_toml(path, "file"))
-    table.allow(*KEYS)
-    file = table.text("file")
-    lever = table.optional("lever_arm_m", table.positive)
-    moment_std, deformation_std = (table.optional(key, table.not_negative) for key in KEYS[3:])
-    coordinate = table.optional("coordinate", table.text) or Path(file).stem
-    return read_static_table(path.parent / file, coordinate, lever, moment_std, deformation_std)
-
-
-def write_static_test(test: StaticTest, path: str | os.PathLike[str]) -> None:
-    """Write a test as CSV with the columns that `read_static_test` reads; the file appears whole or not at all."""
-    direction = np.where(test.rising, *DIRECTIONS)
-    table = pd.DataFrame({"moment_nm": test.moment, "deformation_rad": test.deformation, "direction": direction})
-    write_whole(Path(path), lambda temporary: table.to_csv(temporary, index=False))
-
-
 def read_static_table(
-    path: Path, coordinate: str, lever: float | None, moment_std: float | None, deformation_std: float | None
+    path: str | os.PathLike[str],
+    coordinate: str,
+    lever: float | None = None,
+    moment_std: float | None = None,
+    deformation_std: float | None = None,
 ) -> StaticTest:
-    """Readings of one test, from a table as `read_static_test` describes it.
+    """Readings of one test: a table (.csv, .csv.gz, .parquet) with a row a reading.
+
+    Its columns are ``moment_nm`` or ``load_n``, ``deformation_rad`` and ``direction`` (``up`` or ``down``).
 
     Parameters
     ----------
-    path : Path
+    path : path
     coordinate : str
-    lever : float or None
+    lever : float, optional
         Moment over load, m, where the table has loads; its sign is that of the hinge's axis.
-    moment_std, deformation_std : float or None
+    moment_std, deformation_std : float, optional
+        Of one reading, N m and rad.
 
     Raises
     ------
     ValueError
-        As `read_static_test`.
+        One line that names the file and the column or row.
     """
+    path = Path(path)
     table = read_table(path, ["deformation_rad"], optional=["moment_nm", "load_n"])
     loads = [name for name in ("moment_nm", "load_n") if name in table.names]
     if len(loads) != 1:

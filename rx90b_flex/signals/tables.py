@@ -112,7 +112,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     if size == 0:
         raise ValueError(f"{path}: the file is empty")
     try:
-        header = _parquet_header(path) if extension == ".parquet" else _csv_header(path)
+        header = list(pa_parquet.read_schema(path).names) if extension == ".parquet" else _csv_header(path)
         wanted = _choose(path, header, columns, optional)
         positions = [header.index(name) for name in wanted]
         read = _read_parquet if extension == ".parquet" else _read_csv
@@ -135,14 +135,15 @@ def write_table(path: Path, names: Sequence[str], values: NDArray[np.float64]) -
     table = pa.table([pa.array(np.ascontiguousarray(column)) for column in values.T], names=list(names))
 
     def write(temporary: Path) -> None:
+        as_csv = pa_csv.WriteOptions(quoting_style="needed")
         if extension == ".parquet":
             pa_parquet.write_table(table, temporary)
         elif extension == ".csv":
-            pa_csv.write_csv(table, temporary, pa_csv.WriteOptions(quoting_style="needed"))
+            pa_csv.write_csv(table, temporary, as_csv)
         else:
             # mtime=0 keeps the bytes the same for the same data
             with open(temporary, "wb") as raw, gzip.GzipFile("", "wb", mtime=0, fileobj=raw) as stream:
-                pa_csv.write_csv(table, stream, pa_csv.WriteOptions(quoting_style="needed"))
+                pa_csv.write_csv(table, stream, as_csv)
 
     write_whole(path, write)
 
@@ -249,10 +250,6 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """The columns of a Parquet file, all unless named, read by this thread: another without memory would end the process, or wait."""
     with pa_parquet.ParquetFile(path, pre_buffer=False) as file:
         return file.read(columns=None if columns is None else list(columns), use_threads=False)
-
-
-def _parquet_header(path: Path) -> list[str]:
-    return list(pa_parquet.read_schema(path).names)
 
 
 def _read_parquet(

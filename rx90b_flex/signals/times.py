@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90b_flex.signals.data_fault import DataFaultError
+from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 
 Array = NDArray[np.float64]
 
@@ -64,11 +64,8 @@ def check_uniform(file: Path, time: Array, rate: float, resolution: Array, first
         contradicts = abs(typical - period) > 0.05 * period + float(np.max(rounding)) / len(steps)
     if contradicts:
         found = f"steps of {typical:.6g} s ({1.0 / typical:.6g} Hz)" if typical > 0.0 else "times that never change"
-        raise DataFaultError(
-            f"{file}: column 'time': {found} contradict sample_rate_hz = {rate:g} ({period:.6g} s)",
-            "sample_rate",
-            factor=rate * typical or None,
-        )
+        message = f"{file}: column 'time': {found} contradict sample_rate_hz = {rate:g} ({period:.6g} s)"
+        raise DataFaultError(DataFault("sample_rate", None, (), message, factor=rate * typical or None))
     if fine:
         bad = np.abs(steps - period) > 0.01 * period + rounding
     else:

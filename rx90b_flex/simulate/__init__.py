@@ -59,4 +59,4 @@ __all__ = [
     "straight_line",
 ]
 
-__getattr__ = names_of(__name__, __file__)
+__getattr__ = names_of(__name__)

@@ -12,4 +12,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "View", "compare", "report_html", "show", "show_modes", "write_report"]
 
-__getattr__ = names_of(__name__, __file__)
+__getattr__ = names_of(__name__)

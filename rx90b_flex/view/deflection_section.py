@@ -40,7 +40,7 @@ def _gear(gear: GearDeflection) -> Section:
     if gear.comparisons:
         rows = tuple(
             (
-                c.name, f"{c.value:.3g}", f"{c.std:.2g}", c.unit, f"{c.p_value:.2g}", f"{100 * c.share:.1f} %",
+                c.name, f"{c.value:.3g}", f"{c.std:.2g}", c.unit, f"{c.p_value:.2g}", f"{100 * c.gain_share:.1f} %",
                 "yes" if c.shown else "no",
             )
             for c in gear.comparisons

@@ -330,9 +330,8 @@ def _motion(result: ClosedLoop, motion: MotionErrors | str | None) -> Section | 
     """The simulated motion before and after beside the measured one."""
     if not isinstance(motion, MotionErrors):
         return None if motion is None else Section("", (motion,))
-    columns = {"motor, before": motion.motor_before_mrad, "motor, after": motion.motor_after_mrad}
-    if motion.link_before_mrad is not None and motion.link_after_mrad is not None:
-        columns |= {"link, before": motion.link_before_mrad, "link, after": motion.link_after_mrad}
+    sides = {"motor": motion.motor_rms_mrad, "link": motion.link_rms_mrad}
+    columns = {f"{side}, {when}": x for side, both in sides.items() if both for when, x in both._asdict().items()}
     rows = tuple((j, *(number(float(x[i])) for x in columns.values())) for i, j in enumerate(result.joints))
     part = (
         f"the first {motion.seconds:.3g} s of {motion.of_s:.3g} s"
@@ -342,15 +341,16 @@ def _motion(result: ClosedLoop, motion: MotionErrors | str | None) -> Section | 
     caption = (
         f"Simulated less measured angle under the references of {motion.recording}, {part} of validation. RMS, mrad."
     )
-    if motion.tip_before_mm is not None:
+    if motion.tip_rms_mm is not None:
+        before, after = (number(x) for x in motion.tip_rms_mm)
         tip = (
-            f"The tip is {number(motion.tip_before_mm)} mm before and {number(motion.tip_after_mm)} mm after from where the measured "
+            f"The tip is {before} mm before and {after} mm after from where the measured "
             "link angles put it (root mean square; bending of hinges is not measured)."
         )
     else:
         tip = (
             "No link side was measured: where the tip really was is not known. The tips of the two simulations are "
-            f"{number(motion.tip_apart_mm)} mm apart (root mean square)."
+            f"{number(motion.tip_apart_rms_mm)} mm apart (root mean square)."
         )
     return Section("", (tip,), (PageTable(("joint", *columns), rows, caption),))
 

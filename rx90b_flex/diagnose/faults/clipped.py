@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 SHARE = 0.003  # of the samples at one end of the range, from which on a fit is led astray
 RUN = 3  # samples behind one another
@@ -16,9 +16,8 @@ NEXT = 0.01  # of the range below the largest value: where a peak that is not cu
 OVER_NEXT = 3.0
 
 
-def clipped(recordings: Sequence[Recording]) -> list[DataFault]:
+def clipped(recordings: Sequence[Recording]) -> Iterator[DataFault]:
     """Joints whose largest or smallest torque comes again and again, while values just below it are rare."""
-    out = []
     for k, joint in enumerate(recordings[0].joints):
         torque = [r.torque[:, k] for r in recordings]
         ends = [(sign, _share(torque, sign)) for sign in (1.0, -1.0)]
@@ -26,30 +25,22 @@ def clipped(recordings: Sequence[Recording]) -> list[DataFault]:
         if cut:
             at = " and ".join(f"{sign * max((sign * t).max() for t in torque):.4g}" for sign, _ in cut)
             share = sum(share for _, share in cut)
-            message = (
+            yield DataFault(
+                "clipped",
+                "torque",
+                (joint,),
                 f"The torque of {joint} is cut off at {at} N m in {100 * share:.2g} % of the samples: log a wider range, move "
-                "more slowly, or leave these parts out (start_s, end_s)."
+                "more slowly, or leave these parts out (start_s, end_s).",
             )
-            out.append(DataFault("clipped", "torque", (joint,), None, None, message))
-    return out
 
 
 def _share(torque: Sequence[Array], sign: float) -> float:
     """Part of the samples that lies at the upper end (of the negative, with -1), where it is cut off; else 0."""
     x = np.concatenate([sign * t for t in torque])
     top, spread = float(x.max()), float(np.ptp(x))
-    if spread <= 0.0 or top == 0.0:
+    if spread <= 0.0 or top == 0.0 or len(x) < RUN:
         return 0.0
     at = x >= top - 1e-6 * spread
     below = (x >= top - NEXT * spread) & ~at
-    if at.sum() <= OVER_NEXT * below.sum() or not _runs(at):
-        return 0.0
-    return float(at.mean())
-
-
-def _runs(at: np.ndarray) -> bool:
-    together = at.copy()
-    for k in range(1, RUN):
-        together[k:] &= at[:-k]
-    together[: RUN - 1] = False
-    return bool(together.any())
+    runs = np.lib.stride_tricks.sliding_window_view(at, RUN).all(axis=1)
+    return float(at.mean()) if at.sum() > OVER_NEXT * below.sum() and runs.any() else 0.0

@@ -87,17 +87,14 @@ class _Gain:
         return self.fitted + (OF_KNOWN * self.known if self.credible else 0.0)
 
 
-@dataclass(frozen=True, eq=False)
 class _Bases:
     """A look and its fits without any fault."""
 
-    look: Look
-    fitted: RigidFit
-    known: RigidFit
+    def __init__(self, look: Look) -> None:
+        self.look, self.fitted, self.known = look, look.fit(), look.fit_of_known_links()
 
-    @staticmethod
-    def of(look: Look) -> _Bases:
-        return _Bases(look, look.fit(), look.fit_of_known_links())
+    def fitted_gain(self, hypothesis: Hypothesis) -> float:
+        return self.fitted.score - self.look.fit(hypothesis.reading).score
 
     def gain(self, hypothesis: Hypothesis) -> _Gain:
         free, known = self.look.fit(hypothesis.reading), self.look.fit_of_known_links(hypothesis.reading)
@@ -121,7 +118,7 @@ class _Bases:
 
 
 def _best(look: Look) -> Found | None:
-    bases = _Bases.of(look)
+    bases = _Bases(look)
     well = (bases.fitted.error < GOOD).all() and (bases.known.error < GOOD_KNOWN).all()
     everything = bool(not well or bases.fitted.impossible.any() or outside(look, 1.0).any())
     promising = _promising(look, everything)
@@ -149,17 +146,13 @@ def _best(look: Look) -> Found | None:
 
 def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:
     """The best of each kind at a part of the rows, as (gain, rank of the kind, hypothesis)."""
-    bases = _Bases.of(look.beside(THIN))
+    bases = _Bases(look.beside(THIN))
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in ON_TORQUES_ALONE):
             continue
-        tried = []
-        for hypothesis in kind(bases.look):
-            if kind in ON_POSES:
-                tried.append((bases.gain(hypothesis).total, rank, hypothesis))
-            else:
-                tried.append((bases.fitted.score - bases.look.fit(hypothesis.reading).score, rank, hypothesis))
+        on_pose = kind in ON_POSES
+        tried = [(bases.gain(h).total if on_pose else bases.fitted_gain(h), rank, h) for h in kind(bases.look)]
         tried.sort(key=lambda t: -t[0])
         out += [t for t in tried[:SECOND_LOOKS] if t[0] > PROMISING]
     highest = max((gain for gain, *_ in out), default=0.0)

@@ -10,36 +10,24 @@ from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.identify.torque_sensors import MOTOR_GAIN
 
-GRID = tuple(np.geomspace(1 / 40, 40, 15))
+GRID = (*np.geomspace(1 / 40, 40, 15), 1e3, 1e-3, 130.0, 1 / 130)
 FEWEST_SHARED = 2  # joints: one alone has nothing that fixes its scale
 
 
 def torque_gains(look: Look) -> Iterator[Hypothesis]:
     """The logged torque of one joint is so many times the true one."""
-    n = len(look.sample.joints)
-    if n < FEWEST_SHARED:
-        return
-    for k in range(n):
-        for gain in (*GRID, 1e3, 1e-3, 130.0, 1 / 130):
-            if abs(np.log(gain)) > 0.05:
-                yield _of(look, k, float(gain))
+    joints = look.sample.joints
+    for k, joint in enumerate(joints if len(joints) >= FEWEST_SHARED else ()):
 
+        def reading(factor: float, k: int = k) -> Reading:
+            return look.reading.changed("torque_scale", (k,), lambda x: x / factor)
 
-def _of(look: Look, k: int, gain: float) -> Hypothesis:
-    joint = look.sample.joints[k]
-    now = look.reading.torque_scale[k]
-
-    def reading(factor: float) -> Reading:
-        return look.reading.changed("torque_scale", k, now / factor)
-
-    unit = not MOTOR_GAIN[0] < gain < MOTOR_GAIN[1]
-    if unit:
-        cure = "another unit, amperes, or the motor's side of the gear. Bring it to N m on the joint side."
-    else:
-        cure = "check its motor constant and gear ratio, or let torque_gain be identified."
-    text = f"The torque of {joint} is <factor> times what the other joints' torques ask for: {cure}"
-
-    return Hypothesis(
-        "unit" if unit else "torque_gain", "torque", (joint,), reading(gain), text, gain, reading, (gain / 1.8, gain * 1.8),
-        usable=not unit,
-    )  # fmt: skip
+        for gain in (float(g) for g in GRID if abs(np.log(g)) > 0.05):
+            unit = not MOTOR_GAIN[0] < gain < MOTOR_GAIN[1]
+            if unit:
+                cure = "another unit, amperes, or the motor's side of the gear. Bring it to N m on the joint side."
+            else:
+                cure = "check its motor constant and gear ratio, or let torque_gain be identified."
+            text = f"The torque of {joint} is <factor> times what the other joints' torques ask for: {cure}"
+            kind, bounds = "unit" if unit else "torque_gain", (gain / 1.8, gain * 1.8)
+            yield Hypothesis(kind, "torque", (joint,), text, reading, gain, bounds, usable=not unit)

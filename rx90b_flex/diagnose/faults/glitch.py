@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 WINDOW = 5  # samples whose median a sample is held against
 TIMES = 12.0  # the deviation that one sample in a hundred has
@@ -37,28 +37,25 @@ def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Rec
             changed[name] = _bridged(values, bad)
             rows = np.flatnonzero(bad.any(axis=1)) + 1
             joints = tuple(j for k, j in enumerate(recording.joints) if bad[:, k].any())
-            shown = ", ".join(str(r) for r in rows[:5]) + (" and others" if len(rows) > 5 else "")
             worst = float(np.abs(values[bad]).max())
             message = (
-                f"{_file(recording)}: {name} of {', '.join(joints)}: {len(rows)} row(s) jump away from their neighbours "
-                f"(up to {worst:.4g}), "
-                f"row {shown}: correct these cells, or leave the part out (start_s, end_s)."
+                f"{recording.file_name}: {name} of {', '.join(joints)}: {len(rows)} row(s) jump away from their neighbours "
+                f"(up to {worst:.4g}), row {_listed(map(str, rows))}: correct these cells, or leave the part out (start_s, end_s)."
             )
-            out.append(
-                DataFault("glitch", LABELS[name], joints, None, None, message, rows=tuple(int(r) for r in rows[:SHOWN]))
-            )
+            out.append(DataFault("glitch", LABELS[name], joints, message, rows=tuple(rows[:SHOWN].tolist())))
         out += _slips(recording)
         mended.append(dataclasses.replace(recording, **changed) if changed else recording)  # type: ignore[arg-type]
     return out, mended
 
 
-def _file(recording: Recording) -> str:
-    return recording.source.name if recording.source else recording.name
+def _listed(rows: Iterable[str]) -> str:
+    """The first few."""
+    every = list(rows)
+    return ", ".join(every[:5]) + (" and others" if len(every) > 5 else "")
 
 
-def _slips(recording: Recording) -> list[DataFault]:
+def _slips(recording: Recording) -> Iterator[DataFault]:
     """Angles that step from one sample to the next and go on from there: an encoder that slips, or whose zero is set anew."""
-    out = []
     for joint, values in zip(recording.joints, recording.position.T, strict=True):
         step = np.diff(values)
         if len(step) < 4 * WINDOW:
@@ -72,15 +69,12 @@ def _slips(recording: Recording) -> list[DataFault]:
         # a single cell that is wrong steps there and back
         rows = rows[[abs(values[min(i + 3, len(step))] - values[max(i - 2, 0)]) > 0.5 * limit for i in rows]]
         if len(rows):
-            shown = ", ".join(f"{i + 2} by {step[i]:.3g}" for i in rows[:5]) + (" and others" if len(rows) > 5 else "")
+            shown = _listed(f"{i + 2} by {step[i]:.3g}" for i in rows)
             message = (
-                f"{_file(recording)}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, "
-                "or a zero that was "
-                "set anew; leave that part out (start_s, end_s)."
+                f"{recording.file_name}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, "
+                "or a zero that was set anew; leave that part out (start_s, end_s)."
             )
-            at = tuple(int(i) + 2 for i in rows[:SHOWN])
-            out.append(DataFault("glitch", LABELS["position"], (joint,), None, None, message, rows=at))
-    return out
+            yield DataFault("glitch", LABELS["position"], (joint,), message, rows=tuple((rows[:SHOWN] + 2).tolist()))
 
 
 def _apart(values: Array, part: float) -> Mask:

@@ -10,9 +10,8 @@ import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.sample import Reading
-from rx90b_flex.robot import Robot
 
-ZEROS = tuple(np.radians([-90.0, -40.0, 40.0, 90.0, 180.0]))
+ZEROS = tuple(np.radians([-90.0, -40.0, 40.0, 90.0, 180.0]).tolist())
 LENGTHS = (0.1, 0.5, 0.75, 1.33, 2.0, 10.0)  # the URDF's over the true one
 DIRECTIONS = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -22,21 +21,17 @@ def zeros(look: Look) -> Iterator[Hypothesis]:
     for k, joint in enumerate(look.sample.joints):
         if look.prismatic[k]:
             continue
-        now = look.reading.offset[k]
         text = (
             f"The zero of {joint} is <factor>° off: the URDF's angle is the log's plus that; correct the joint's origin, or state "
             "`offset`."
         )
 
-        def reading(angle: float, k: int = k, now: float = now) -> Reading:
-            return look.reading.changed("offset", k, now + angle)
+        def reading(angle: float, k: int = k) -> Reading:
+            return look.reading.changed("offset", (k,), lambda x: x + angle)
 
         for angle in ZEROS:
-            yield Hypothesis(
-                "kinematics", None, (joint,), reading(angle),
-                text,
-                float(angle), reading, (angle - 0.8, angle + 0.8), shown=float(np.degrees(1.0)),
-            )  # fmt: skip
+            bounds = angle - 0.8, angle + 0.8
+            yield Hypothesis("kinematics", None, (joint,), text, reading, angle, bounds, shown=float(np.degrees(1.0)))
 
 
 def axes(look: Look) -> Iterator[Hypothesis]:
@@ -54,10 +49,10 @@ def axes(look: Look) -> Iterator[Hypothesis]:
                 (ElementTree.SubElement(at, "axis") if found is None else found).set("xyz", _text(axis))
 
             name = "xyz"[int(np.argmax(axis))]
-            yield Hypothesis(
-                "kinematics", None, (joint,), _with(look, ("axis", joint, name), turned),
-                f"The axis of {joint} does not fit: about its frame's {name} the torques go together. Correct the URDF.",
-            )  # fmt: skip
+            text = (
+                f"The axis of {joint} does not fit: about its frame's {name} the torques go together. Correct the URDF."
+            )
+            yield Hypothesis.of("kinematics", None, (joint,), text, _with(look, ("axis", joint, name), turned))
 
 
 def lengths(look: Look) -> Iterator[Hypothesis]:
@@ -75,37 +70,29 @@ def lengths(look: Look) -> Iterator[Hypothesis]:
 
             return _with(look, ("length", joint, factor), moved)
 
+        text = f"The link before {joint} is <factor> times too long in the URDF: correct the joint's origin."
         for factor in LENGTHS:
-            yield Hypothesis(
-                "kinematics", None, (joint,), reading(factor),
-                f"The link before {joint} is <factor> times too long in the URDF: correct the joint's origin.",
-                factor, reading, (factor / 1.5, factor * 1.5),
-            )  # fmt: skip
+            yield Hypothesis("kinematics", None, (joint,), text, reading, factor, (factor / 1.5, factor * 1.5))
 
 
 def mountings(look: Look) -> Iterator[Hypothesis]:
     """The robot hangs from a ceiling or a wall."""
     for direction in DIRECTIONS:
-        if direction == look.reading.gravity:
-            continue
-        yield Hypothesis(
-            "kinematics", None, (), dataclasses.replace(look.reading, gravity=direction),
-            f"Gravity points along {direction} of the URDF's base: mount the URDF as the robot is.",
-        )  # fmt: skip
+        if direction != look.reading.gravity:
+            text = f"Gravity points along {direction} of the URDF's base: mount the URDF as the robot is."
+            reading = dataclasses.replace(look.reading, gravity=direction)
+            yield Hypothesis.of("kinematics", None, (), text, reading)
 
 
 def _with(look: Look, key: tuple[object, ...], edit: Callable[[ElementTree.Element], None]) -> Reading:
     """The reading with an edited URDF; the same edit gives the same robot."""
-    robot = look.reading.robot
-    known = look._robots
-    if (id(robot), *key) not in known:
+    robot, known = look.reading.robot, look.robots
+    key = (id(robot), *key)
+    if key not in known:
         root = _tree(look)
         edit(root)
-        urdf = ElementTree.tostring(root, encoding="unicode")
-        known[(id(robot), *key)] = dataclasses.replace(robot, urdf=urdf)
-    made = known[(id(robot), *key)]
-    assert isinstance(made, Robot)
-    return dataclasses.replace(look.reading, robot=made)
+        known[key] = dataclasses.replace(robot, urdf=ElementTree.tostring(root, encoding="unicode"))
+    return dataclasses.replace(look.reading, robot=known[key])
 
 
 def _tree(look: Look) -> ElementTree.Element:

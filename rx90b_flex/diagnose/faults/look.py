@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize
 
-from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, RIDGE, Products, RigidFit, columns_of, effects_of, seen_error
+from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, RIDGE, Products, RigidFit, columns_of, effects_of
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.robot import Robot
 
 KEPT = 3  # motions whose columns are kept: the present one, and those that a refinement goes back to
 STEPS = 14  # of a refinement
@@ -28,16 +30,14 @@ class Hypothesis:
     signal : str or None
         Key of a campaign file, or ``all``.
     joints : tuple of str
-    reading : Reading
-        What would be right.
     text : str
         A sentence with the cure; ``<factor>`` stands for the factor times `shown`.
+    family : callable
+        What would be right, by factor.
     factor : float or None
         What is stated over what is true; seconds for a shift.
-    family : callable or None
-        Readings by factor, where it is a number on a scale that can be refined.
-    bounds : (low, high)
-        Of the factor, for its refinement.
+    bounds : (low, high) or None
+        Of the factor, where it is a number on a scale that can be refined.
     usable : bool
         Whether the data can be used all the same.
     shown : float
@@ -47,13 +47,24 @@ class Hypothesis:
     kind: str
     signal: str | None
     joints: tuple[str, ...]
-    reading: Reading
     text: str
+    family: Callable[[float], Reading]
     factor: float | None = None
-    family: Callable[[float], Reading] | None = None
-    bounds: tuple[float, float] = (0.0, 0.0)
+    bounds: tuple[float, float] | None = None
     usable: bool = False
     shown: float = 1.0
+
+    @staticmethod
+    def of(
+        kind: str, signal: str | None, joints: tuple[str, ...], text: str, reading: Reading, factor: float | None = None
+    ) -> Hypothesis:
+        """With one reading that would be right."""
+        return Hypothesis(kind, signal, joints, text, lambda _factor: reading, factor)
+
+    @cached_property
+    def reading(self) -> Reading:
+        """What would be right."""
+        return self.family(1.0 if self.factor is None else self.factor)
 
     @property
     def message(self) -> str:
@@ -72,7 +83,7 @@ class Look:
     with_effects: bool = False  # whether fits may have what could be missing in a joint's drive
     _columns: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
     _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
-    _robots: dict[tuple[object, ...], object] = field(default_factory=dict, repr=False)
+    robots: dict[tuple[object, ...], Robot] = field(default_factory=dict, repr=False)  # with edited URDFs
 
     def beside(self, factor: int = 1, with_effects: bool = False) -> Look:
         """The same look at every so many-th row, or with fits that may have more effects."""
@@ -109,46 +120,42 @@ class Look:
 
     def fit_of_known_links(self, reading: Reading | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
-        return self._with_links(reading or self.reading, KNOWN)
+        return self.fit_held(range((reading or self.reading).links), KNOWN, reading)
 
     def fit_of_free_links(self, reading: Reading | None = None) -> RigidFit:
         """The same with the links fitted, also where the robot file calls them known."""
-        return self._with_links(reading or self.reading, RIDGE)
+        return self.fit_held(range((reading or self.reading).links), RIDGE, reading)
 
-    def _with_links(self, reading: Reading, held: float) -> RigidFit:
-        return RigidFit.of(self._products_with_links(reading, held), reading)
-
-    def _products_with_links(self, reading: Reading, held: float) -> Products:
-        products = self.products(reading)
-        ridge = products.ridge.copy()
-        ridge[: len(reading.robot.link_parameters)] = held
-        return dataclasses.replace(products, ridge=ridge)
+    def fit_held(self, columns: Sequence[int], ridge: float, reading: Reading | None = None) -> RigidFit:
+        """The same with some columns held by another ridge: `OUT` takes them out."""
+        reading = reading or self.reading
+        return RigidFit.of(self.products(reading).held(columns, ridge), reading)
 
     def errors_at_least(self) -> tuple[Array, Array]:
         """Squared errors of each joint over its torque's variance, held out and on the rows of the fit, each (joints,).
 
         With links that are free and what a spring or a coupling would explain: that much has to do with the motion.
         """
-        free = self._products_with_links(self.reading, RIDGE)
+        free = self.products(self.reading).held(range(self.reading.links), RIDGE)
         fits = (self.fit(), RigidFit.of(free, self.reading), self.beside(with_effects=True).fit_of_free_links())
-        return np.min([f.error for f in fits], axis=0), seen_error(free, self.reading)
+        return np.min([f.error for f in fits], axis=0), RigidFit.of(free, self.reading, held_out=False).error
 
     def refined(self, hypothesis: Hypothesis, of_known: float = 0.0) -> tuple[Hypothesis, float | None]:
         """The factor at which a hypothesis does best, and its standard deviation from the score's curvature.
 
         `of_known` is the weight of the fit with the URDF's links beside that with free ones.
         """
-        family, factor = hypothesis.family, hypothesis.factor
-        if family is None or factor is None:
+        factor, bounds = hypothesis.factor, hypothesis.bounds
+        if factor is None or bounds is None:
             return hypothesis, None
-        scale = _Scale(hypothesis.bounds[0] * hypothesis.bounds[1] > 0, float(np.sign(hypothesis.bounds[0])) or 1.0)
+        scale = _Scale(bounds[0] * bounds[1] > 0, float(np.sign(bounds[0])) or 1.0)
 
         def score(y: float) -> float:
-            reading = family(scale.back(y))
+            reading = hypothesis.family(scale.back(y))
             known = of_known * self.fit_of_known_links(reading).score if of_known else 0.0
             return self.fit(reading).score + known
 
-        low, high = sorted(scale.to(b) for b in hypothesis.bounds)
+        low, high = sorted(scale.to(b) for b in bounds)
         found = optimize.minimize_scalar(
             score, bounds=(low, high), method="bounded", options={"maxiter": STEPS, "xatol": 1e-3 * (high - low)}
         )
@@ -160,7 +167,7 @@ class Look:
         rows = sum(len(t.torque) / t.rate_hz for t in self.sample.tracks) * 2.0 * self.sample.cutoff_hz
         std = float(1.0 / np.sqrt(max(0.5 * min(rows, len(self.sample.fold)) * bend, 1e-12)))
         std = min(std, 1.0) * abs(best) if scale.logarithmic else std
-        return dataclasses.replace(hypothesis, factor=best, reading=family(best)), std
+        return dataclasses.replace(hypothesis, factor=best), std
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,10 @@ GRID = (10.0, 4.0, 2.0, 1.4, 0.7, 0.5, 0.25, 0.1)  # stated over true
 
 def sample_rates(look: Look) -> Iterator[Hypothesis]:
     """The stated sample rate is so many times the true one."""
-    now = look.reading.rate
+    text = "The stated sample rate is <factor> times the true one: inertia and gravity do not go together otherwise."
 
     def reading(factor: float) -> Reading:
-        return dataclasses.replace(look.reading, rate=now / factor)
+        return dataclasses.replace(look.reading, rate=look.reading.rate / factor)
 
     for factor in GRID:
-        yield Hypothesis(
-            "sample_rate", None, (), reading(factor),
-            "The stated sample rate is <factor> times the true one: inertia and gravity do not go together otherwise.",
-            factor, reading, (factor / 1.6, factor * 1.6),
-        )  # fmt: skip
+        yield Hypothesis("sample_rate", None, (), text, reading, factor, (factor / 1.6, factor * 1.6))

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import signal
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 ALIKE = 0.02**2  # squared difference of two motions over their own size
 ALIKE_TORQUE = 0.15**2  # and of their torques: another load, or pulses on top, make it another experiment
 SAMPLES_A_SECOND = 40.0
 
 
-def repeated(recordings: Sequence[Recording]) -> list[DataFault]:
+def repeated(recordings: Sequence[Recording]) -> Iterator[DataFault]:
     """Validation recordings whose motion one of the identification recordings has as well."""
-    out = []
     fitted = [r for r in recordings if r.role == "identification"]
     for other in (r for r in recordings if r.role == "validation"):
         same = next((r for r in fitted if _contains(r, other)), None)
@@ -27,8 +26,7 @@ def repeated(recordings: Sequence[Recording]) -> list[DataFault]:
                 f"Recording {other.name} (validation) holds the same motion as {same.name} (identification): its error says "
                 "nothing about other motions; record another one, or split one recording with start_s and end_s."
             )
-            out.append(DataFault("repeated_recording", None, (), None, None, message))
-    return out
+            yield DataFault("repeated_recording", None, (), message)
 
 
 def _contains(whole: Recording, part: Recording) -> bool:

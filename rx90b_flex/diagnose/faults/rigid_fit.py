@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,7 @@ from rx90b_flex.effects.motion import Array
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
 KNOWN = 1e2  # the same where the links are known
+OUT = 1e9  # the same of what is left out
 ROUNDS = 3  # fits with weights from the last one's errors
 FLOOR = 1e-4  # squared relative error below which a difference is no matter of the data's columns
 POSES = 24  # at which the mass matrix's diagonal is looked at
@@ -62,7 +64,7 @@ class Products:
         torque, inside = sample.torque_of(reading)
         fold = np.where(inside, sample.fold, -1)
         _, v, a, _ = sample.seen(reading)
-        links = 10 * len(reading.robot.bodies)
+        links = reading.links
         drives = slice(links, links + PER_JOINT * len(sample.joints))
         resisting = columns[:, :, drives].copy()
         for j in range(len(sample.joints)):  # inertia and offset are no friction
@@ -88,6 +90,12 @@ class Products:
             gram, cross, power, mean_sum, rows, friction, _inertia(sample, reading, columns.shape[2], links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
+
+    def held(self, columns: Sequence[int], ridge: float) -> Products:
+        """With another ridge on some columns."""
+        changed = self.ridge.copy()
+        changed[list(columns)] = ridge
+        return replace(self, ridge=changed)
 
     def read(self, reading: Reading) -> tuple[Array, Array, Array]:
         """Of the torques that a reading gives each joint: products with its columns (folds, joints, p), squares (folds, joints),
@@ -186,7 +194,6 @@ class RigidFit:
     impossible : array, shape (joints,)
         How surely friction would drive a joint, or its inertia be negative, 0 to 1; zero where its torque is fitted badly, for
         then what is missing in the model decides such signs.
-    products : Products
     by_fold : array, shape (folds, joints)
         The error of each fold's rows.
     """
@@ -194,7 +201,6 @@ class RigidFit:
     error: Array
     theta: Array
     impossible: Array
-    products: Products
     by_fold: Array
 
     @cached_property
@@ -208,12 +214,12 @@ class RigidFit:
         return np.asarray(_log(self.by_fold).sum(axis=1))
 
     @staticmethod
-    def of(products: Products, reading: Reading) -> RigidFit:
-        """Weighted least squares, one weight a joint, each fold predicted from the others."""
+    def of(products: Products, reading: Reading, held_out: bool = True) -> RigidFit:
+        """Weighted least squares, one weight a joint, each fold predicted from the others, or from all of them."""
         cross, power, total = products.read(reading)
         error = np.ones(len(total))
         for _ in range(ROUNDS):
-            theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)))
+            theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)), held_out)
             aside = theta[:, None, :]
             seen = (products.gram @ aside[..., None])[..., 0]
             left = power + ((seen - 2 * cross) * aside).sum(axis=2)
@@ -222,34 +228,22 @@ class RigidFit:
         told = np.clip(1.0 - error / ILL, 0.0, 1.0)
         share = products.rows / products.rows.sum()
         by_fold = np.maximum(left, 0.0) / (total * np.maximum(share, 1e-9)[:, None])
-        return RigidFit(error, theta, told * _impossible(products, theta, rms), products, by_fold)
-
-
-def seen_error(products: Products, reading: Reading) -> Array:
-    """Squared error over the torque's variance of a fit to all rows, shape (joints,)."""
-    cross, power, total = products.read(reading)
-    gram, right, square = products.gram.sum(axis=0), cross.sum(axis=0), power.sum(axis=0)
-    error = np.ones(len(total))
-    for _ in range(ROUNDS):
-        weight = 1.0 / (total * (error + FLOOR))
-        theta = _held(np.tensordot(weight, gram, axes=(0, 0)), weight @ right, products)
-        error = np.maximum(square + ((gram @ theta - 2 * right) * theta).sum(axis=1), 0.0) / total
-    return np.asarray(error)
+        return RigidFit(error, theta, told * _impossible(products, theta, rms), by_fold)
 
 
 def _log(error: Array) -> Array:
     return np.asarray(np.log(np.minimum(error, 1.0) + FLOOR))
 
 
-def _solved(products: Products, cross: Array, weight: Array) -> Array:
-    """Parameters from all folds but one, for each, shape (folds, p)."""
+def _solved(products: Products, cross: Array, weight: Array, held_out: bool) -> Array:
+    """Parameters from all folds but one, for each, or from all of them; shape (folds, p)."""
     gram = np.tensordot(weight, products.gram, axes=(0, 1))
     right = np.tensordot(weight, cross, axes=(0, 1))
     whole = gram.sum(axis=0), right.sum(axis=0)
-    out = []
-    for f in range(len(gram)):
-        out.append(_held(whole[0] - gram[f], whole[1] - right[f], products))
-    return np.array(out)
+    if not held_out:
+        return np.tile(_held(*whole, products), (len(gram), 1))
+    others = zip(whole[0] - gram, whole[1] - right, strict=True)
+    return np.array([_held(*of_others, products) for of_others in others])
 
 
 def _held(gram: Array, right: Array, products: Products) -> Array:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -23,7 +22,7 @@ FOLDS = 4  # each is held out once
 BLOCKS = 12  # contiguous segments of which a fold gets every fourth
 HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
-BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")
+BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +64,15 @@ class Reading:
         same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
         return Reading(robot, same, one, zero, same, one, zero, (0.0,) * recordings)
 
-    def changed(self, name: str, joint: int, value: float) -> Reading:
-        """With one entry of `scale`, `offset`, `torque_scale`, `shift_s` or `recording_shift_s` replaced."""
-        values = list(getattr(self, name))
-        values[joint] = value
-        return self.with_entries({name: tuple(values)})
+    @property
+    def links(self) -> int:
+        """Number of link parameters, whose columns come first."""
+        return 10 * len(self.robot.bodies)
+
+    def changed(self, name: str, which: Collection[int], change: Callable[[float], float]) -> Reading:
+        """With some entries of `scale`, `offset`, `torque_scale`, `shift_s` or `recording_shift_s` changed."""
+        values = tuple(change(x) if k in which else x for k, x in enumerate(getattr(self, name)))
+        return self.with_entries({name: values})
 
     def with_entries(self, entries: Mapping[str, Any]) -> Reading:
         """With other values of some of the attributes."""
@@ -149,11 +152,6 @@ class Sample:
         starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
         return Sample(campaign.joints, q, v, a, dry, tracks, (fold + starts) % FOLDS, cutoff)
 
-    @cached_property
-    def torque(self) -> Array:
-        """Measured torque, shape (R, joints), N m."""
-        return np.concatenate([t.torque[t.rows] for t in self.tracks])
-
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
         """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool.
 
@@ -167,6 +165,10 @@ class Sample:
             inside.append(((at >= 0) & (at < len(track.torque))).all(axis=1))
             out.append(np.take_along_axis(track.torque, np.clip(at, 0, len(track.torque) - 1), axis=0))
         return np.concatenate(out), np.concatenate(inside)
+
+    def torque_seen(self, reading: Reading) -> Array:
+        """Torque of each joint as a reading has it, shape (R, joints), N m."""
+        return self.torque_of(reading)[0][:, list(reading.torque_order)] * np.array(reading.torque_scale)
 
     def thinned(self, factor: int) -> Sample:
         """Every so many-th row."""
@@ -191,21 +193,17 @@ class Sample:
             self.dry[:, order] * np.sign(scale),
         )
 
-    def motion(self, reading: Reading, gravity_only: bool = False) -> Motion:
+    def motion(self, reading: Reading) -> Motion:
         """The tree's motion in tree order."""
-        q, v, a, _ = self.seen(reading)
         columns = [self.joints.index(j) for j in reading.robot.joints]
-        still = 0.0 if gravity_only else 1.0
-        return reading.robot.motion(q[:, columns], still * v[:, columns], still * a[:, columns])
+        return reading.robot.motion(*(x[:, columns] for x in self.seen(reading)[:3]))
 
 
 def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array, ...], Track]:
     rate = recording.sample_rate_hz
     cutoff = min(cutoff, HIGHEST * rate)
-    wide = POSITION_CUTOFF_RATIO * cutoff
-    wide = (
-        wide if wide < HIGHEST * rate else cutoff
-    )  # never none: differentiated twice, a counter's noise outweighs any motion
+    # never none: differentiated twice, a counter's noise outweighs any motion
+    wide = POSITION_CUTOFF_RATIO * cutoff if POSITION_CUTOFF_RATIO * cutoff < HIGHEST * rate else cutoff
     try:
         torque = lowpass(recording.torque, cutoff, rate)  # first: a cutoff that is too low is named as it was given
         q, v, a = motion(recording.position, rate, wide)

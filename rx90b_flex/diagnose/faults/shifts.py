@@ -39,17 +39,16 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     sample, reading = look.sample, look.reading
     n, tracks = len(sample.joints), len(sample.tracks)
     x = np.ascontiguousarray(look.columns(reading).transpose(1, 0, 2))
-    order, sign = list(reading.torque_order), np.array(reading.torque_scale)
 
     def at(lag: float) -> tuple[Array, Array]:
         """Products with the columns (tracks, joints, p), and squares (tracks, joints), of torques so much later."""
         moved = dataclasses.replace(reading, shift_s=tuple(s + lag for s in reading.shift_s))
-        y = (sample.torque_of(moved)[0][:, order] * sign).T
+        y = sample.torque_seen(moved).T
         cross = [(y[:, None, span] @ x[:, span])[:, 0] for span in sample.spans]
         return np.array(cross), np.array([(y[:, span] ** 2).sum(axis=1) for span in sample.spans])
 
     still = at(0.0)
-    torque = sample.torque_of(reading)[0][:, order] * sign
+    torque = sample.torque_seen(reading)
     variance = torque.var(axis=0) * len(torque) + 1e-300
     weight = 1.0 / (variance * (look.fit().error + FLOOR))
     gram = x.transpose(0, 2, 1) @ x
@@ -57,14 +56,9 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     size = np.sqrt(np.diag(whole))
     size[size < 1e-6 * size.max()] = size.max()
     inverse = np.linalg.inv(whole / np.outer(size, size) + RIDGE * np.eye(len(size))) / np.outer(size, size)
-    moves = np.array(
-        [
-            np.isin(np.arange(n), chosen)[None, :] & np.ones((tracks, 1), bool)
-            if name == "shift_s"
-            else np.isin(np.arange(tracks), chosen)[:, None] & np.ones((1, n), bool)
-            for name, chosen in groups
-        ]
-    )
+    moves = np.zeros((len(groups), tracks, n), dtype=bool)
+    for move, (name, chosen) in zip(moves, groups, strict=True):
+        (move.T if name == "shift_s" else move)[list(chosen)] = True
     out = np.empty((len(groups), len(lags)))
     for i, lag in enumerate(lags):
         late = at(float(lag))
@@ -79,17 +73,13 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
 
 def _of(look: Look, name: str, chosen: tuple[int, ...], lag: float, step: float) -> Hypothesis:
     sample = look.sample
-    now = getattr(look.reading, name)
 
     def reading(seconds: float) -> Reading:
-        changed = tuple(x + seconds if k in chosen else x for k, x in enumerate(now))
-        return look.reading.with_entries({name: changed})
+        return look.reading.changed(name, chosen, lambda x: x + seconds)
 
     joints = tuple(sample.joints[k] for k in chosen) if name == "shift_s" else sample.joints
     where = f"of {', '.join(joints)}" if name == "shift_s" else f"in recording {chosen[0] + 1}"
     when = "after" if lag > 0 else "before"
     text = f"Torques {where} are logged <factor> s {when} the positions they belong to: bring both to one clock."
-    return Hypothesis(
-        "time_shift", "torque", joints, reading(lag), text, lag, reading, (lag - 2 * step, lag + 2 * step),
-        shown=float(np.sign(lag)),
-    )  # fmt: skip
+    bounds = lag - 2 * step, lag + 2 * step
+    return Hypothesis("time_shift", "torque", joints, text, reading, lag, bounds, shown=float(np.sign(lag)))

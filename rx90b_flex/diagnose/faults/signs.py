@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
@@ -34,17 +35,14 @@ def reversed_axes(look: Look) -> Iterator[Hypothesis]:
 
 def _of(look: Look, chosen: Sequence[int], names: tuple[str, ...], signal: str) -> Hypothesis:
     joints = tuple(look.sample.joints[k] for k in chosen)
-    change = {
-        name: tuple(-x if k in chosen else x for k, x in enumerate(getattr(look.reading, name))) for name in names
-    }
-    said = ", ".join(joints)
+    reading, said = look.reading, ", ".join(joints)
+    for name in names:
+        reading = reading.changed(name, chosen, operator.neg)
     if signal == "all":
-        kind = "kinematics"
         text = (
             f"The URDF's axis of {said} points the other way than the log counts: turn the axis round, or both signs."
         )
-    else:
-        kind = "reversed_sign"
-        what = "torque" if signal == "torque" else "position"
-        text = f"The {what} of {said} has the wrong sign: change it in the log, or with -1 in `gear_matrix`."
-    return Hypothesis(kind, signal, joints, look.reading.with_entries(change), text)
+        return Hypothesis.of("kinematics", signal, joints, text, reading)
+    what = "torque" if signal == "torque" else "position"
+    text = f"The {what} of {said} has the wrong sign: change it in the log, or with -1 in `gear_matrix`."
+    return Hypothesis.of("reversed_sign", signal, joints, text, reading)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from rx90b_flex.diagnose.faults.compare import CREDIBLE
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.units import outside
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.signals.data_fault import DataFault
 
 TOO_SMALL = 0.04  # of the torque that the URDF's links alone ask for: no links are so much lighter than their CAD model
 TOO_SMALL_ALONE = 0.25  # the same for one joint, where the URDF's links fit every other joint
@@ -18,32 +17,28 @@ TOO_LARGE = 3.0  # times the URDF's effort limit
 DEGREES = 180.0 / np.pi
 
 
-def impossible_sizes(look: Look, named: Sequence[DataFault]) -> list[DataFault]:
+def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFault]:
     """Positions beyond their limits and torques beyond reason, of joints whose unit is not yet in doubt."""
     joints = look.sample.joints
     known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain") for j in f.joints}
-    out = []
-    beyond = [k for k in np.flatnonzero(outside(look, 1.0)) if ("motor_position", joints[k]) not in known]
+    beyond = np.flatnonzero(outside(look, 1.0)).tolist()
     degrees = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
     other = [k for k in beyond if k not in degrees]
-    if degrees:
-        said = ", ".join(joints[k] for k in degrees)
-        text = f"The position of {said} leaves the URDF's limits and fits into them in degrees: bring it to rad."
-        out.append(DataFault("unit", "motor_position", tuple(joints[k] for k in degrees), DEGREES, None, text))
-    if other:
-        said = ", ".join(joints[k] for k in other)
-        text = f"The position of {said} moves through more than the URDF's range: the motor's side of the gear? State `gear_matrix`."
-        out.append(DataFault("unit", "motor_position", tuple(joints[k] for k in other), None, None, text))
     large, small = torque_sizes(look)
-    for chosen, what in (
-        (large, "is far above the URDF's effort limit"),
-        (small, "is far below what the URDF's links ask for"),
-    ):
-        names = tuple(joints[k] for k in chosen if ("torque", joints[k]) not in known)
+    scale = "another unit, amperes, or the motor's side of the gear?"
+    in_degrees = "leaves the URDF's limits and fits into them in degrees: bring it to rad."
+    wide = "moves through more than the URDF's range: the motor's side of the gear? State `gear_matrix`."
+    found: tuple[tuple[str, Sequence[int], float | None, str], ...] = (
+        ("motor_position", degrees, DEGREES, in_degrees),
+        ("motor_position", other, None, wide),
+        ("torque", large, None, f"is far above the URDF's effort limit: {scale}"),
+        ("torque", small, None, f"is far below what the URDF's links ask for: {scale}"),
+    )
+    for signal, chosen, factor, what in found:
+        names = tuple(joints[k] for k in chosen if (signal, joints[k]) not in known)
         if names:
-            text = f"The torque of {', '.join(names)} {what}: another unit, amperes, or the motor's side of the gear?"
-            out.append(DataFault("unit", "torque", names, None, None, text))
-    return out
+            text = f"The {signal.removeprefix('motor_')} of {', '.join(names)} {what}"
+            yield DataFault("unit", signal, names, text, factor=factor)
 
 
 def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
@@ -51,7 +46,7 @@ def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
     reading, robot = look.reading, look.reading.robot
     at = np.array([robot.layout.index(j) for j in look.sample.joints])
     expected = robot.link_torque(look.sample.motion(reading))[:, at]
-    torque: Array = look.sample.torque_of(reading)[0][:, list(reading.torque_order)] * np.array(reading.torque_scale)
+    torque = look.sample.torque_seen(reading)
     effort = robot.tree.effortLimit[at]
     largest = np.abs(torque).max(axis=0)
     # a limit below what the links ask for is a placeholder

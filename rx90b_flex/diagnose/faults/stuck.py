@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
+from rx90b_flex.signals.data_fault import DataFault
 
 NEVER = 1e-3  # rad or m in all: noise and the play of a brake
 HARDLY = 0.02  # rad or m: too little for a parameter to stand out of friction
@@ -24,9 +24,8 @@ def moves(recordings: Sequence[Recording]) -> Array:
     return np.asarray(np.ptp(every, axis=0))
 
 
-def stuck(recordings: Sequence[Recording], errors: Array) -> list[DataFault]:
+def stuck(recordings: Sequence[Recording], errors: Array) -> Iterator[DataFault]:
     """Joints that never move, by their torque's relative error under the rigid model (joints,): held, or their sensor stands."""
-    out = []
     for joint, reach, error in zip(recordings[0].joints, moves(recordings), errors, strict=True):
         if reach > NEVER:
             continue
@@ -37,42 +36,33 @@ def stuck(recordings: Sequence[Recording], errors: Array) -> list[DataFault]:
             else "but its torque is not that of a joint at rest: check the sensor and its column"
         )
         message = f"{joint} never moves in the log (by {reach:.2g} rad in all): {cure}."
-        out.append(DataFault("stuck", "motor_position", (joint,), None, None, message, usable=held))
-    return out
+        yield DataFault("stuck", "motor_position", (joint,), message, usable=held)
 
 
-def frozen(recordings: Sequence[Recording]) -> list[DataFault]:
+def frozen(recordings: Sequence[Recording]) -> Iterator[DataFault]:
     """Positions that keep the same number for a while and then jump to where the joint has gone."""
-    out = []
     for recording in recordings:
         need = max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
         for k, joint in enumerate(recording.joints):
             rows = _segments(recording.position[:, k], need)
             if rows:
-                file = recording.source.name if recording.source else recording.name
                 message = (
-                    f"{file}: the position of {joint} stands still from row {rows[0] + 1} on and then jumps: samples were lost; "
-                    "leave the part out (start_s, end_s)."
+                    f"{recording.file_name}: the position of {joint} stands still from row {rows[0]} on and then jumps: samples "
+                    "were lost; leave the part out (start_s, end_s)."
                 )
-                out.append(
-                    DataFault(
-                        "stuck", "motor_position", (joint,), None, None, message, rows=tuple(r + 1 for r in rows[:20])
-                    )
-                )
-    return out
+                yield DataFault("stuck", "motor_position", (joint,), message, rows=tuple(rows[:20]))
 
 
 def _segments(position: Array, need: int) -> list[int]:
+    """First rows, counted from 1, of segments so long."""
     steps = np.diff(position)
-    still = np.concatenate([[False], steps == 0.0, [False]])
-    edges = np.flatnonzero(np.diff(still.astype(int)))
+    edges = np.flatnonzero(np.diff(steps == 0.0, prepend=False, append=False))
+    starts, ends = edges[::2], edges[1::2]
+    jump = np.abs(np.append(steps, 0.0))[ends]
+    # a joint at rest leaves slowly; one whose sensor stood is somewhere else at the next sample
     usual = np.quantile(np.abs(steps), 0.99)
-    found = []
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        # a joint at rest leaves slowly; one whose sensor stood is somewhere else at the next sample
-        if end - start >= need and end < len(steps) and abs(steps[end]) > JUMP * usual > 0.0:
-            found.append(int(start))
-    return found
+    lost = (ends - starts >= need) & (jump > JUMP * usual) & (usual > 0.0)
+    return [int(start) + 1 for start in starts[lost]]
 
 
 def no_excitation(recordings: Sequence[Recording]) -> list[DataFault]:
@@ -81,9 +71,9 @@ def no_excitation(recordings: Sequence[Recording]) -> list[DataFault]:
     names = recordings[0].joints
     if (fitted < HARDLY).all():
         message = f"No joint moves by more than {fitted.max():.2g} rad in what is fitted: record a motion that uses their range."
-        return [DataFault("no_excitation", None, names, None, None, message)]
+        return [DataFault("no_excitation", None, names, message)]
     hardly = tuple(j for j, r in zip(names, reach, strict=True) if NEVER < r < HARDLY)
     if not hardly:
         return []
     message = f"{', '.join(hardly)} hardly move(s) (less than {HARDLY:g} rad): what only these tell is not told."
-    return [DataFault("no_excitation", None, hardly, None, None, message, usable=True)]
+    return [DataFault("no_excitation", None, hardly, message, usable=True)]

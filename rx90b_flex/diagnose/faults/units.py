@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -53,19 +52,14 @@ def _motor_side(look: Look, k: int) -> Iterator[Hypothesis]:
     text = f"The position of {joint} seems to be the motor's, about <factor> turns a joint turn: state `gear_matrix`."
 
     def reading(factor: float) -> Reading:
-        return look.reading.changed("scale", k, look.reading.scale[k] / factor)
+        return look.reading.changed("scale", (k,), lambda x: x / factor)
 
-    for gear in np.geomspace(max(GEARS[0], reach / room), GEARS[1], 10):
-        yield Hypothesis(
-            "unit", "motor_position", (joint,), reading(gear), text, float(gear), reading,
-            (float(gear) / 1.6, float(gear) * 1.6),
-        )  # fmt: skip
+    for gear in np.geomspace(max(GEARS[0], reach / room), GEARS[1], 10).tolist():
+        yield Hypothesis("unit", "motor_position", (joint,), text, reading, gear, (gear / 1.6, gear * 1.6))
 
 
 def _of(look: Look, chosen: list[int], scale: float, name: str) -> Hypothesis:
     joints = tuple(look.sample.joints[k] for k in chosen)
-    change = tuple(x * scale if k in chosen else x for k, x in enumerate(look.reading.scale))
     text = f"The position of {', '.join(joints)} is in {name}: bring it to SI units (times {scale:.6g})."
-    return Hypothesis(
-        "unit", "motor_position", joints, dataclasses.replace(look.reading, scale=change), text, 1.0 / scale
-    )
+    reading = look.reading.changed("scale", chosen, lambda x: x * scale)
+    return Hypothesis.of("unit", "motor_position", joints, text, reading, 1.0 / scale)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.fault import DataFault
 from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.signals.data_fault import DataFault
 
 NOTHING = 0.9  # squared held-out error over the variance: 1 is what a constant leaves
 NOTHING_SEEN = 0.5  # the same on the rows that were fitted: where more of it goes, the motion is too short to tell
@@ -33,4 +33,4 @@ def unrelated(joints: Sequence[str], error: Array, seen: Array, moving: Mask, co
         f"The torque of {', '.join(names)} has nothing to do with the motion (nothing of it can be predicted from position): "
         "check that the columns are torques, and of the same run."
     )
-    return [DataFault("unrelated", "torque", names, None, None, message)]
+    return [DataFault("unrelated", "torque", names, message)]

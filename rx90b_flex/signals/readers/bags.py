@@ -86,12 +86,7 @@ def _joint_states(path: Path, messages: list[tuple[int, Any]], notes: list[str])
         "time: " + ("of the messages' headers" if header.any() else "of the recorder, for the headers have none")
     )
     used = used[complete]
-    names, columns, roles = [], [], {}
-    for f, (signal, field) in enumerate(fields.items()):
-        for k, joint in enumerate(joints):
-            if whole[f, k]:
-                name = f"{field}/{joint}"
-                names.append(name)
-                columns.append(values[complete, f, k])
-                roles[name] = (signal, joint)
-    return Log(path, tuple(names), np.stack(columns, axis=1), tuple(notes), (used - used[0]) * 1e-9, roles)
+    every = ((f"{field}/{joint}", (signal, joint)) for signal, field in fields.items() for joint in joints)
+    roles = {name: role for (name, role), there in zip(every, whole.ravel(), strict=True) if there}
+    columns = values[complete][:, whole]
+    return Log(path, tuple(roles), columns, tuple(notes), (used - used[0]) * 1e-9, roles)
