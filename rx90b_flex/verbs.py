@@ -348,16 +348,15 @@ def check_path(
     """
     from rx90b_flex.path.check import PathOptions
     from rx90b_flex.path.check import check_path as checked
-    from rx90b_flex.path.output import ROBOT
-    from rx90b_flex.path.seam import Seam, load_seam
+    from rx90b_flex.path.seam import ROBOT, Seam, load_seam
     from rx90b_flex.robot import load_robot
     from rx90b_flex.simulate.command import controller_of
 
+    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     seam = path if isinstance(path, Seam) else load_seam(str(path), speed_mm_s)
     loaded = load_robot(robot if robot is not None else seam.robot or ROBOT)
     for effect in loaded.effects:
         effect.known_coefficients()
-    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     gains = controller_of(loaded, None if controller is None else Path(controller))
     return checked(seam, loaded, gains, options, progress)
 

@@ -65,8 +65,8 @@ def check_path_command(
     check_jobs(jobs)
     if save_example is None:
         _check_robot(path, speed_mm_s, robot)
-    from rx90b_flex.path.check import PathOptions
-    from rx90b_flex.path.output import PathRequest, run_request, write_check, write_example
+    from rx90b_flex.path.output import write_check, write_example
+    from rx90b_flex.verbs import check_path
 
     if save_example is not None:
         write_example(path, save_example)
@@ -77,9 +77,11 @@ def check_path_command(
 
         read_measured(measured)  # before anything is simulated
         correct = contributions = False
-    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     with progress() as tell:
-        result = run_request(PathRequest(path, robot, controller, speed_mm_s, options), tell)
+        result = check_path(
+            path, robot=robot, tolerance_mm=tolerance_mm, speed_mm_s=speed_mm_s, controller=controller, correct=correct,
+            contributions=contributions, iterations=iterations, jobs=jobs, progress=tell,
+        )  # fmt: skip
         if measured is not None:
             _end_measured(result, measured, out, overwrite)
         tell("writing the report", 0.98)
@@ -128,13 +130,10 @@ def _end_measured(result: PathCheck, measured: Path, out: Path, overwrite: bool)
         lambda r, at: write_path_report(r, at / "report.html", found),
     )
     write_check(result, out, more, overwrite)
+    from rx90b_flex.view.measured_section import NAMES, largest
+
     head = ("tip", "across, largest, mm", "RMS, mm", "at, mm")
-    parts = (
-        ("measured", found.measured),
-        ("predicted", found.predicted),
-        ("measured less predicted", found.difference),
-    )
-    rows = [(name, f"{p.max_across:.4f}", f"{p.rms_across:.4f}", f"{p.worst_at_mm:.0f}") for name, p in parts]
+    rows = [(NAMES[name], *largest(of)) for name, of in found.tips.items()]
     show_table(f"{result.plan.seam.name} with {result.plan.robot.name}", rows, head, head[1:])
     say(found.sentence)
     say(f"Report: {out / 'report.html'}")
