@@ -46,12 +46,11 @@ def close_loop_command(
     """
     if model_error is not None and not model_error > 0.0:
         raise ValueError(f"model_error is {model_error:g}; expected more than 0")
+    of_frequency = [name for name, given in (("--robot", robot), ("--model-error", model_error)) if given is not None]
+    goes = f"{of_frequency[0]} goes with a modal table or a folder of `rx90b-flex frf`" if of_frequency else ""
     if len(campaigns) > 1:
-        for name, value in (("--robot", robot), ("--model-error", model_error)):
-            if value is not None:
-                raise ValueError(
-                    f"{name} goes with a modal table or a folder of `rx90b-flex frf`, not with several campaigns"
-                )
+        if goes:
+            raise ValueError(f"{goes}, not with several campaigns")
         options = {"seed": seed, "basics": basics, "despite_faults": despite_faults, "overwrite": overwrite}
         fleet.close_fleet(campaigns, out, jobs, dask, options)
         return
@@ -64,9 +63,8 @@ def close_loop_command(
     if speaks_of_frequency(campaign):
         _close_over_frequency(campaign, out, robot, model_error, overwrite)
         return
-    for name, value in (("--robot", robot), ("--model-error", model_error)):
-        if value is not None and campaign.exists():  # what is not there is said to be missing, further on
-            raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
+    if goes and campaign.exists():  # what is not there is said to be missing, further on
+        raise ValueError(f"{goes}; {campaign} is neither")
     from rx90b_flex.closing import LoopOptions, close_campaign
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
 

@@ -236,9 +236,9 @@ def _fitted_again(
     tasks: Sequence[Task], outcomes: Sequence[Outcome], each: _Each, tell: Progress
 ) -> dict[str, SecondFit | str]:
     """The second fits of all robots that can be compared, or why there is none."""
-    wanted = sought(outcomes)
+    common, others = sought(outcomes)
     compared = [(t, o) for t, o in zip(tasks, outcomes, strict=True) if o.compared]
-    calls: list[Call] = [(fit_again, (t, o.found, wanted.common, wanted.others, len(compared))) for t, o in compared]
+    calls: list[Call] = [(fit_again, (t, o.found, common, others, len(compared))) for t, o in compared]
     total = len(calls)
     fits = dict(each(calls, lambda done: tell(f"comparing, {done} of {total} robots", 0.9 + 0.1 * done / total)))
     return {o.name: str(fits[i]) if isinstance(fits[i], Exception) else fits[i] for i, (_, o) in enumerate(compared)}

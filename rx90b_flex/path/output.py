@@ -35,10 +35,7 @@ def write_example(name: str, file: Path) -> None:
 
 
 def write_check(
-    result: PathCheck,
-    folder: Path,
-    more: tuple[Callable[[PathCheck, Path], None], ...] = (),
-    overwrite: bool = False,
+    result: PathCheck, folder: Path, more: Callable[[PathCheck, Path], None] | None = None, overwrite: bool = False
 ) -> None:
     """Fill a folder, whole or not at all: `path_check.json`, `seam.csv`, and of a corrected path `corrected_path.csv` and
     `corrected_joints.csv`; the runs in the folders `RUNS`, as `rx90b-flex view` takes them; then what `more` writes there.
@@ -51,8 +48,8 @@ def write_check(
         if result.correction is not None:
             write_corrected(result, at)
         write_runs(result, at)
-        for write in more:
-            write(result, at)
+        if more is not None:
+            more(result, at)
 
     fill_folder(folder, fill, PATH_CHECK, overwrite)
 

@@ -128,9 +128,9 @@ class Run:
     @cached_property
     def deviation_mm(self) -> Array | None:
         """Distance of the tip from its reference, not magnified, shape (N,), mm."""
-        return (
-            None if self.reference_path is None else 1e3 * np.linalg.norm(self.tip_path - self.reference_path, axis=1)
-        )
+        if self.reference_path is None:
+            return None
+        return 1e3 * np.linalg.norm(self.tip_path - self.reference_path, axis=1)
 
 
 # the camera starts before the robot, to its right and above: three unit vectors in the base frame
@@ -416,10 +416,8 @@ class _Builder:
         self.add_robot(name, run.robot, q[rows], drives[rows] if run.deforms else None, at, fps)
         trail = np.unique(np.linspace(0, len(q) - 1, TRAIL_POINTS).round().astype(int))
         path = scene.frame_poses(run.robot.model, q[trail], [run.robot.tip_frame])[:, 0, :3, 3] + at
-        grey = np.full((len(trail), 3), 0.3)
-        colours = (
-            grey if largest is None or run.deviation_mm is None else scene.colours_of(run.deviation_mm[trail], largest)
-        )
+        told = largest is not None and run.deviation_mm is not None
+        colours = scene.colours_of(run.deviation_mm[trail], largest) if told else np.full((len(trail), 3), 0.3)
         material = geometry.MeshBasicMaterial(vertexColors=True)
         self.root[f"{name}/trail"].set_object(geometry.Mesh(scene.tube(path, TRAIL_RADIUS, colours), material))
         if run.reference_path is not None:

@@ -46,7 +46,7 @@ INTERVAL = ("parameter", "value", "low", "high", "unit", "determined")
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """How one result shows itself.
 
     Attributes
@@ -65,7 +65,7 @@ class Look:
 
 
 @singledispatch
-def look_of(result: object) -> Look:
+def appearance_of(result: object) -> Appearance:
     """How a result shows itself.
 
     Raises
@@ -78,8 +78,8 @@ def look_of(result: object) -> Look:
 
 def cell_of(result: object) -> str:
     """HTML of a notebook's cell: words, table, figure; its texts may hold anything and are escaped."""
-    look = look_of(result)
-    table = look.table()
+    looks = appearance_of(result)
+    table = looks.table()
     undetermined = 0
     if "value" in table.columns:  # a parameter without one has nothing to show
         undetermined = int(table["value"].isna().sum())
@@ -88,15 +88,15 @@ def cell_of(result: object) -> str:
     more = f"<p>{len(table) - SHOWN_ROWS} more rows in .to_pandas()</p>" if len(table) > SHOWN_ROWS else ""
     if undetermined:
         more += f"<p>{undetermined} parameters are not determined by themselves</p>"
-    parts: list[str] = [f"<p><b>{escape(look.words)}</b></p>", shown if len(table) else "", more]
+    parts: list[str] = [f"<p><b>{escape(looks.words)}</b></p>", shown if len(table) else "", more]
     try:
-        figure = look.figure()
+        figure = looks.figure()
     except ValueError:  # nothing to draw
         return "".join(parts)
     try:
-        picture = image(figure, look.words, zoom=True)
+        picture = image(figure, looks.words, zoom=True)
     except ValueError:  # bars
-        picture = image(figure, look.words)
+        picture = image(figure, looks.words)
     parts.append(str(template("parts.html").module.figure(picture)))  # type: ignore[attr-defined]
     if picture.zoom:
         parts.append(f"<style>{zoom_style()}</style><script>{script()}</script>")
@@ -111,8 +111,8 @@ def _table(rows: Iterable[tuple[object, ...]], columns: Sequence[str], floats: S
 # ---- torques ----------------------------------------------------------------------------------------------------
 
 
-@look_of.register
-def _(result: ClosedLoop) -> Look:
+@appearance_of.register
+def _(result: ClosedLoop) -> Appearance:
     """A row a parameter of each effect, in the order in which they were added."""
     before, after = (f"{100 * x.validation.relative_error:.3g} %" for x in (result.before, result.after))
     rows = (
@@ -121,7 +121,7 @@ def _(result: ClosedLoop) -> Look:
         for e in result.effects for p in e.parameters
     )  # fmt: skip
     columns = ("effect", "joint", *ESTIMATE, "error_before", "error_after", "p_value")
-    return Look(
+    return Appearance(
         f"{result.robot}: {result.verdict.replace('_', ' ')}; held-out torque error {before} → {after}",
         lambda: _table(rows, columns, ("value", "std")),
         lambda: plots.errors_by_joint(result),
@@ -150,13 +150,13 @@ def residual_figure(result: ClosedLoop, joint: str, over: str) -> Figure:
     return RESIDUALS[over](result, joint)
 
 
-@look_of.register
-def _(result: RefusedLoop) -> Look:
-    return look_of(result.checked)
+@appearance_of.register
+def _(result: RefusedLoop) -> Appearance:
+    return appearance_of(result.checked)
 
 
-@look_of.register
-def _(result: Checked) -> Look:
+@appearance_of.register
+def _(result: Checked) -> Appearance:
     """A row a fault; error of the rigid model with basic friction on rows held out: a joint that is unlike the others stands out."""
     rows = ((f.kind, f.signal, ", ".join(f.joints), f.factor, f.std, f.message) for f in result.data_faults)
     columns = ("kind", "signal", "joints", "factor", "std", "message")
@@ -172,11 +172,11 @@ def _(result: Checked) -> Look:
         ax.set_xlabel("held-out error of a rigid model with basic friction, %")
         return figure
 
-    return Look(f"{result.robot}: {result.verdict}", lambda: _table(rows, columns, ("factor", "std")), draw)
+    return Appearance(f"{result.robot}: {result.verdict}", lambda: _table(rows, columns, ("factor", "std")), draw)
 
 
-@look_of.register
-def _(result: Identified) -> Look:
+@appearance_of.register
+def _(result: Identified) -> Appearance:
     """A row a parameter, without a value where only combinations are determined; the torque of the joint with the largest error."""
     held = "" if result.validation is None else f", held out {100 * result.validation.relative_error:.3g} %"
     rows = ((e.name, e.value, e.std, e.unit) for e in result.parameters)
@@ -187,7 +187,7 @@ def _(result: Identified) -> Look:
         k = int(np.argmax(np.sqrt(np.mean(left**2, axis=0)) / np.std(first.measured, axis=0).clip(1e-12)))
         return torque_fit(first.recording.time, first.measured[:, k], first.predicted[:, k], first.recording.joints[k])
 
-    return Look(
+    return Appearance(
         f"{result.source.name}: torque error fitted {100 * result.identification.relative_error:.3g} %{held}",
         lambda: _table(rows, ESTIMATE, ("value", "std")),
         draw,
@@ -197,8 +197,8 @@ def _(result: Identified) -> Look:
 # ---- frequency responses ----------------------------------------------------------------------------------------
 
 
-@look_of.register
-def _(result: MotorIdentification) -> Look:
+@appearance_of.register
+def _(result: MotorIdentification) -> Appearance:
     """A row a physical parameter with its 95 % interval; the first pose's response, and that of the identified robot."""
     lost = f"; left out: {', '.join(x.stage for x in result.left_out)}" if result.left_out else ""
     best = result.grey if result.replayed is None else result.replayed.grey
@@ -212,27 +212,27 @@ def _(result: MotorIdentification) -> Look:
             others = [(result.grey.responses[place].hz, result.grey.predicted[place], "identified robot")]
         return frf_plots.magnitude(result.poses[0].measured, others)
 
-    return Look(
+    return Appearance(
         f"{result.robot.name} from motor signals, {len(result.poses)} pose(s){lost}",
-        (lambda: _table([], INTERVAL)) if best is None else look_of(best).table,
+        (lambda: _table([], INTERVAL)) if best is None else appearance_of(best).table,
         draw,
     )
 
 
-@look_of.register
-def _(result: GreyBox) -> Look:
+@appearance_of.register
+def _(result: GreyBox) -> Appearance:
     """A row a physical parameter with its 95 % interval."""
     told = f"{sum(e.determined for e in result.estimates)} of {len(result.estimates)} physical parameters told"
     rows = ((e.name, e.value, e.low, e.high, e.unit, e.determined) for e in result.estimates)
-    return Look(
+    return Appearance(
         f"{told} by {len(result.responses)} frequency response(s)",
         lambda: _table(rows, INTERVAL),
         lambda: grey_plots.intervals(result),
     )
 
 
-@look_of.register
-def _(result: FrequencyResponse) -> Look:
+@appearance_of.register
+def _(result: FrequencyResponse) -> Appearance:
     """A row a line and entry."""
     lines, n = len(result.hz), len(result.joints)
     columns = {
@@ -244,7 +244,7 @@ def _(result: FrequencyResponse) -> Look:
         "std": result.std().ravel(),
     }
     said = f"{lines} lines from {result.hz[0]:.3g} to {result.hz[-1]:.3g} Hz"
-    return Look(
+    return Appearance(
         f"Frequency response of {', '.join(result.joints)}, {said}",
         partial(pd.DataFrame, columns),
         lambda: frf_plots.magnitude(result),
@@ -254,27 +254,27 @@ def _(result: FrequencyResponse) -> Look:
 # ---- stiffnesses and modes --------------------------------------------------------------------------------------
 
 
-def _hinges(words: str, hinges: Sequence[HingeStiffness], draw: Callable[[], Figure]) -> Look:
+def _hinges(words: str, hinges: Sequence[HingeStiffness], draw: Callable[[], Figure]) -> Appearance:
     """A row a hinge."""
     rows = ((h.coordinate, h.value, h.std, "N m/rad", h.determined) for h in hinges)
     told = f"{sum(h.determined for h in hinges)} of {len(hinges)} hinges told"
-    return Look(f"{words}: {told}", lambda: _table(rows, ("hinge", *ESTIMATE[1:], "determined")), draw)
+    return Appearance(f"{words}: {told}", lambda: _table(rows, ("hinge", *ESTIMATE[1:], "determined")), draw)
 
 
-@look_of.register
-def _(result: StaticResult) -> Look:
+@appearance_of.register
+def _(result: StaticResult) -> Appearance:
     words = f"Stiffnesses from {len(result.found)} dead-weight tests"
     return _hinges(words, result.hinges, lambda: static_test_figure(result.source.tests, result.found))
 
 
-@look_of.register
-def _(result: CameraResult) -> Look:
+@appearance_of.register
+def _(result: CameraResult) -> Appearance:
     words = f"Stiffnesses of {result.source.joint} from markers"
     return _hinges(words, result.hinges, lambda: deformation_figure(result))
 
 
-@look_of.register
-def _(result: Modes) -> Look:
+@appearance_of.register
+def _(result: Modes) -> Appearance:
     """A row a mode; damping ratio over frequency, a point a mode, those that stand still left out."""
     hz, ratios = result.frequencies_hz, result.damping_ratios
 
@@ -286,14 +286,14 @@ def _(result: Modes) -> Look:
         return figure
 
     words = f"{len(hz)} modes from {hz.min():.3g} to {hz.max():.3g} Hz" if len(hz) else "no modes"
-    return Look(words, lambda: pd.DataFrame({"frequency_hz": hz, "damping_ratio": ratios}), draw)
+    return Appearance(words, lambda: pd.DataFrame({"frequency_hz": hz, "damping_ratio": ratios}), draw)
 
 
 # ---- paths, runs and fleets -------------------------------------------------------------------------------------
 
 
-@look_of.register
-def _(result: PathCheck) -> Look:
+@appearance_of.register
+def _(result: PathCheck) -> Appearance:
     """A row an effect, largest contribution first; the deviation itself where none was switched off."""
 
     def table() -> pd.DataFrame:
@@ -304,34 +304,34 @@ def _(result: PathCheck) -> Look:
         return effects.sort_values("rms_across", ascending=False, ignore_index=True)
 
     words = f"{result.plan.seam.name}: {result.sentence}"
-    return Look(words, table, lambda: path_plots.deviation_along_path(result))
+    return Appearance(words, table, lambda: path_plots.deviation_along_path(result))
 
 
-@look_of.register
-def _(result: MeasuredTip) -> Look:
+@appearance_of.register
+def _(result: MeasuredTip) -> Appearance:
     """A row a sample."""
-    return Look(result.sentence, lambda: pd.DataFrame(result.columns()), lambda: measured_along_path(result))
+    return Appearance(result.sentence, lambda: pd.DataFrame(result.columns()), lambda: measured_along_path(result))
 
 
-@look_of.register
-def _(result: Simulation) -> Look:
+@appearance_of.register
+def _(result: Simulation) -> Appearance:
     """A row an instant: time (s), every coordinate (rad) and the tip's place (m)."""
     ended = f"; ended early: {result.ended}" if result.ended else ""
     columns = {"time": result.time} | dict(zip(result.robot.coordinates, result.q.T, strict=True))
     columns |= {f"tip_{axis}": result.tip[:, i, 3] for i, axis in enumerate("xyz")}
-    return Look(
+    return Appearance(
         f"{result.trajectory.name} of {result.robot.name}, {result.time[-1]:.3g} s{ended}",
         partial(pd.DataFrame, columns),
         lambda: plots.tip_deviation(result),
     )
 
 
-@look_of.register
-def _(result: Fleet) -> Look:
+@appearance_of.register
+def _(result: Fleet) -> Appearance:
     def draw() -> Figure:
         figure = fleet_figure(result)
         if figure is None:
             raise ValueError("no robot stands out; there is nothing to draw")
         return figure
 
-    return Look(headline(result)[0], lambda: fleet_table(result), draw)
+    return Appearance(headline(result)[0], lambda: fleet_table(result), draw)
