@@ -99,7 +99,7 @@ def _close_over_frequency(
 
 def print_result(result: Any) -> None:
     """What was found, the errors before and after, what is left, and what to beware of."""
-    from rx90b_flex.view.check_report import basics_offer
+    from rx90b_flex.view.check_report import basics_words
 
     rows = []
     for e in result.effects:
@@ -124,7 +124,7 @@ def print_result(result: Any) -> None:
         say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
     for caution in result.cautions:
         say(f"Beware: {caution}")
-    for text in (*(f.message for f in result.data_faults), *basics_offer(result.undeclared_basics)):
+    for text in (*(f.message for f in result.data_faults), *basics_words(result)):
         say(text)
 
 

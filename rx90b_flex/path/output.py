@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pinocchio as pin
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation, PathCheck
 from rx90b_flex.path.seam import EXAMPLES
+from rx90b_flex.simulate.closed_loop import tip_poses
 from rx90b_flex.simulate.command import write_run
 
 RUNS = ("as_planned", "corrected")  # folders
@@ -150,10 +150,5 @@ def write_runs(result: PathCheck, folder: Path) -> None:
 
 def reference_tip(result: PathCheck) -> Array:
     """Where the corrected references would put the rigid robot's tip, shape (N, 3), m."""
-    model = result.plan.robot.tree
-    data, tip = model.createData(), model.getFrameId(result.plan.robot.tip_frame)
-    out = np.empty_like(result.plan.point)
-    for k, q in enumerate(result.plan.trajectory(result.correction).position):
-        pin.framesForwardKinematics(model, data, q)
-        out[k] = data.oMf[tip].translation
-    return out
+    robot, references = result.plan.robot, result.plan.trajectory(result.correction)
+    return tip_poses(robot.tree, robot.tip_frame, references.position)[:, :3, 3]

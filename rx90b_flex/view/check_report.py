@@ -6,9 +6,13 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rx90b_flex.diagnose.check import Checked, check_json
 from rx90b_flex.view.page import Image, PageTable, Section, write_page
+
+if TYPE_CHECKING:
+    from rx90b_flex.diagnose.close import ClosedLoop
 
 
 def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> None:
@@ -51,16 +55,11 @@ def lead(checked: Checked) -> list[str]:
     return [checked.verdict, *(f.message for f in checked.data_faults), *basics_words(checked)]
 
 
-def basics_words(checked: Checked) -> tuple[str, ...]:
+def basics_words(of: Checked | ClosedLoop) -> tuple[str, ...]:
     """The offer to declare what every drive has, where the robot file does not; in one line."""
-    return basics_offer(checked.undeclared_basics)
-
-
-def basics_offer(undeclared: Sequence[str]) -> tuple[str, ...]:
-    """The same from the types themselves."""
-    if not undeclared:
+    if not of.undeclared_basics:
         return ()
-    names = ", ".join(n.replace("_", " ") for n in undeclared)
+    names = ", ".join(n.replace("_", " ") for n in of.undeclared_basics)
     return (f"Not declared on any joint, but the torques show it: {names}. Add --basics to have them identified.",)
 
 

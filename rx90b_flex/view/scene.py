@@ -17,7 +17,6 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
 
 from rx90b_flex import flexify as virtual
 from rx90b_flex.effects.motion import Array
@@ -179,12 +178,6 @@ def magnified(robot: Robot, q: Array, factor: float) -> Array:
     """Coordinates with torsion and bending multiplied by a factor, drives as they are; shape as q."""
     drives = robot.input_matrix.any(axis=1)
     return np.where(drives, q, factor * q)
-
-
-def quaternions(poses: Array) -> Array:
-    """x, y, z, w of poses (..., 4, 4), shape (..., 4)."""
-    flat = poses.reshape(-1, 4, 4)
-    return np.asarray(Rotation.from_matrix(flat[:, :3, :3]).as_quat()).reshape(*poses.shape[:-2], 4)
 
 
 # ---- paths, colours, words ------------------------------------------------------------------------------------
