@@ -19,8 +19,8 @@ WIDTH_IN = 5.4  # about the width of a column of the report, so that text keeps 
 def plain_axes(ax: Axes, labels: float = 9.0) -> None:
     """Small numbers and labels (points), no frame above and beside, a light grid behind what is drawn."""
     ax.tick_params(labelsize=8)
-    ax.xaxis.label.set_size(labels)
-    ax.yaxis.label.set_size(labels)
+    ax.xaxis.label.set_fontsize(labels)
+    ax.yaxis.label.set_fontsize(labels)
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(color="#e6e6e6", linewidth=0.5)
     ax.set_axisbelow(True)

@@ -62,10 +62,11 @@ def loop_figure(fit: GearFit) -> Figure:
     figure, (before, after) = new_figure(3.2, columns=2, width=8.0, labels=8, dpi=160)
     widest = 0.0
     for i, loop in enumerate(loops(fit)):
-        style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKS[i % len(MARKS)], "label": loop.recording}
+        colour, mark = COLOURS[i % len(COLOURS)], MARKS[i % len(MARKS)]
         for ax, torque, angle in ((before, loop.motor, loop.measured), (after, loop.through, loop.deflection)):
             # thousands of marks as one picture keep the report small
-            ax.plot(torque, 1e3 * angle, linestyle="none", markersize=2.0, rasterized=True, **style)
+            (marks,) = ax.plot(torque, 1e3 * angle, mark, color=colour, markersize=2.0, label=loop.recording)
+            marks.set_rasterized(True)
         widest = max(widest, float(np.abs(loop.through).max()))
     ends = np.array([-widest, widest])
     after.plot(ends, -1e3 * fit.compliance * ends, color=FLOOR, linewidth=1.2, label="fitted line")

@@ -117,9 +117,9 @@ def _(loop: ModalLoop) -> Section:
         before, after = ([c for c in both if c.pose == pose] for both in (loop.before, loop.after))
         name = f"pose {pose + 1}"
         words = f"{name}: partners are joined; a ring marks a measured mode without one"
-        errors = modal_plots.errors(before, after, loop.residual.smallest_error)
+        apart = modal_plots.errors(before, after, loop.residual.smallest_error)
         figures.append(image(modal_plots.ladder(before, after), f"Modes of {name}, measured and modelled", words))
-        figures.append(image(errors, f"Errors of {name}", name))
+        figures.append(image(apart, f"Errors of {name}", name))
     caption = "Partners; beside a joint: its antiresonances. Errors: measured over model"
     text = (
         f"With the n-th measured mode as the model's n-th: {_share(in_order_rms(loop.before))} before, "

@@ -169,8 +169,8 @@ def _physical(result: MotorIdentification) -> Section | None:
         note = "" if e.determined else "not determined by this data"
         value, std, low, high, start = amounts(e.value, e.std, e.low, e.high, e.start)
         rows.append((_words(e.name), value, std, f"{low} – {high}", start, unit_text(e.unit), note))
-    head = ("parameter", "value", "std", "95 % interval", "declared", "unit", "")
-    tables = [PageTable(head, rows, "Grey box: fitted to all poses together", range(1, 5))]
+    columns = ("parameter", "value", "std", "95 % interval", "declared", "unit", "")
+    tables = [PageTable(columns, rows, "Grey box: fitted to all poses together", range(1, 5))]
     if grey.directions:
         vague = [
             (d.words.rsplit(":", 1)[0], f"{100 * d.relative_std:.0f} %") for d in grey.directions[:SHOWN_DIRECTIONS]

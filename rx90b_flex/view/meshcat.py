@@ -417,8 +417,9 @@ class _Builder:
         self.add_robot(name, run.robot, q[rows], drives[rows] if run.deforms else None, at, fps)
         trail = np.unique(np.linspace(0, len(q) - 1, TRAIL_POINTS).round().astype(int))
         path = tip_poses(run.robot.model, run.robot.tip_frame, q[trail])[:, :3, 3] + at
-        told = largest is not None and run.deviation_mm is not None
-        colours = scene.colours_of(run.deviation_mm[trail], largest) if told else np.full((len(trail), 3), 0.3)
+        colours = np.full((len(trail), 3), 0.3)
+        if largest is not None and run.deviation_mm is not None:
+            colours = scene.colours_of(run.deviation_mm[trail], largest)
         material = geometry.MeshBasicMaterial(vertexColors=True)
         self.root[f"{name}/trail"].set_object(geometry.Mesh(scene.tube(path, TRAIL_RADIUS, colours), material))
         if run.reference_path is not None:

@@ -50,7 +50,7 @@ Bars = tuple[Array, str, str, str]  # lengths, shape (names,), colour, hatch, la
 
 def _bars(ax: Axes, names: Sequence[str], groups: Sequence[Bars], apart: float, thickness: float) -> Array:
     """Horizontal bars of several groups beside each other, the first name on top; returns the names' places, which are 1 apart."""
-    y = np.arange(len(names))
+    y = np.arange(len(names), dtype=float)
     for k, (lengths, colour, hatch, label) in enumerate(groups):
         at = y + apart * (k - 0.5 * (len(groups) - 1))
         ax.barh(at, lengths, thickness, color=colour, hatch=hatch, edgecolor="white", label=label)
