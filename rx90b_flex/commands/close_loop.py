@@ -73,7 +73,9 @@ def close_loop_command(
         tell("reading", 0.0)
         closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults), tell)
         closed.write(out, overwrite)
-    if closed.motion is None:
+    from rx90b_flex.diagnose.refused import RefusedLoop
+
+    if isinstance(closed.result, RefusedLoop):
         end_refused(closed.result.checked, out)
     print_result(closed.result)
     say(f"Report: {out / 'report.html'}")
