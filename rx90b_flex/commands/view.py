@@ -35,7 +35,7 @@ def view_command(
 
     if beside == "":
         raise ValueError("--beside is ''; expected a folder of `rx90b-flex simulate` or a campaign file")
-    for given in [source, *([beside] if beside else [])]:
+    for given in [source, *([beside] if beside and not modes else [])]:
         if out is not None:
             check_file(out, given)
         campaign = campaign_path(given)
