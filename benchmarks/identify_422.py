@@ -34,7 +34,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import with_parameters
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, sine_excitation, straight_line
-from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED
+from rx90b_flex.view.axes import AFTER, BEFORE, FLOOR, MEASURED
 
 GUESS = 0.2  # largest relative error of the first guess
 

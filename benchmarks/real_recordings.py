@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 import rx90b_flex as rf
 from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.signals.tables import write_whole
-from rx90b_flex.view.plots import AFTER, BEFORE, FREE
+from rx90b_flex.view.axes import AFTER, BEFORE, REACHED
 from rx90b_flex.view.report import percent, write_report
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -119,7 +119,7 @@ def picture(rows: Sequence[Row]) -> Figure:
     for shift, colour, hatch, label, values in (
         (-0.27, BEFORE, "////", "declared model", [r.declared for r in rows]),
         (0.0, AFTER, "", "with the effects found", [r.after for r in rows]),
-        (0.27, FREE, "....", "free-form model", [np.nan if r.free_form is None else r.free_form for r in rows]),
+        (0.27, REACHED, "....", "free-form model", [np.nan if r.free_form is None else r.free_form for r in rows]),
     ):
         widths = 100 * np.array(values) / np.array([r.declared for r in rows])
         bars = ax.barh(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,16 +42,16 @@ class Closed:
         write_result(self.result, out, report, self.motion, overwrite)
 
 
-def declared_robot(campaign: Campaign, basics: bool) -> Robot:
-    """The campaign's robot; with `basics`, what every drive has is declared on all of the campaign's joints."""
+def declared_robot(campaign: Campaign, basics: bool, robot: Robot | str | os.PathLike[str] | None = None) -> Robot:
+    """The campaign's robot, or another one; with `basics`, what every drive has is declared on all of the campaign's joints."""
     from rx90b_flex.diagnose.basics import with_basics
     from rx90b_flex.robot import load_robot
 
-    robot = load_robot(campaign.robot_source)
+    declared = load_robot(campaign.robot_source if robot is None else robot)
     if not basics:
-        return robot
-    joints = [j for j in campaign.joints if j in robot.joints]
-    return with_basics(robot, joints, campaign.torque_side == "behind_gear")
+        return declared
+    joints = [j for j in campaign.joints if j in declared.joints]
+    return with_basics(declared, joints, campaign.torque_side == "behind_gear")
 
 
 def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float], None] | None = None) -> Closed:

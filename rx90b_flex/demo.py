@@ -88,14 +88,14 @@ def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT)
     check_hidden(hidden)
     kind = str(rng.choice(HIDDEN)) if hidden is None else hidden
     base = load_robot(robot)
-    experiments = [_Experiment.draw(base, rng) for _ in range(3)]
+    motions = [_drawn(base, rng) for _ in range(3)]
     declared, true, effect = base, base, None
     if kind != NOTHING:
-        declared, true, effect = _hide(base, kind, experiments[:2], rng)
+        declared, true, effect = _hide(base, kind, motions[:2], rng)
     roles = ("identification", "identification", "validation")
     recordings = [
-        experiment.record(true, f"run_{i}", role, rng)
-        for i, (experiment, role) in enumerate(zip(experiments, roles, strict=True), start=1)
+        _recorded(angles, true, f"run_{i}", role, rng)
+        for i, (angles, role) in enumerate(zip(motions, roles, strict=True), start=1)
     ]
     return Demonstration(declared, true, effect, tuple(recordings))
 
@@ -128,48 +128,39 @@ def check_hidden(hidden: str | None) -> None:
     raise ValueError(f"--hidden: unknown effect type {hidden!r}; {close_match(hidden, (*hideable(), NOTHING))}")
 
 
-@dataclass(frozen=True, eq=False)
-class _Experiment:
-    """Two periods of one motion; q, v, a are (N, joints)."""
-
-    q: Array
-    v: Array
-    a: Array
-
-    @staticmethod
-    def draw(robot: Robot, rng: np.random.Generator) -> _Experiment:
-        """Random harmonics, each joint within its limits of position and speed."""
-        time = np.arange(round(2 * PERIOD_S * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-        return _Experiment(*harmonic_motion(robot.tree, time, rng, period_s=PERIOD_S, lines=LINES, speed=SPEED))
-
-    def record(self, robot: Robot, name: str, role: str, rng: np.random.Generator) -> Recording:
-        """The log of this motion by a robot, with noise."""
-        torque = robot.inverse_dynamics(self.q, self.v, self.a)
-        noise = TORQUE_NOISE * np.sqrt((torque**2).mean(axis=0))
-        return Recording(
-            name=name,
-            role=role,  # type: ignore[arg-type]
-            time=np.arange(len(self.q)) / SAMPLE_RATE_HZ,
-            sample_rate_hz=SAMPLE_RATE_HZ,
-            joints=robot.joints,
-            position=self.q + POSITION_NOISE * rng.normal(size=self.q.shape),
-            torque=torque + noise * rng.normal(size=torque.shape),
-            period_s=PERIOD_S,
-        )
+Angles = tuple[Array, Array, Array]  # q, v and a of two periods of one motion, each (N, joints)
 
 
-def _hide(
-    base: Robot, kind: str, experiments: Sequence[_Experiment], rng: np.random.Generator
-) -> tuple[Robot, Robot, Effect]:
+def _drawn(robot: Robot, rng: np.random.Generator) -> Angles:
+    """Random harmonics, each joint within its limits of position and speed."""
+    time = np.arange(round(2 * PERIOD_S * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    return harmonic_motion(robot.tree, time, rng, period_s=PERIOD_S, lines=LINES, speed=SPEED)
+
+
+def _recorded(angles: Angles, robot: Robot, name: str, role: str, rng: np.random.Generator) -> Recording:
+    """The log of a motion by a robot, with noise."""
+    q, torque = angles[0], robot.inverse_dynamics(*angles)
+    noise = TORQUE_NOISE * np.sqrt((torque**2).mean(axis=0))
+    return Recording(
+        name=name,
+        role=role,  # type: ignore[arg-type]
+        time=np.arange(len(q)) / SAMPLE_RATE_HZ,
+        sample_rate_hz=SAMPLE_RATE_HZ,
+        joints=robot.joints,
+        position=q + POSITION_NOISE * rng.normal(size=q.shape),
+        torque=torque + noise * rng.normal(size=torque.shape),
+        period_s=PERIOD_S,
+    )
+
+
+def _hide(base: Robot, kind: str, motions: Sequence[Angles], rng: np.random.Generator) -> tuple[Robot, Robot, Effect]:
     """Declared robot, true robot and the effect that makes the difference."""
-    motion = base.motion(*(np.concatenate([getattr(e, x) for e in experiments]) for x in "qva"))
+    motion = base.motion(*map(np.concatenate, zip(*motions, strict=True)))
     cls = catalogue()[kind]
     joint = str(rng.choice(base.joints))
     at = int(rng.integers(len(base.joints) - 1))
-    place: dict[str, object] = {"joint": joint}
-    if cls.traits.on == "joints":
-        place = {"joint_pair": (base.joints[at], base.joints[at + 1])}
-    effect = cls(**place)
+    pair = base.joints[at : at + 2]
+    effect = cls(joint_pair=pair) if cls.traits.on == "joints" else cls(joint=joint)  # type: ignore[call-arg]
     # declared on every joint: the declared robot lacks it on this one
     declared = [e for e in base.effects if not (e.place == effect.place and e.type_name() == kind)]
     drawn = _with_values(effect, base, declared, motion, rng)

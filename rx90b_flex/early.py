@@ -33,6 +33,24 @@ def read_campaign(path: Path) -> Campaign:
     return campaign
 
 
+def campaign_path(source: str) -> Path | None:
+    """Of a folder with a campaign file, or of a file that is one; None where the name is neither.
+
+    Raises
+    ------
+    ValueError
+        A folder without a campaign file.
+    """
+    path = Path(source)
+    if path.is_dir():
+        inside = path / "campaign.toml"
+        if not inside.is_file():
+            raise ValueError(f"{path}: no campaign.toml in it; expected a folder of `rx90b-flex simulate`")
+        return inside
+    is_one = path.suffix == ".toml" and path.is_file() and b"[[recording]]" in path.read_bytes()
+    return path if is_one else None
+
+
 def check_robot(source: str | Path) -> None:
     """Refuse a robot that cannot be read.
 

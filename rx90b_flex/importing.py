@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
 
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
@@ -19,26 +17,6 @@ from rx90b_flex.signals.recording import load_campaign, write_campaign
 
 FILTERS = 4  # times the length of the low-pass that a recording must have
 FORMATS = ("parquet", "csv", "csv.gz")
-
-
-@dataclass(frozen=True)
-class ImportRequest:
-    """What the user asks for.
-
-    Attributes
-    ----------
-    files : of logs; the last validates.
-    robot : as `load_robot` takes it.
-    options : what is not to be worked out.
-    file_format : of the recordings: parquet, csv or csv.gz.
-    basics : whether to write a robot file that declares drive inertia, friction and an offset on every joint of the logs.
-    """
-
-    files: tuple[Path, ...]
-    robot: str
-    options: ReadingOptions = field(default_factory=ReadingOptions)
-    file_format: str = "parquet"
-    basics: bool = False
 
 
 def options_of(
@@ -82,36 +60,54 @@ def _listed(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-def import_into(request: ImportRequest, folder: Path, overwrite: bool = False) -> Imported:
+def import_into(
+    folder: Path,
+    files: Sequence[Path],
+    robot: str,
+    options: ReadingOptions,
+    file_format: str = "parquet",
+    basics: bool = False,
+    overwrite: bool = False,
+) -> Imported:
     """Import and write the campaign; nothing is written unless all of it is, and can be read again.
+
+    Parameters
+    ----------
+    folder : of the campaign.
+    files : of logs; the last validates.
+    robot : as `load_robot` takes it.
+    options : what is not to be worked out.
+    file_format : of the recordings: parquet, csv or csv.gz.
+    basics : whether to write a robot file that declares drive inertia, friction and an offset on every joint of the logs.
+    overwrite : whether what is in the way is replaced.
 
     Raises
     ------
     ValueError
         One line that names the file and the column, or the option.
     """
-    if request.file_format not in FORMATS:
-        raise ValueError(f"--format {request.file_format}: expected {', '.join(FORMATS)}")
+    if file_format not in FORMATS:
+        raise ValueError(f"--format {file_format}: expected {', '.join(FORMATS)}")
     check_folder(folder, CAMPAIGN, overwrite)
-    robot = load_robot(request.robot)
-    tree = robot.tree
-    limits = (tuple(float(x) for x in bounds) for bounds in (tree.lowerPositionLimit, tree.upperPositionLimit))
-    imported = _with_facts(import_logs(request.files, Axes(robot.joints, *limits), request.options))
+    loaded = load_robot(robot)
+    limits = (tuple(map(float, x)) for x in (loaded.tree.lowerPositionLimit, loaded.tree.upperPositionLimit))
+    imported = _with_facts(import_logs(files, Axes(loaded.joints, *limits), options))
     imported, cutoff = _with_low_pass(imported)
-    if not request.basics:
-        imported = _with_offer(imported, robot)
-    written_names = {f"{r.name}.{request.file_format}" for r in imported.recordings}
-    for file in request.files:
+    if not basics:
+        imported = _with_offer(imported, loaded)
+    written_names = {f"{r.name}.{file_format}" for r in imported.recordings}
+    for file in files:
         if file.name in written_names and file.resolve().parent == folder.resolve():
             raise ValueError(f"{folder}: holds {file.name}, which this run reads; give another folder")
-    path = Path(request.robot)
+    path = Path(robot)
     # as seen from where the campaign will lie, not from where it is made
-    written = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.is_file() else request.robot
+    written = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix() if path.is_file() else robot
 
     def fill(at: Path) -> None:
-        file_format = cast(Literal["parquet", "csv", "csv.gz"], request.file_format)
-        name = _write_basics(robot, imported.recordings[0].joints, at) if request.basics else written
-        load_campaign(write_campaign(at, name, imported.recordings, cutoff_hz=cutoff, file_format=file_format))
+        name = _write_basics(loaded, imported.recordings[0].joints, at) if basics else written
+        load_campaign(
+            write_campaign(at, name, imported.recordings, cutoff_hz=cutoff, file_format=file_format)  # type: ignore[arg-type]
+        )
 
     fill_folder(folder, fill, CAMPAIGN, overwrite)
     return imported

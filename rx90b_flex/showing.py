@@ -17,23 +17,23 @@ class Showing:
 
     def to_pandas(self) -> pd.DataFrame:
         """The result's main table, units in the column ``unit`` or in the columns' names."""
-        from rx90b_flex.view.shown import table_of
+        from rx90b_flex.view.shown import appearance_of
 
-        return table_of(self)
+        return appearance_of(self).table()
 
     def plot(self) -> Axes:
         """The figure that matters most; its first axes, from which ``.figure`` leads to the others.
 
         It knows of no window: a cell shows ``result.plot().figure``, and ``.figure.savefig(path)`` writes it.
         """
-        from rx90b_flex.view.shown import figure_of
+        from rx90b_flex.view.shown import appearance_of
 
-        return figure_of(self).axes[0]
+        return appearance_of(self).figure().axes[0]
 
     def __repr__(self) -> str:
-        from rx90b_flex.view.shown import words_of
+        from rx90b_flex.view.shown import appearance_of
 
-        return f"<{type(self).__name__}: {words_of(self)}>"
+        return f"<{type(self).__name__}: {appearance_of(self).words}>"
 
     def _repr_html_(self) -> str:
         """The verdict, the table and the figure, for a notebook."""

@@ -70,17 +70,12 @@ def identify(
     >>> list(found.to_pandas().columns)
     ['parameter', 'value', 'std', 'unit']
     """
-    from rx90b_flex.diagnose.basics import with_basics
+    from rx90b_flex.closing import declared_robot
     from rx90b_flex.identify.command import identify_campaign
-    from rx90b_flex.robot import load_robot
     from rx90b_flex.signals import Campaign, load_campaign
 
     read = campaign if isinstance(campaign, Campaign) else load_campaign(Path(campaign))
-    declared = None if robot is None else load_robot(robot)
-    if basics:
-        declared = load_robot(read.robot_source) if declared is None else declared
-        joints = [joint for joint in read.joints if joint in declared.joints]
-        declared = with_basics(declared, joints, read.torque_side == "behind_gear")
+    declared = declared_robot(read, basics, robot)
     return identify_campaign(read, robot=declared, estimator=estimator, progress=progress)
 
 
@@ -349,16 +344,15 @@ def check_path(
     """
     from rx90b_flex.path.check import PathOptions
     from rx90b_flex.path.check import check_path as checked
-    from rx90b_flex.path.output import ROBOT
-    from rx90b_flex.path.seam import Seam, load_seam
+    from rx90b_flex.path.seam import ROBOT, Seam, load_seam
     from rx90b_flex.robot import load_robot
     from rx90b_flex.simulate.command import controller_of
 
+    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     seam = path if isinstance(path, Seam) else load_seam(str(path), speed_mm_s)
     loaded = load_robot(robot if robot is not None else seam.robot or ROBOT)
     for effect in loaded.effects:
         effect.known_coefficients()
-    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     gains = controller_of(loaded, None if controller is None else Path(controller))
     return checked(seam, loaded, gains, options, progress)
 
@@ -411,7 +405,7 @@ def view(
     'Modes of rx90b_3dof'
     """
     from rx90b_flex.robot import Robot
-    from rx90b_flex.view.command import Wanted, modes_of, read_run, view_of
+    from rx90b_flex.view.command import modes_of, read_run, view_of
     from rx90b_flex.view.meshcat import Run, compare, show
 
     if isinstance(source, Robot):
@@ -419,7 +413,16 @@ def view(
     if isinstance(source, str | os.PathLike) and (beside is None or isinstance(beside, str | os.PathLike)):
         pose = None if pose_deg is None else ",".join(str(float(x)) for x in pose_deg)
         second = None if beside is None else str(beside)
-        return view_of(Wanted(str(source), second, recording, magnify, False, pose, count, flexible, tip))
+        return view_of(
+            str(source),
+            second,
+            recording=recording,
+            magnify=magnify,
+            pose=pose,
+            count=count,
+            flexible=flexible,
+            tip=tip,
+        )
     runs = [
         read_run(str(x), recording, tip) if isinstance(x, str | os.PathLike) else Run.of(x)
         for x in (source, beside)

@@ -245,7 +245,7 @@ def test_a_run_that_ends_early_fails_and_is_still_reported(checked: PathCheck, t
     )
     failed = dataclasses.replace(checked, before=short, after=None, correction=None, contributions=(), wrong_model=())
     assert failed.verdict == "outside_tolerance" and "gave up" in failed.sentence
-    write_check(failed, tmp_path / "out", (lambda r, at: write_path_report(r, at / "report.html"),))
+    write_check(failed, tmp_path / "out", lambda r, at: write_path_report(r, at / "report.html"))
     table = pd.read_csv(tmp_path / "out" / "seam.csv")
     assert table.across_before_mm.isna().sum() == 20 and set(table.before[20:]) == {"fail"}
     saved = json.loads((tmp_path / "out" / "path_check.json").read_text())

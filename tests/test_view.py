@@ -18,7 +18,7 @@ from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, straight_line
 from rx90b_flex.simulate.command import write_run
 from rx90b_flex.view import Run, View, compare, scene, show, show_modes
-from rx90b_flex.view.command import Wanted, read_run, serve_until_interrupted, view_of
+from rx90b_flex.view.command import read_run, serve_until_interrupted, view_of
 
 POSE = (0.3, 1.2, -0.4)
 
@@ -327,5 +327,5 @@ def test_serving_ends_with_its_server(folder: Path, monkeypatch: pytest.MonkeyPa
     def interrupt() -> None:
         raise KeyboardInterrupt
 
-    serve_until_interrupted(view_of(Wanted(str(folder))), told.append, interrupt)
+    serve_until_interrupted(view_of(str(folder)), told.append, interrupt)
     assert opened == told and told[0].startswith("http://127.0.0.1:")

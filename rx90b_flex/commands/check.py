@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from rx90b_flex.commands.shared import CampaignFile, Out, Overwrite, progress, say, show_table
+
+if TYPE_CHECKING:
+    from rx90b_flex.diagnose.check import Checked
 
 
 def check_command(
@@ -39,12 +42,10 @@ def check_command(
         raise typer.Exit(1)
 
 
-def print_checked(checked: object) -> None:
+def print_checked(checked: Checked) -> None:
     """A table of faults, and what the motion can tell."""
-    from rx90b_flex.diagnose.check import Checked
     from rx90b_flex.view.check_report import basics_words, facts_words, told_words
 
-    assert isinstance(checked, Checked)
     rows = [
         (
             f.kind,
@@ -62,7 +63,7 @@ def print_checked(checked: object) -> None:
         say(text)
 
 
-def end_refused(checked: object, out: Path) -> NoReturn:
+def end_refused(checked: Checked, out: Path) -> NoReturn:
     """Say what was found and end with status 1."""
     print_checked(checked)
     say("Nothing was fitted; --despite-faults goes on all the same.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,7 @@ from rx90b_flex.commands.shared import Overwrite, progress, say, show_table
 
 if TYPE_CHECKING:
     from rx90b_flex.path.check import PathCheck
+    from rx90b_flex.path.measured import MeasuredTip
 
 # options that take several lines
 PathSource = Annotated[
@@ -23,7 +24,7 @@ RobotOfPath = Annotated[
 Contributions = Annotated[
     bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
 ]
-MeasuredTip = Annotated[
+MeasuredFile = Annotated[
     Path | None,
     typer.Option(
         help="Measured places of the tip (CSV: x, y, z, time if known) to compare with the predicted ones, and nothing else."
@@ -43,7 +44,7 @@ def check_path_command(
     controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
     correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
     contributions: Contributions = True,
-    measured: MeasuredTip = None,
+    measured: MeasuredFile = None,
     iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
     jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
     save_example: SaveExample = None,
@@ -65,29 +66,32 @@ def check_path_command(
     check_jobs(jobs)
     if save_example is None:
         _check_robot(path, speed_mm_s, robot)
-    from rx90b_flex.path.check import PathOptions
-    from rx90b_flex.path.output import PathRequest, run_request, write_check, write_example
-
     if save_example is not None:
+        from rx90b_flex.path.output import write_example
+
         write_example(path, save_example)
         say(f"Path file: {save_example}")
         return
-    if measured is not None:
-        from rx90b_flex.path.measured import read_measured
+    from rx90b_flex.path.measured import compare_measured, read_measured
+    from rx90b_flex.verbs import check_path
 
+    if measured is not None:
         read_measured(measured)  # before anything is simulated
         correct = contributions = False
-    options = PathOptions(tolerance_mm, correct, contributions, iterations, jobs)
     with progress() as tell:
-        result = run_request(PathRequest(path, robot, controller, speed_mm_s, options), tell)
-        if measured is not None:
-            _end_measured(result, measured, out, overwrite)
+        result = check_path(
+            path, robot=robot, tolerance_mm=tolerance_mm, speed_mm_s=speed_mm_s, controller=controller, correct=correct,
+            contributions=contributions, iterations=iterations, jobs=jobs, progress=tell,
+        )  # fmt: skip
+        found = None if measured is None else compare_measured(result, measured)
         tell("writing the report", 0.98)
-        from rx90b_flex.view.path_report import write_path_report
-
-        write_check(result, out, (lambda r, at: write_path_report(r, at / "report.html"),), overwrite)
-    _say(result, out)
-    if result.verdict == "outside_tolerance":
+        _write(result, found, out, overwrite)
+    if found is None:
+        _say(result, out)
+    else:
+        _say_measured(result, found, out)
+    failed = result.verdict == "outside_tolerance" if found is None else not found.agrees
+    if failed:
         raise typer.Exit(1)
 
 
@@ -105,6 +109,19 @@ def _check_robot(path: str, speed_mm_s: float | None, robot: str | None) -> None
             check_robot(named)
 
 
+def _write(result: PathCheck, found: MeasuredTip | None, out: Path, overwrite: bool) -> None:
+    from rx90b_flex.path.measured import write_measured
+    from rx90b_flex.path.output import write_check
+    from rx90b_flex.view.path_report import write_path_report
+
+    def more(result: PathCheck, folder: Path) -> None:
+        if found is not None:
+            write_measured(found, folder)
+        write_path_report(result, folder / "report.html", found)
+
+    write_check(result, out, more, overwrite)
+
+
 def _say(result: PathCheck, out: Path) -> None:
     say(result.sentence)
     causes = sorted((c for c in result.contributions if c.why_not is None), key=lambda c: -c.rms_across)[:3]
@@ -116,26 +133,11 @@ def _say(result: PathCheck, out: Path) -> None:
     say(f"In motion: rx90b-flex view {out / 'as_planned'}{beside}")
 
 
-def _end_measured(result: PathCheck, measured: Path, out: Path, overwrite: bool) -> NoReturn:
-    """Compare, write and end: 0 where the tip was within the tolerance of where it was predicted, else 1."""
-    from rx90b_flex.path.measured import compare_measured, write_measured
-    from rx90b_flex.path.output import write_check
-    from rx90b_flex.view.path_report import write_path_report
+def _say_measured(result: PathCheck, found: MeasuredTip, out: Path) -> None:
+    from rx90b_flex.view.measured_section import NAMES, largest
 
-    found = compare_measured(result, measured)
-    more = (
-        lambda _, at: write_measured(found, at),
-        lambda r, at: write_path_report(r, at / "report.html", found),
-    )
-    write_check(result, out, more, overwrite)
     head = ("tip", "across, largest, mm", "RMS, mm", "at, mm")
-    parts = (
-        ("measured", found.measured),
-        ("predicted", found.predicted),
-        ("measured less predicted", found.difference),
-    )
-    rows = [(name, f"{p.max_across:.4f}", f"{p.rms_across:.4f}", f"{p.worst_at_mm:.0f}") for name, p in parts]
+    rows = [(NAMES[name], *largest(of)) for name, of in found.tips.items()]
     show_table(f"{result.plan.seam.name} with {result.plan.robot.name}", rows, head, head[1:])
     say(found.sentence)
     say(f"Report: {out / 'report.html'}")
-    raise typer.Exit(0 if found.agrees else 1)

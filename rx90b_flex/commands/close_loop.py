@@ -46,12 +46,11 @@ def close_loop_command(
     """
     if model_error is not None and not model_error > 0.0:
         raise ValueError(f"model_error is {model_error:g}; expected more than 0")
+    of_frequency = [name for name, given in (("--robot", robot), ("--model-error", model_error)) if given is not None]
+    goes = f"{of_frequency[0]} goes with a modal table or a folder of `rx90b-flex frf`" if of_frequency else ""
     if len(campaigns) > 1:
-        for name, value in (("--robot", robot), ("--model-error", model_error)):
-            if value is not None:
-                raise ValueError(
-                    f"{name} goes with a modal table or a folder of `rx90b-flex frf`, not with several campaigns"
-                )
+        if goes:
+            raise ValueError(f"{goes}, not with several campaigns")
         options = {"seed": seed, "basics": basics, "despite_faults": despite_faults, "overwrite": overwrite}
         fleet.close_fleet(campaigns, out, jobs, dask, options)
         return
@@ -64,9 +63,8 @@ def close_loop_command(
     if speaks_of_frequency(campaign):
         _close_over_frequency(campaign, out, robot, model_error, overwrite)
         return
-    for name, value in (("--robot", robot), ("--model-error", model_error)):
-        if value is not None and campaign.exists():  # what is not there is said to be missing, further on
-            raise ValueError(f"{name} goes with a modal table or a folder of `rx90b-flex frf`; {campaign} is neither")
+    if goes and campaign.exists():  # what is not there is said to be missing, further on
+        raise ValueError(f"{goes}; {campaign} is neither")
     from rx90b_flex.closing import LoopOptions, close_campaign
     from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
 
@@ -75,7 +73,9 @@ def close_loop_command(
         tell("reading", 0.0)
         closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults), tell)
         closed.write(out, overwrite)
-    if closed.motion is None:
+    from rx90b_flex.diagnose.refused import RefusedLoop
+
+    if isinstance(closed.result, RefusedLoop):
         end_refused(closed.result.checked, out)
     print_result(closed.result)
     say(f"Report: {out / 'report.html'}")
@@ -101,7 +101,7 @@ def _close_over_frequency(
 
 def print_result(result: Any) -> None:
     """What was found, the errors before and after, what is left, and what to beware of."""
-    from rx90b_flex.view.check_report import basics_offer
+    from rx90b_flex.view.check_report import basics_words
 
     rows = []
     for e in result.effects:
@@ -126,7 +126,7 @@ def print_result(result: Any) -> None:
         say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
     for caution in result.cautions:
         say(f"Beware: {caution}")
-    for text in (*(f.message for f in result.data_faults), *basics_offer(result.undeclared_basics)):
+    for text in (*(f.message for f in result.data_faults), *basics_words(result)):
         say(text)
 
 

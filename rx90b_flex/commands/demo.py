@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rx90b_flex.commands.close_loop import print_result
 from rx90b_flex.commands.shared import Out, Overwrite, progress, say
+
+if TYPE_CHECKING:
+    from rx90b_flex.effects import Effect
 
 
 def demo_command(
@@ -51,9 +54,6 @@ def demo_command(
     say(f"Recordings, model and report: {out}")
 
 
-def _describe(effect: object) -> str:
-    from rx90b_flex.effects import Effect
-
-    assert isinstance(effect, Effect)
+def _describe(effect: Effect) -> str:
     values = ", ".join(f"{name} {value:.4g} {unit}".removesuffix(" -") for name, unit, value in effect.public_values())
     return f"{effect.type_name()} on {' + '.join(effect.joints) or 'the robot'}: {values}"

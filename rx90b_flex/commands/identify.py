@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,9 +19,6 @@ from rx90b_flex.commands.shared import (
     show_table,
     value_words,
 )
-
-if TYPE_CHECKING:
-    from rx90b_flex.robot import Robot
 
 
 def identify_command(
@@ -49,12 +46,13 @@ def identify_command(
     with progress() as tell:
         tell("reading", 0.0)
         read = read_campaign(campaign)
+        from rx90b_flex.closing import declared_robot
         from rx90b_flex.diagnose.check import check
         from rx90b_flex.identify.command import identify_campaign, write_identified
         from rx90b_flex.view.check_report import basics_words, write_check_report
         from rx90b_flex.view.identify_report import headline, write_identify_report
 
-        declared = _with_basics(read) if basics else None
+        declared = declared_robot(read, basics)
         checked = check(read, robot=declared)
         if not (checked.usable or despite_faults):
             fill_folder(out, lambda folder: write_check_report(checked, folder), CHECKED, overwrite)
@@ -74,12 +72,3 @@ def identify_command(
     for text in dict.fromkeys((*headline(result), *(f.message for f in checked.data_faults), *basics_words(checked))):
         say(text)
     say(f"Report: {out / 'report.html'}")
-
-
-def _with_basics(campaign: object) -> Robot:
-    """The campaign's robot with what every drive has declared on all of the campaign's joints."""
-    from rx90b_flex.closing import declared_robot
-    from rx90b_flex.signals import Campaign
-
-    assert isinstance(campaign, Campaign)
-    return declared_robot(campaign, basics=True)

@@ -38,18 +38,12 @@ def import_command(
 
     Finds out columns, units and rate, and says how sure it is of each.
     """
-    from rx90b_flex.importing import ImportRequest, import_into, options_of
+    from rx90b_flex.importing import import_into, options_of
 
-    request = ImportRequest(
-        tuple(files),
-        robot,
-        options_of(columns or [], joints, rate, degrees, gear, offset, topic),
-        file_format,
-        basics,
-    )
+    options = options_of(columns or [], joints, rate, degrees, gear, offset, topic)
     with progress() as tell:
         tell("reading", 0.1)
-        imported = import_into(request, out, overwrite)
+        imported = import_into(out, files, robot, options, file_format, basics, overwrite)
     files_of: dict[str, list[str]] = {}
     for where, finding in imported.findings:
         files_of.setdefault(str(finding), []).append(where)

@@ -30,28 +30,36 @@ def view_command(
 
     In a browser, or (--out) as one HTML file that opens offline.
     """
-    from rx90b_flex.early import check_robot, read_campaign
+    from rx90b_flex.early import campaign_path, check_robot, read_campaign
     from rx90b_flex.signals.single import check_file
 
     if beside == "":
         raise ValueError("--beside is ''; expected a folder of `rx90b-flex simulate` or a campaign file")
-    if out is not None:
-        for given in [source, *([beside] if beside else [])]:
+    for given in [source, *([beside] if beside and not modes else [])]:
+        if out is not None:
             check_file(out, given)
-    for given in [source, *([beside] if beside else [])]:
-        inside = Path(given) / "campaign.toml" if Path(given).is_dir() else Path(given)
-        if inside.is_file() and inside.suffix == ".toml" and b"[[recording]]" in inside.read_bytes():
-            read_campaign(inside)
-        elif not Path(given).is_dir():
+        campaign = campaign_path(given)
+        if campaign is None:
             check_robot(given)
-    from rx90b_flex.view.command import Wanted, serve_until_interrupted, view_of, write_view
+        else:
+            read_campaign(campaign)
+    from rx90b_flex.view.command import serve_until_interrupted, view_of
 
-    wanted = Wanted(source, beside, recording, magnify, modes, pose, count, flexible, tip)
     with progress() as tell:
         tell("reading", 0.1)
-        made = view_of(wanted)
+        made = view_of(
+            source,
+            beside,
+            recording=recording,
+            magnify=magnify,
+            modes=modes,
+            pose=pose,
+            count=count,
+            flexible=flexible,
+            tip=tip,
+        )
     if out is not None:
-        write_view(made, out)
+        made.save_html(out)
     for line in (made.title, *made.notes):
         say(line)
     if out is not None:

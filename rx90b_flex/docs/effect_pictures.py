@@ -21,7 +21,8 @@ from rx90b_flex.effects import Effect, Motion, Sites, catalogue
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation import harmonic_motion
 from rx90b_flex.robot import Robot, load_robot
-from rx90b_flex.view.plots import AFTER, BEFORE, MEASURED, Binned
+from rx90b_flex.view.axes import AFTER, BEFORE, MEASURED
+from rx90b_flex.view.plots import explained
 
 RATE_HZ = 400.0
 REST_S = (6.0, 7.5)  # when the arm stands still
@@ -91,7 +92,7 @@ def _over_time(effect: Effect, robot: Robot, motion: Motion) -> Figure:
             f"{name} angle, rad": motion.q[:, column],
             f"{name} acceleration, rad/s²": motion.a[:, column],
         }
-    best = max(signals, key=lambda name: _told(signals[name][moving], left[moving]))
+    best = max(signals, key=lambda name: explained(signals[name][moving], left[moving]))
     against.plot(signals[best][moving], left[moving], ".", color=BEFORE, markersize=1.2, rasterized=True)
     _labels(against, best, "")
     return figure
@@ -119,12 +120,6 @@ def _imitated(effect: Effect, joint: str, motion: Motion, added: Array, row: int
     others = [n for n in BASIC if n != effect.type_name() and n not in effect.traits.replaces]
     columns = np.hstack([known[name](joint=joint).columns(motion)[:, row] for name in others])  # type: ignore[call-arg]
     return np.asarray(columns @ np.linalg.lstsq(columns, added)[0])
-
-
-def _told(x: Array, y: Array) -> float:
-    """Share of a signal's variance that a curve over another holds."""
-    curve = Binned(x, y)
-    return 1.0 - float(curve.count @ curve.std**2) / max(len(y) * float(y.var()), 1e-300)
 
 
 def _over_frequency(cls: type[Effect]) -> Figure | None:

@@ -226,11 +226,9 @@ def _run(tasks: Sequence[Task], jobs: int, dask: str | None, tell: Progress) -> 
             more = f" (and {len(outcomes) - 1} more campaigns)" if len(outcomes) > 1 else ""
             raise ValueError(f"{outcomes[0].reason}{more}")
         fits = _fitted_again(tasks, outcomes, each, tell)
-    told = [
-        o if isinstance(fit := fits.get(o.name), SecondFit | None) else dataclasses.replace(o, reason=fit)
-        for o in outcomes
-    ]
-    compared = {o.name: fit for o in outcomes if isinstance(fit := fits.get(o.name), SecondFit)}
+    why_not = {name: fit for name, fit in fits.items() if isinstance(fit, str)}
+    told = (dataclasses.replace(o, reason=why_not.get(o.name, o.reason)) for o in outcomes)
+    compared = {name: fit for name, fit in fits.items() if isinstance(fit, SecondFit)}
     return Fleet(tuple(told), parameters(compared), tasks[0].folder.parent)
 
 
@@ -238,19 +236,16 @@ def _fitted_again(
     tasks: Sequence[Task], outcomes: Sequence[Outcome], each: _Each, tell: Progress
 ) -> dict[str, SecondFit | str]:
     """The second fits of all robots that can be compared, or why there is none."""
-    wanted = sought(outcomes)
+    common, others = sought(outcomes)
     compared = [(t, o) for t, o in zip(tasks, outcomes, strict=True) if o.compared]
-    calls: list[Call] = [(fit_again, (t, o.found, wanted.common, wanted.others, len(compared))) for t, o in compared]
-    out: dict[str, SecondFit | str] = {}
-    for i, fit in each(
-        calls, lambda done: tell(f"comparing, {done} of {len(calls)} robots", 0.9 + 0.1 * done / len(calls))
-    ):
-        out[compared[i][1].name] = str(fit) if isinstance(fit, Exception) else fit
-    return out
+    calls: list[Call] = [(fit_again, (t, o.found, common, others, len(compared))) for t, o in compared]
+    total = len(calls)
+    fits = dict(each(calls, lambda done: tell(f"comparing, {done} of {total} robots", 0.9 + 0.1 * done / total)))
+    return {o.name: str(fits[i]) if isinstance(fits[i], Exception) else fits[i] for i, (_, o) in enumerate(compared)}
 
 
 def _closed(tasks: Sequence[Task], each: _Each, tell: Progress) -> tuple[Outcome, ...]:
-    outcomes: list[Outcome | None] = [None] * len(tasks)
+    outcomes: dict[int, Outcome] = {}
     calls: list[Call] = [(_frequency, (t,)) if speaks_of_frequency(t.campaign) else (close_robot, (t,)) for t in tasks]
     for i, outcome in each(calls, lambda done: tell(f"{done} of {len(tasks)} robots", 0.9 * done / len(tasks))):
         if isinstance(outcome, _WorkersDied):
@@ -258,7 +253,7 @@ def _closed(tasks: Sequence[Task], each: _Each, tell: Progress) -> tuple[Outcome
         if isinstance(outcome, Exception):
             raise outcome
         outcomes[i] = outcome
-    return tuple(o for o in outcomes if o is not None)
+    return tuple(outcomes[i] for i in range(len(tasks)))
 
 
 def _frequency(task: Task) -> Outcome:
@@ -326,10 +321,6 @@ def _by_dask(client: Any, calls: Sequence[Call], tell: Callable[[int], None]) ->
         tell(done)
         error = result[1] if future.status == "error" else None
         if isinstance(error, KilledWorker):
-            yield (
-                futures[future],
-                _WorkersDied("the processes that worked on it died again and again; too little memory?"),
-            )
-        else:
-            yield futures[future], result if error is None else error
+            error = _WorkersDied("the processes that worked on it died again and again; too little memory?")
+        yield futures[future], result if error is None else error
         future.release()

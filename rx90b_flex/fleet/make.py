@@ -95,16 +95,8 @@ class MakeParameter:
         return sum(v.present for v in self.values)
 
 
-@dataclass(frozen=True)
-class Sought:
-    """Effects that were found on the robots of a make: on most, and on some; each in the shape of the surest find."""
-
-    common: tuple[Effect, ...]
-    others: tuple[Effect, ...]
-
-
-def sought(outcomes: Sequence[Outcome]) -> Sought:
-    """What to look for on every robot."""
+def sought(outcomes: Sequence[Outcome]) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
+    """Effects to look for on every robot: found on most, and found on some; each in the shape of the surest find."""
     compared = [o for o in outcomes if o.compared]
     groups: list[list[tuple[float, Effect]]] = []
     for outcome in compared:
@@ -113,13 +105,9 @@ def sought(outcomes: Sequence[Outcome]) -> Sought:
             if group is None:
                 groups.append(group := [])
             group.append((p, effect))
+    surest = [(len(group), min(group, key=lambda pair: pair[0])[1]) for group in groups]
     most = COMMON * len(compared)
-    common = tuple(_surest(g) for g in groups if len(g) > most)
-    return Sought(common, tuple(_surest(g) for g in groups if len(g) <= most))
-
-
-def _surest(group: Sequence[tuple[float, Effect]]) -> Effect:
-    return min(group, key=lambda pair: pair[0])[1]
+    return tuple(e for count, e in surest if count > most), tuple(e for count, e in surest if count <= most)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,14 +37,15 @@ def fleet_table(fleet: Fleet) -> pd.DataFrame:
 
 
 def _row(robot: Outcome, p: MakeParameter, v: RobotValue) -> dict[str, Any]:
-    over = p.summary
-    return {
-        "robot": robot.name, "verdict": robot.verdict, "type": p.type, "place": p.place, "parameter": p.parameter, "unit": p.unit,
-        "value": v.value, "std": v.std, "present": v.present, "p_value": v.p_value, "stands_out": v.stands_out, "since": v.since,
-        "until": v.until, "before": v.before, "before_std": v.before_std, "make_mean": over.mean, "make_low": over.low,
-        "make_high": over.high, "between_std": over.between_std, "between_low": over.between_low, "between_high": over.between_high,
-        "robots": over.count, "reason": robot.reason,
-    }  # fmt: skip
+    make = {"make_mean": p.summary.mean, "make_low": p.summary.low, "make_high": p.summary.high, **_make(p)}
+    own = _fields(p, "type", "place", "parameter", "unit")
+    return make | own | dataclasses.asdict(v) | {"verdict": robot.verdict, "reason": robot.reason}
+
+
+def _make(p: MakeParameter) -> dict[str, Any]:
+    """The summary over a make; how many robots it is made of is called ``robots``."""
+    content = dataclasses.asdict(p.summary)
+    return {"robots": content.pop("count"), **content}
 
 
 def fleet_json(fleet: Fleet) -> dict[str, Any]:
@@ -59,28 +60,19 @@ def fleet_json(fleet: Fleet) -> dict[str, Any]:
 
 
 def _robot(fleet: Fleet, o: Outcome) -> dict[str, Any]:
+    before, after = (None if e is None else e.validation.relative_error for e in (o.before, o.after))
+    out = fleet.standing_out(o.name)
     return {
         "name": o.name,
         "robot": o.robot or None,
         "verdict": o.verdict,
         "reason": o.reason or None,
         "dates": list(o.dates),
-        "relative_error": None
-        if o.before is None or o.after is None
-        else {"before": o.before.validation.relative_error, "after": o.after.validation.relative_error},
+        "relative_error": None if before is None or after is None else {"before": before, "after": after},
         "found": [e.label for e in o.found],
         "stands_out": [
-            {
-                "type": p.type,
-                "place": p.place,
-                "parameter": p.parameter,
-                "since": v.since,
-                "until": v.until,
-                "before": v.before,
-                "before_std": v.before_std,
-                "p_value": v.p_value,
-            }
-            for p, v in fleet.standing_out(o.name)
+            _fields(p, "type", "place", "parameter") | _fields(v, "since", "until", "before", "before_std", "p_value")
+            for p, v in out
         ],
     }
 
@@ -92,19 +84,17 @@ def _parameter(p: MakeParameter) -> dict[str, Any]:
         "type": p.type,
         "joint": joints[0] if len(joints) == 1 else None,
         **({"joints": joints} if len(joints) > 1 else {}),
-        "place": p.place,
-        "parameter": p.parameter,
-        "unit": p.unit,
+        **_fields(p, "place", "parameter", "unit"),
         # whoever lacks the effect was asked for it in this shape
         **({} if p.present == len(p.values) or not shape else {"shape": shape}),
-        "present": p.present,
-        "tested": p.tested,
-        "make": {
-            "robots": p.summary.count, "mean": p.summary.mean, "low": p.summary.low, "high": p.summary.high,
-            "between_std": p.summary.between_std, "between_low": p.summary.between_low, "between_high": p.summary.between_high,
-        },
+        **_fields(p, "present", "tested"),
+        "make": _make(p),
         "values": [dataclasses.asdict(v) for v in p.values],
-    }  # fmt: skip
+    }
+
+
+def _fields(of: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(of, name) for name in names}
 
 
 def write_fleet(fleet: Fleet, folder: Path, overwrite: bool = False) -> None:

@@ -32,6 +32,7 @@ MODEL_ERROR = 0.1  # part by which the model is made wrong, to see what the corr
 STICKS = 0.05  # of the speed that is planned: a slower drive sticks
 SLOWEST = 1e-3  # rad/s; a drive that is planned to turn more slowly stands still
 OFTEN = 3  # stops of a drive on its way, from which it is said to stick and slip
+AXES = ("along", "left", "up", "across")  # of a deviation
 PARTS = {"friction": "friction", "flexibility": "stiffness and damping of hinges", "spring": "springs"}
 
 
@@ -115,6 +116,10 @@ class Deviation:
     def worst_at_mm(self) -> float:
         """Where it is largest across."""
         return float(self.distance_mm[self.across.argmax()])
+
+    def columns(self, name: str = "") -> dict[str, Array]:
+        """Its four components by name and unit; `name` stands between these."""
+        return {f"{axis}{name}_mm": getattr(self, axis) for axis in AXES}
 
     @cached_property
     def by_mm(self) -> Array:
@@ -284,14 +289,19 @@ def check_path(
         A path that the robot cannot follow (see `plan`), before anything is simulated; a robot that cannot be simulated.
     """
     options, tell = options or PathOptions(), tell or (lambda text, part: None)
-    clock = _Clock()
+    seconds: dict[str, float] = {}
+    begun = time.perf_counter()
+
+    def lap(stage: str) -> None:
+        seconds[stage] = time.perf_counter() - begun - sum(seconds.values())
+
     tell("planning", 0.0)
     planned = plan(seam, robot, controller)
-    clock.lap("inverse kinematics and checks")
+    lap("inverse kinematics and checks")
     tell("simulating", 0.05)
     run = simulate(robot, controller, planned.trajectory())
     before = deviation(planned, run)
-    clock.lap("one simulation")
+    lap("one simulation")
     runs: tuple[Simulation, ...] = (run,)
     after: Deviation | None = None
     correction: Array | None = None
@@ -299,31 +309,21 @@ def check_path(
     if options.correct and before.ended is None:
         after, correction, iterations, corrected = _correct(planned, controller, run, options, tell)
         runs = (run, corrected) if np.any(correction) else runs
-        clock.lap("correction")
+        lap("correction")
     wrong: tuple[tuple[str, Deviation], ...] = ()
     if after is not None and correction is not None and np.any(correction):
         tell("with a wrong model", 0.5)
         wrong = tuple(_wrong_models(planned, controller, correction))
-        clock.lap("corrected path with a wrong model")
+        lap("corrected path with a wrong model")
     contributions: tuple[Contribution, ...] = ()
     left_over = float("nan")
     if options.contributions and before.ended is None:
         contributions, left_over = _contributions(planned, controller, before, options.jobs, tell)
-        clock.lap("contributions")
+        lap("contributions")
     return PathCheck(
-        planned, options, before, after, correction, iterations, contributions, left_over, wrong, clock.seconds,
+        planned, options, before, after, correction, iterations, contributions, left_over, wrong, seconds,
         sticking(planned, run), runs,
     )  # fmt: skip
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self.last = time.perf_counter()
-
-    def lap(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.seconds[stage], self.last = now - self.last, now
 
 
 def deviation(planned: PathPlan, run: Simulation) -> Deviation:
@@ -405,9 +405,8 @@ def _wrong_models(planned: PathPlan, controller: CS8, correction: Array) -> list
             for e in planned.robot.effects
         ]
         if any(e.traits.part == part for e in effects):
-            out.append(
-                (words, deviation(planned, simulate(planned.robot.with_effects(effects), controller, trajectory)))
-            )
+            run = simulate(planned.robot.with_effects(effects), controller, trajectory)
+            out.append((words, deviation(planned, run)))
     return out
 
 
@@ -420,7 +419,8 @@ def _contributions(
     """Each effect switched off in turn, and what is there without any; then what they do only together."""
     effects = planned.robot.effects
     off = [e for e in effects if e.traits.part != "drives"]
-    cases: list[Sequence[Effect]] = [[e for e in effects if e.traits.part == "drives"]]
+    drives = [e for e in effects if e.traits.part == "drives"]
+    cases: list[Sequence[Effect]] = [drives]
     cases += [[e for e in effects if e is not one] for one in off]
     work = (delayed(_run_without)(planned, controller, case) for case in cases)
     runs: list[Deviation | str] = []
@@ -437,14 +437,9 @@ def _contributions(
             continue
         own = _components(case) if part == "links" and not out else total - _components(case)
         sum_of_all += own
-        across = np.hypot(own[1], own[2])
-        rms, along = float(np.sqrt(np.mean(across**2))), float(np.abs(own[0]).max())
-        out.append(Contribution(name, part, float(across.max()), rms, along, case.rms_across))
-    out += [
-        Contribution(_name(e), e.traits.part, why_not="the drive needs it to move")
-        for e in effects
-        if e.traits.part == "drives"
-    ]
+        of = Deviation(before.distance_mm, before.length_mm, *own)
+        out.append(Contribution(name, part, of.max_across, of.rms_across, of.max_along, case.rms_across))
+    out += [Contribution(_name(e), e.traits.part, why_not="the drive needs it to move") for e in drives]
     rest = total - sum_of_all
     return tuple(out), float(np.sqrt(np.mean(rest[1] ** 2 + rest[2] ** 2)))
 

@@ -13,7 +13,6 @@ known.
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from scipy.optimize import minimize_scalar
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
+from rx90b_flex.path.output import write_columns, write_json
 from rx90b_flex.path.planning import HOLD_S
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.tables import read_table
@@ -71,6 +71,18 @@ class MeasuredTip(Showing):
     seen: float
 
     @property
+    def tips(self) -> dict[str, Deviation]:
+        """The three deviations by name."""
+        return {"measured": self.measured, "predicted": self.predicted, "difference": self.difference}
+
+    def columns(self) -> dict[str, Array]:
+        """Every sample: its place along the path and the deviations, mm."""
+        out = {"distance_mm": self.measured.distance_mm}
+        for name, of in self.tips.items():
+            out |= of.columns(f"_{name}")
+        return out
+
+    @property
     def agrees(self) -> bool:
         """Whether the tip was within the tolerance of where it was predicted, across the path, everywhere."""
         return self.difference.passes(self.tolerance_mm)
@@ -89,8 +101,7 @@ class MeasuredTip(Showing):
         return (
             f"The measured tip is up to {of.max_across:.3g} mm across from where it was predicted (at {of.worst_at_mm:.0f} mm along "
             f"the path), {verdict} {self.tolerance_mm:g} mm{part}; it strays from the path by up to "
-            f"{self.measured.max_across:.3g} mm, "
-            f"predicted {self.predicted.max_across:.3g} mm."
+            f"{self.measured.max_across:.3g} mm, predicted {self.predicted.max_across:.3g} mm."
         )
 
 
@@ -210,9 +221,8 @@ def _along(result: PathCheck, file: Path, place: Array) -> MeasuredTip:
     fine = np.linspace(run.time[0], run.time[-1], FINER * len(run.time))
     predicted = _interpolate(fine, run.time, run.tip[:, :3, 3])
     predicted = predicted[_nearest(predicted, place, tangent)]
-    return _comparison(
-        result, file, "path", None, distance, tangent, [1e3 * (tip - point) for tip in (place, predicted)]
-    )
+    missing = [1e3 * (tip - point) for tip in (place, predicted)]
+    return _comparison(result, file, "path", None, distance, tangent, missing)
 
 
 def _nearest(curve: Array, place: Array, tangent: Array | None = None) -> NDArray[np.int64]:
@@ -240,14 +250,8 @@ def _nearest(curve: Array, place: Array, tangent: Array | None = None) -> NDArra
 
 
 def _comparison(
-    result: PathCheck,
-    file: Path,
-    aligned: Aligned,
-    shift: float | None,
-    distance: Array,
-    tangent: Array,
-    missing: list[Array],
-) -> MeasuredTip:
+    result: PathCheck, file: Path, aligned: Aligned, shift: float | None, distance: Array, tangent: Array, missing: list[Array]
+) -> MeasuredTip:  # fmt: skip
     left, up = across_axes(tangent)
     order = np.argsort(distance, kind="stable")
     length = 1e3 * result.plan.seam.pieces.total
@@ -268,18 +272,12 @@ def _comparison(
 
 def write_measured(of: MeasuredTip, folder: Path) -> None:
     """Write `measured.json`, and `measured.csv` with every sample: its place along the path and the three deviations, mm."""
-    (folder / "measured.json").write_text(json.dumps(as_json(of), indent=1) + "\n", encoding="utf-8")
-    columns = {"distance_mm": of.measured.distance_mm}
-    for name, part in (("measured", of.measured), ("predicted", of.predicted), ("difference", of.difference)):
-        columns |= {f"{axis}_{name}_mm": getattr(part, axis) for axis in ("along", "left", "up", "across")}
-    rows = np.column_stack(list(columns.values()))
-    lines = [",".join(columns), *(",".join(f"{x:.6g}" for x in row) for row in rows)]
-    (folder / "measured.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_json(folder / "measured.json", as_json(of))
+    write_columns(folder / "measured.csv", of.columns(), digits=6)
 
 
 def as_json(of: MeasuredTip) -> dict[str, Any]:
     """Everything but the samples."""
-    parts = {"measured": of.measured, "predicted": of.predicted, "difference": of.difference}
     return {
         "schema": 1,
         "file": of.file.name,
@@ -297,6 +295,6 @@ def as_json(of: MeasuredTip) -> dict[str, Any]:
                 "worst_at_mm": part.worst_at_mm,
                 "max_along_mm": part.max_along if of.aligned == "time" else None,
             }
-            for name, part in parts.items()
+            for name, part in of.tips.items()
         },
     }

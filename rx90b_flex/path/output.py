@@ -5,61 +5,20 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
+import pandas as pd
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.path.check import Deviation, PathCheck, PathOptions, Tell, check_path
-from rx90b_flex.path.seam import EXAMPLES, load_seam
-from rx90b_flex.robot import load_robot
-from rx90b_flex.simulate.command import controller_of, write_run
+from rx90b_flex.path.check import Deviation, PathCheck
+from rx90b_flex.path.seam import EXAMPLES
+from rx90b_flex.simulate.closed_loop import tip_poses
+from rx90b_flex.simulate.command import write_run
 
-ROBOT = "rx90b"  # where neither the command nor the path file says
 RUNS = ("as_planned", "corrected")  # folders
-
-
-@dataclass(frozen=True)
-class PathRequest:
-    """What the user asks for.
-
-    Attributes
-    ----------
-    path : str
-        A path file, a table of points, or the name of an example.
-    robot : str or None
-        As `load_robot` takes it; the path file's, or the RX90B, where not given.
-    controller : Path or None
-        Controller file; the CS8's where the robot has its joints, else gains designed for the robot.
-    speed_mm_s : float or None
-        Instead of the path file's.
-    options : Options
-    """
-
-    path: str
-    robot: str | None = None
-    controller: Path | None = None
-    speed_mm_s: float | None = None
-    options: PathOptions = field(default_factory=PathOptions)
-
-
-def run_request(request: PathRequest, tell: Tell | None = None) -> PathCheck:
-    """Read everything that a request names, and check the path.
-
-    Raises
-    ------
-    ValueError
-        One line that names the file and key, or the place along the path and what is wrong there.
-    """
-    seam = load_seam(request.path, request.speed_mm_s)
-    robot = load_robot(request.robot or seam.robot or ROBOT)
-    for effect in robot.effects:
-        effect.known_coefficients()
-    return check_path(seam, robot, controller_of(robot, request.controller), request.options, tell)
 
 
 def write_example(name: str, file: Path) -> None:
@@ -76,10 +35,7 @@ def write_example(name: str, file: Path) -> None:
 
 
 def write_check(
-    result: PathCheck,
-    folder: Path,
-    more: tuple[Callable[[PathCheck, Path], None], ...] = (),
-    overwrite: bool = False,
+    result: PathCheck, folder: Path, more: Callable[[PathCheck, Path], None] | None = None, overwrite: bool = False
 ) -> None:
     """Fill a folder, whole or not at all: `path_check.json`, `seam.csv`, and of a corrected path `corrected_path.csv` and
     `corrected_joints.csv`; the runs in the folders `RUNS`, as `rx90b-flex view` takes them; then what `more` writes there.
@@ -87,49 +43,42 @@ def write_check(
     from rx90b_flex.signals.folders import PATH_CHECK, fill_folder
 
     def fill(at: Path) -> None:
-        (at / "path_check.json").write_text(json.dumps(as_json(result), indent=1) + "\n", encoding="utf-8")
+        write_json(at / "path_check.json", as_json(result))
         write_seam(result, at / "seam.csv")
         if result.correction is not None:
             write_corrected(result, at)
         write_runs(result, at)
-        for write in more:
-            write(result, at)
+        if more is not None:
+            more(result, at)
 
     fill_folder(folder, fill, PATH_CHECK, overwrite)
 
 
 def as_json(result: PathCheck) -> dict[str, Any]:
     """Everything but the samples."""
-    plan, options = result.plan, result.options
-    effects = [
-        {
-            "name": c.name,
-            "part": c.part,
-            "max_across_mm": _finite(c.max_across),
-            "rms_across_mm": _finite(c.rms_across),
-            "max_along_mm": _finite(c.max_along),
-            "rms_across_without_mm": _finite(c.rms_without),
-            "not_switched_off": c.why_not,
-        }
-        for c in result.contributions
-    ]
+    plan, tolerance = result.plan, result.options.tolerance_mm
     return {
         "schema": 1,
         "path": plan.seam.name,
         "robot": plan.robot.name,
-        "tolerance_mm": options.tolerance_mm,
+        "tolerance_mm": tolerance,
         "verdict": result.verdict,
         "length_mm": 1e3 * plan.seam.pieces.total,
         "speed_mm_s": 1e3 * plan.seam.speed,
         "duration_s": plan.seam.duration_s,
         "notes": plan.seam.notes(),
-        "before": _deviation(result.before, options.tolerance_mm),
-        "after": None if result.after is None else _deviation(result.after, options.tolerance_mm),
-        "iterations": [{"max_across_mm": i.max_across, "rms_across_mm": i.rms_across} for i in result.iterations],
-        "contributions": effects,
+        "before": _deviation(result.before, tolerance),
+        "after": None if result.after is None else _deviation(result.after, tolerance),
+        "iterations": [_in_mm(i, "max_across", "rms_across") for i in result.iterations],
+        "contributions": [
+            {"name": c.name, "part": c.part}
+            | _in_mm(c, "max_across", "rms_across", "max_along")
+            | {"rms_across_without_mm": _finite(c.rms_without), "not_switched_off": c.why_not}
+            for c in result.contributions
+        ],
         "only_together_rms_across_mm": _finite(result.left_over),
-        "sticking": [{"joint": s.joint, "stops": s.stops} for s in result.sticking],
-        "wrong_model": [{"lower": name, **_deviation(d, options.tolerance_mm)} for name, d in result.wrong_model],
+        "sticking": [s._asdict() for s in result.sticking],
+        "wrong_model": [{"lower": name, **_deviation(d, tolerance)} for name, d in result.wrong_model],
         "seconds": {stage: round(s, 3) for stage, s in result.seconds.items()},
     }
 
@@ -137,9 +86,7 @@ def as_json(result: PathCheck) -> dict[str, Any]:
 def _deviation(of: Deviation, tolerance_mm: float) -> dict[str, Any]:
     within = of.within(tolerance_mm)
     return {
-        "max_across_mm": of.max_across,
-        "rms_across_mm": of.rms_across,
-        "max_along_mm": of.max_along,
+        **_in_mm(of, "max_across", "rms_across", "max_along"),
         "worst_at_mm": of.worst_at_mm,
         "millimetres": len(within),
         "millimetres_within": int(within.sum()),
@@ -148,25 +95,32 @@ def _deviation(of: Deviation, tolerance_mm: float) -> dict[str, Any]:
     }
 
 
+def _in_mm(of: object, *names: str) -> dict[str, float | None]:
+    return {f"{name}_mm": _finite(getattr(of, name)) for name in names}
+
+
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def write_json(file: Path, content: Mapping[str, Any]) -> None:
+    """A value a line."""
+    file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def write_columns(file: Path, columns: Mapping[str, Array], digits: int) -> None:
+    """A CSV table of numbers with so many digits."""
+    pd.DataFrame(columns).to_csv(file, index=False, float_format=f"%.{digits}g")
+
+
 def write_seam(result: PathCheck, file: Path) -> None:
     """Pass or fail of each millimetre: `mm` is where it begins; an empty cell is a place that the run did not reach."""
-    columns = [("before", result.before), *([("after", result.after)] if result.after is not None else [])]
-    names = ["mm", *(name for when, _ in columns for name in (f"across_{when}_mm", f"{when}"))]
-    lines = [",".join(names)]
-    for mm in range(len(result.before.by_mm)):
-        cells = [str(mm)]
-        for _, of in columns:
-            value = float(of.by_mm[mm])
-            cells += [
-                f"{value:.5f}" if math.isfinite(value) else "",
-                "pass" if value <= result.options.tolerance_mm else "fail",
-            ]
-        lines.append(",".join(cells))
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    columns: dict[str, Any] = {"mm": np.arange(len(result.before.by_mm))}
+    for when, of in (("before", result.before), ("after", result.after)):
+        if of is not None:
+            columns[f"across_{when}_mm"] = np.where(np.isfinite(of.by_mm), of.by_mm, np.nan)
+            columns[when] = np.where(of.within(result.options.tolerance_mm), "pass", "fail")
+    pd.DataFrame(columns).to_csv(file, index=False, float_format="%.5f")
 
 
 def write_corrected(result: PathCheck, folder: Path) -> None:
@@ -180,35 +134,21 @@ def write_corrected(result: PathCheck, folder: Path) -> None:
     columns |= {axis: place[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"correction_{axis}_mm": 1e3 * (place - plan.point)[:, i] for i, axis in enumerate("xyz")}
     joints = dict(zip(trajectory.joints, trajectory.position.T, strict=True))
-    _write_columns(folder / "corrected_path.csv", columns | joints)
-    _write_columns(folder / "corrected_joints.csv", {"time": plan.time, **joints})
+    write_columns(folder / "corrected_path.csv", columns | joints, digits=10)
+    write_columns(folder / "corrected_joints.csv", {"time": plan.time, **joints}, digits=10)
 
 
 def write_runs(result: PathCheck, folder: Path) -> None:
     """The runs with all their coordinates; both have the planned path as reference, so that deviations are from that."""
     for name, run in zip(RUNS, result.runs, strict=False):
-        planned = result.runs[0].recording
-        recording = dataclasses.replace(
-            run.recording,
-            reference_position=planned.reference_position,
-            reference_velocity=planned.reference_velocity,
-        )
+        references = ("reference_position", "reference_velocity")
+        planned = {name: getattr(result.runs[0].recording, name) for name in references}
+        recording = dataclasses.replace(run.recording, **planned)
         (folder / name).mkdir()
         write_run(dataclasses.replace(run, recording=recording), folder / name)
 
 
 def reference_tip(result: PathCheck) -> Array:
     """Where the corrected references would put the rigid robot's tip, shape (N, 3), m."""
-    model = result.plan.robot.tree
-    data, tip = model.createData(), model.getFrameId(result.plan.robot.tip_frame)
-    out = np.empty_like(result.plan.point)
-    for k, q in enumerate(result.plan.trajectory(result.correction).position):
-        pin.framesForwardKinematics(model, data, q)
-        out[k] = data.oMf[tip].translation
-    return out
-
-
-def _write_columns(file: Path, columns: dict[str, Array]) -> None:
-    rows = np.column_stack(list(columns.values()))
-    lines = [",".join(columns), *(",".join(f"{x:.10g}" for x in row) for row in rows)]
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    robot, references = result.plan.robot, result.plan.trajectory(result.correction)
+    return tip_poses(robot.tree, robot.tip_frame, references.position)[:, :3, 3]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple, get_args
@@ -43,7 +43,7 @@ class Problem(NamedTuple):
     kind: Kind
     begin: float
     end: float
-    why: str = ""
+    why: str
 
     def __str__(self) -> str:
         at = f"at {1e3 * self.begin:.1f} mm"
@@ -248,12 +248,8 @@ class _Arm:
         """A point that no angles reach."""
         where = ", ".join(f"{1e3 * x:.1f}" for x in point)
         oriented = "" if self.seam.orientation == "free" else " in its orientation"
-        return Problem(
-            "reach",
-            distance,
-            distance,
-            f"{self.robot.name} cannot reach ({where}) mm with {self.robot.tip_frame}{oriented}",
-        )
+        why = f"{self.robot.name} cannot reach ({where}) mm with {self.robot.tip_frame}{oriented}"
+        return Problem("reach", distance, distance, why)
 
     def follow(
         self, start: Array, distance: Array, point: Array, frames: Array | None
@@ -277,12 +273,8 @@ class _Arm:
             if k > 0 and np.abs(position[k] - guess).max() > JUMP:
                 joint = self.robot.joints[int(np.abs(position[k] - guess).argmax())]
                 turn = np.rad2deg(np.abs(position[k] - guess).max())
-                return Problem(
-                    "singularity",
-                    distance[k - 1],
-                    distance[k],
-                    f"goes through a singularity: {joint} would jump by {turn:.0f} degrees",
-                )
+                why = f"goes through a singularity: {joint} would jump by {turn:.0f} degrees"
+                return Problem("singularity", distance[k - 1], distance[k], why)
             pull.append(np.asarray(np.linalg.pinv(jacobian[:3] * self.carries, rcond=SINGULAR), dtype=float))
         return position, np.stack(pull), measure
 
@@ -309,48 +301,47 @@ def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:
     return begin, begin + (len(rest) if rest.all() else int(np.argmin(rest))) - 1
 
 
-def _beyond(plan: PathPlan, kind: Kind, value: Array, low: Array, high: Array) -> tuple[Problem, str, int, int] | None:
-    """The first joint along the path that leaves its range: where, its name, its place and the sample where it is worst."""
+def _beyond(
+    plan: PathPlan, kind: Kind, value: Array, low: Array, high: Array, why: Callable[[int, float], str]
+) -> Problem | None:
+    """The first joint along the path that leaves its range; `why` says so of its place and its worst value."""
     found = []
-    for j, joint in enumerate(plan.robot.joints):
+    for j in range(len(plan.robot.joints)):
         over = np.maximum(value[:, j] - high[j], low[j] - value[:, j])
         where = _first(over > 0.0)
         if where is not None:
-            worst = where[0] + int(over[where[0] : where[1] + 1].argmax())
-            found.append(
-                (Problem(kind, float(plan.distance[where[0]]), float(plan.distance[where[1]])), joint, j, worst)
-            )
-    return min(found, key=lambda x: x[0].begin, default=None)
+            begin, end = where
+            worst = value[begin + int(over[begin : end + 1].argmax()), j]
+            found.append(Problem(kind, float(plan.distance[begin]), float(plan.distance[end]), why(j, float(worst))))
+    return min(found, key=lambda problem: problem.begin, default=None)
 
 
 def _limits(plan: PathPlan) -> Problem | None:
     low, high = (np.asarray(x) for x in (plan.robot.tree.lowerPositionLimit, plan.robot.tree.upperPositionLimit))
-    found = _beyond(plan, "limits", plan.position, low, high)
-    if found is None:
-        return None
-    where, joint, j, worst = found
-    slides = plan.robot.tree.joints[j + 1].shortname().startswith("JointModelP")
-    unit, scale = ("mm", 1e3) if slides else ("degrees", np.rad2deg(1.0))
-    at, least, most = scale * np.array([plan.position[worst, j], low[j], high[j]])
-    return where._replace(why=f"needs {joint} at {at:.1f} {unit}, outside its limits {least:.1f} to {most:.1f}")
+
+    def why(j: int, worst: float) -> str:
+        slides = plan.robot.tree.joints[j + 1].shortname().startswith("JointModelP")
+        unit, scale = ("mm", 1e3) if slides else ("degrees", np.rad2deg(1.0))
+        at, least, most = scale * np.array([worst, low[j], high[j]])
+        return f"needs {plan.robot.joints[j]} at {at:.1f} {unit}, outside its limits {least:.1f} to {most:.1f}"
+
+    return _beyond(plan, "limits", plan.position, low, high, why)
 
 
 def _too_fast(plan: PathPlan, controller: CS8) -> Problem | None:
     limit = np.asarray(plan.robot.tree.upperVelocityLimit, dtype=float)
-    velocity = rates(plan.position, plan.rate_hz)
-    found = _beyond(plan, "speed", velocity, -limit, limit)
+    joints, velocity = plan.robot.joints, rates(plan.position, plan.rate_hz)
+
+    def turns(j: int, worst: float) -> str:
+        return f"is too fast: {joints[j]} would turn at {worst:.3g} rad/s, over its limit of {limit[j]:g}"
+
+    found = _beyond(plan, "speed", velocity, -limit, limit, turns)
     if found is not None:
-        where, joint, j, worst = found
-        return where._replace(
-            why=f"is too fast: {joint} would turn at {velocity[worst, j]:.3g} rad/s, over its limit of {limit[j]:g}"
-        )
-    rigid = plan.robot.rigid()
-    torque = rigid.inverse_dynamics(plan.position, velocity, rates(plan.position, plan.rate_hz, 2))
-    most = controller.for_joints(plan.robot.joints).column("torque_limit")
-    found = _beyond(plan, "torque", torque, -most, most)
-    if found is None:
-        return None
-    where, joint, j, worst = found
-    return where._replace(
-        why=f"is too fast: {joint} would need {torque[worst, j]:.4g} N m, over its limit of {most[j]:g}"
-    )
+        return found
+    most = controller.for_joints(joints).column("torque_limit")
+
+    def needs(j: int, worst: float) -> str:
+        return f"is too fast: {joints[j]} would need {worst:.4g} N m, over its limit of {most[j]:g}"
+
+    torque = plan.robot.rigid().inverse_dynamics(plan.position, velocity, rates(plan.position, plan.rate_hz, 2))
+    return _beyond(plan, "torque", torque, -most, most, needs)

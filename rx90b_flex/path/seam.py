@@ -46,6 +46,7 @@ KEYS = (
 ACCELERATION = 1.0  # m/s^2; choice: 50 mm/s is reached in 94 ms and 2.3 mm
 FARTHEST = 100.0  # m, of a point
 LONGEST_S = 3600.0  # of a path
+ROBOT = "rx90b"  # whose path it is where neither the path file nor the caller says
 STRAIGHT = 1e-6  # rad; a corner that turns less is none
 RAMP_PEAK = 1.875  # of a ramp's acceleration, over its mean
 

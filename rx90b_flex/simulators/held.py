@@ -267,14 +267,14 @@ def _add_laws(
             if not weights:
                 continue
         gathered = sums.setdefault(weights, _Sum())
-        if law.inertia and not how.rotors:
-            missing.append(f"{how.title} has no inertia of a rotor behind its gear")
-        else:
+        if how.rotors:
             gathered.inertia += law.inertia
-        if law.stiffness and not how.springs:
-            missing.append(f"{how.title} has no springs")
-        else:
+        elif law.inertia:
+            missing.append(f"{how.title} has no inertia of a rotor behind its gear")
+        if how.springs:
             gathered.stiffness += law.stiffness
+        elif law.stiffness:
+            missing.append(f"{how.title} has no springs")
         gathered.damping += law.damping
         missing += _add_function(effect, law, gathered, how)
     if missing:
@@ -354,9 +354,6 @@ def _rub(
 def _speed(robot: Robot, weights: Sequence[tuple[str, float]]) -> float:
     """Largest speed that the URDF lets a joint have."""
     limits = {j.name: j.limit for j in read_xml(robot.urdf).robot.joints}
-    found = []
-    for name, _ in weights:
-        limit = limits.get(name.rsplit(":", 1)[0])
-        if limit is not None and limit.velocity and 0.0 < limit.velocity < UNLIMITED:
-            found.append(float(limit.velocity))
-    return min(found, default=SPEED)
+    found = (limits.get(name.rsplit(":", 1)[0]) for name, _ in weights)
+    speeds = (float(limit.velocity or 0.0) for limit in found if limit is not None)
+    return min((speed for speed in speeds if 0.0 < speed < UNLIMITED), default=SPEED)

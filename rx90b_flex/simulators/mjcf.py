@@ -14,7 +14,6 @@ from lxml import etree  # type: ignore[import-untyped, unused-ignore]
 from scipy import linalg
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.robot import Robot
 from rx90b_flex.simulators.bodies import possible_body
 from rx90b_flex.simulators.held import Format, Held, Lost, Port
 from rx90b_flex.simulators.tree import Hinge, Node, numbers, rotation_quaternion, tree_of
@@ -49,7 +48,7 @@ def mjcf_text(held: Held) -> tuple[str, tuple[Lost, ...]]:
     meshes = sum(shape.geometry.mesh is not None for node in tree.walk() for shape in node.visuals)
     if meshes:
         lost.append(Lost("shapes", f"meshes are left out ({meshes}), for MuJoCo reads other files than URDFs name"))
-    _add_tip(root, robot, tree)
+    _add_tip(root, robot.tip_frame)
     _add_lines(root, held, tree)
     tendons = _add_tendons(root, held)
     _add_motors(root, held, tree, tendons)
@@ -86,12 +85,18 @@ def _add_joint(body: Any, hinge: Hinge, port: Port) -> None:
     )
     if hinge.limits is not None:
         joint.set("range", numbers(hinge.limits))
-    for key, value in (("armature", port.inertia), ("damping", port.damping), ("frictionloss", port.friction)):
-        if value:
-            joint.set(key, numbers(value))
+    _set_passive(joint, port)
     if port.stiffness:
-        joint.set("stiffness", numbers(port.stiffness))
         joint.set("springref", numbers(port.rest))
+
+
+def _set_passive(element: Any, port: Port) -> None:
+    """What a joint and a tendon have alike."""
+    for key, value in (
+        ("armature", port.inertia), ("damping", port.damping), ("frictionloss", port.friction), ("stiffness", port.stiffness),
+    ):  # fmt: skip
+        if value:
+            element.set(key, numbers(value))
 
 
 def _add_shape(body: Any, shape: Any) -> None:
@@ -113,9 +118,8 @@ def _add_shape(body: Any, shape: Any) -> None:
         geom.set("rgba", numbers(colour))
 
 
-def _add_tip(root: Any, robot: Robot, tree: Node) -> None:
+def _add_tip(root: Any, name: str) -> None:
     """A site where the robot file says that the tip is."""
-    name = robot.tip_frame
     body = root.find(f".//body[@name='{_body_name(name)}']")
     if body is not None:
         body.append(etree.Element("site", name=name, size="0.01"))
@@ -123,8 +127,6 @@ def _add_tip(root: Any, robot: Robot, tree: Node) -> None:
 
 def _add_lines(root: Any, held: Held, tree: Node) -> None:
     """Springs between two points as spatial tendons between sites."""
-    if not held.lines:
-        return
     drives = {h.coordinate: node for node in tree.walk() for h in node.hinges}
     for i, line in enumerate(held.lines):
         node = drives[f"{line.joint}:drive"]
@@ -145,22 +147,17 @@ def _add_tendons(root: Any, held: Held) -> dict[str, Port]:
     names = dict(zip(held.robot.coordinates, tuple(held.robot.model.names)[1:], strict=True))
     made: dict[str, Port] = {}
     for port in held.ports:
-        if port.coordinate is not None or not any(
-            (port.inertia, port.damping, port.stiffness, port.friction, port.constant)
-        ):
+        values = (port.inertia, port.damping, port.stiffness, port.friction, port.constant)
+        if port.coordinate is not None or not any(values):
             continue
         name = "_and_".join(names[c] for c, _ in port.weights)
         made[name] = port
         tendon = etree.SubElement(_section(root, "tendon"), "fixed", name=name)
-        for key, value in (("armature", port.inertia), ("damping", port.damping), ("frictionloss", port.friction)):
-            if value:
-                tendon.set(key, numbers(value))
+        _set_passive(tendon, port)
         if port.stiffness:
-            tendon.set("stiffness", numbers(port.stiffness))
             # a length of -1 alone would mean: as long as at the start
-            tendon.set(
-                "springlength", numbers([port.rest, port.rest] if port.rest != -1.0 else [np.nextafter(-1, 0)] * 2)
-            )
+            rest = port.rest if port.rest != -1.0 else np.nextafter(-1, 0)
+            tendon.set("springlength", numbers([rest, rest]))
         for coordinate, factor in port.weights:
             etree.SubElement(tendon, "joint", joint=names[coordinate], coef=numbers(factor))
     return made

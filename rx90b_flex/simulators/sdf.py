@@ -61,9 +61,8 @@ class _Writer:
             found = f"{found}_{kind}"
         self.names.add(found)
         if found != wanted:
-            self.lost.append(
-                Lost(wanted, f"this {kind} is called {found}: names of links, joints and frames differ in SDF")
-            )
+            why = f"this {kind} is called {found}: names of links, joints and frames differ in SDF"
+            self.lost.append(Lost(wanted, why))
         return found
 
     def link(self, name: str, body: Body, joint: str | None) -> Any:
@@ -128,15 +127,13 @@ class _Writer:
         element = etree.SubElement(link, what, name=name)
         _text(element, "pose", _pose(at @ (np.eye(4) if shape.origin is None else shape.origin)))
         geometry = etree.SubElement(element, "geometry")
-        if found.box is not None:
-            _text(etree.SubElement(geometry, "box"), "size", numbers(found.box.size))
-        elif found.cylinder is not None:
-            cylinder = etree.SubElement(geometry, "cylinder")
-            _text(cylinder, "radius", numbers(found.cylinder.radius))
-            _text(cylinder, "length", numbers(found.cylinder.length))
-        elif found.sphere is not None:
-            _text(etree.SubElement(geometry, "sphere"), "radius", numbers(found.sphere.radius))
-        elif found.mesh is not None:
+        for kind, sizes in (("box", ["size"]), ("cylinder", ["radius", "length"]), ("sphere", ["radius"])):
+            plain = getattr(found, kind)
+            if plain is not None:
+                made = etree.SubElement(geometry, kind)
+                for name_of_size in sizes:
+                    _text(made, name_of_size, numbers(getattr(plain, name_of_size)))
+        if found.mesh is not None:
             mesh = etree.SubElement(geometry, "mesh")
             _text(mesh, "uri", found.mesh.filename)
             if found.mesh.scale is not None:

@@ -35,20 +35,8 @@ class Advice:
 
 def next_measurements(result: ClosedLoop) -> tuple[Advice, ...]:
     """Advice that follows from the result; empty where nothing asks for more data."""
-    found: list[Advice] = []
-    for rule in (
-        _noise,
-        _rests,
-        _motion,
-        _carries_over,
-        _coverage,
-        _remaining,
-        _alternatives,
-        _undetermined,
-        _uncertain,
-    ):
-        found += rule(result)
-    return tuple(found)
+    rules = (_noise, _rests, _motion, _carries_over, _coverage, _remaining, _alternatives, _undetermined, _uncertain)
+    return tuple(advice for rule in rules for advice in rule(result))
 
 
 @dataclass(frozen=True)
@@ -165,9 +153,8 @@ def _carries_over(result: ClosedLoop) -> Iterator[Advice]:
         worse &= held_out > NEAR_FLOOR * np.array(result.noise_floor)
     if worse.any():
         numbers = [
-            f"{joint} ({a:.3g} N m where fitted, {b:.3g} N m moving where not)"
-            for joint, a, b, is_worse in zip(result.joints, fitted, held_out, worse, strict=True)
-            if is_worse
+            f"{result.joints[i]} ({fitted[i]:.3g} N m where fitted, {held_out[i]:.3g} N m moving where not)"
+            for i in np.flatnonzero(worse)
         ]
         yield Advice(
             f"The error is much larger on new data than on the data of the fit at {joined(numbers)}.",
@@ -277,13 +264,9 @@ def effect_estimates(result: ClosedLoop) -> list[tuple[Effect, tuple[Estimate, .
 
 def _reversals(velocity: Array, spans: Sequence[slice]) -> int:
     """Changes of direction, not counting those within noise about zero."""
-    moving = 0.05 * float(np.abs(velocity).max())
-    total = 0
-    for span in spans:
-        v = velocity[span]
-        direction = np.sign(v[np.abs(v) > moving])
-        total += int((np.diff(direction) != 0).sum())
-    return total
+    moving = np.abs(velocity) > 0.05 * float(np.abs(velocity).max())
+    directions = (np.sign(velocity[span][moving[span]]) for span in spans)
+    return sum(int((np.diff(direction) != 0).sum()) for direction in directions)
 
 
 def _s(names: Sequence[str], verb: str) -> str:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.identify.camera_command import KINDS, CameraResult
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
-from rx90b_flex.view.axes import plain_axes
+from rx90b_flex.view.axes import AFTER, MEASURED, new_figure
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
@@ -39,40 +39,31 @@ def _value(hinge: HingeStiffness) -> str:
 def write_camera_report(result: CameraResult, path: Path) -> None:
     """Write the report; it appears whole or not at all."""
     fit = result.fit
-    rows = tuple((h.coordinate, _value(h)) for h in result.hinges)
     axes = ("about the joint's axis", "about the first bending's", "about the second bending's")
-    frame = tuple(
+    frame = [
         (axis, *(f"{1e3 * x[i]:.3f}" for x in (fit.before, fit.before_std, fit.behind, fit.behind_std)))
         for i, axis in enumerate(axes)
-    )
-    tables = (
-        PageTable(("hinge", "stiffness, N m/rad"), rows),
-        PageTable(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
-    )
-    text = (
+    ]
+    hinges = Section(
+        "Hinges",
         "The joint's frame is fitted with the stiffnesses: an error of it leaks the joint's large angle into the bendings. Moments "
-        "are those of the robot's links along the motion."
+        "are those of the robot's links along the motion.",
+        PageTable(("hinge", "stiffness, N m/rad"), [(h.coordinate, _value(h)) for h in result.hinges]),
+        PageTable(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
+        image(deformation_figure(result), "Deformation of each hinge over its moment, with the fitted line"),
     )
-    figure = image(deformation_figure(result), "Deformation of each hinge over its moment, with the fitted line")
-    write_page(
-        path,
-        f"{result.source.joint} of {result.robot.name}, by camera",
-        headline(result),
-        [Section("Hinges", (text,), tables, (figure,))],
-    )
+    write_page(path, f"{result.source.joint} of {result.robot.name}, by camera", headline(result), [hinges])
 
 
 def deformation_figure(result: CameraResult) -> Figure:
     """Deformation of each hinge over its moment, after the frame's errors were taken out, with its line."""
-    figure = Figure(figsize=(7.2, 2.7), layout="constrained")
-    for ax, kind, moment, seen, k in zip(
-        figure.subplots(1, 3), KINDS, result.moment.T, result.fit.deformation.T, result.fit.stiffness, strict=True
-    ):
-        ax.plot(moment, 1e3 * seen, ".", color="#8a8a8a", markersize=2)
+    figure, axes = new_figure(2.7, columns=3, width=7.2, labels=8)
+    fit = result.fit
+    for ax, kind, moment, seen, k in zip(axes, KINDS, result.moment.T, fit.deformation.T, fit.stiffness, strict=True):
+        ax.plot(moment, 1e3 * seen, ".", color=MEASURED, markersize=2)
         ends = np.array([moment.min(), moment.max()])
-        ax.plot(ends, 1e3 * ends / k, color="#0072b2", linewidth=1.2)
+        ax.plot(ends, 1e3 * ends / k, color=AFTER, linewidth=1.2)
         ax.set_title(f"{kind}, {k:.3g} N m/rad", fontsize=8)
-        ax.set_xlabel("moment, N m", fontsize=8)
-        plain_axes(ax)
-    figure.axes[0].set_ylabel("deformation, 10⁻³ rad", fontsize=8)
+        ax.set_xlabel("moment, N m")
+    axes[0].set_ylabel("deformation, 10⁻³ rad")
     return figure

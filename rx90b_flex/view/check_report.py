@@ -6,16 +6,20 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rx90b_flex.diagnose.check import Checked, check_json
-from rx90b_flex.view.page import Image, PageTable, Section, write_page, write_text
+from rx90b_flex.view.page import Image, PageTable, Section, write_page
+
+if TYPE_CHECKING:
+    from rx90b_flex.diagnose.close import ClosedLoop
 
 
 def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> None:
     """Write ``check.json`` and ``check.html`` into a folder that exists."""
     text = json.dumps(check_json(checked), indent=2, allow_nan=False)
-    write_text(folder / "check.json", text + "\n")
-    images: tuple[Image, ...] = ()
+    (folder / "check.json").write_text(text + "\n", encoding="utf-8")
+    images: Sequence[Image] = ()
     if plots and checked.recordings:
         from rx90b_flex.view.preview import preview_images
 
@@ -23,9 +27,19 @@ def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> N
     write_check_page(checked, folder / "check.html", images)
 
 
-def write_check_page(checked: Checked, path: Path, images: tuple[Image, ...] = ()) -> None:
-    """Write the page alone."""
-    write_page(path, f"A look at the data of {checked.robot}", lead(checked), sections(checked, images))
+def write_check_page(checked: Checked, path: Path, images: Sequence[Image] = ()) -> None:
+    """Write the page alone; a preview stands after the faults where there is one."""
+    text = (
+        "The declared model with the values that its files give, before anything is fitted; measured torque beside it."
+    )
+    sections = [
+        _faults(checked),
+        Section("Preview", text, *images) if images else None,
+        _recordings(checked),
+        _joints(checked),
+        _parameters(checked),
+    ]
+    write_page(path, f"A look at the data of {checked.robot}", lead(checked), sections)
 
 
 def check_section(checked: Checked | None) -> Section | None:
@@ -33,7 +47,7 @@ def check_section(checked: Checked | None) -> Section | None:
     if checked is None:
         return None
     words = (*lead(checked), *facts_words(checked), *told_words(checked))
-    return Section("The data, looked at first", words, (*_faults(checked).tables, *_recordings(checked).tables))
+    return Section("The data, looked at first", *words, *_faults(checked).tables, *_recordings(checked).tables)
 
 
 def lead(checked: Checked) -> list[str]:
@@ -41,16 +55,11 @@ def lead(checked: Checked) -> list[str]:
     return [checked.verdict, *(f.message for f in checked.data_faults), *basics_words(checked)]
 
 
-def basics_words(checked: Checked) -> tuple[str, ...]:
+def basics_words(of: Checked | ClosedLoop) -> tuple[str, ...]:
     """The offer to declare what every drive has, where the robot file does not; in one line."""
-    return basics_offer(checked.undeclared_basics)
-
-
-def basics_offer(undeclared: Sequence[str]) -> tuple[str, ...]:
-    """The same from the types themselves."""
-    if not undeclared:
+    if not of.undeclared_basics:
         return ()
-    names = ", ".join(n.replace("_", " ") for n in undeclared)
+    names = ", ".join(n.replace("_", " ") for n in of.undeclared_basics)
     return (f"Not declared on any joint, but the torques show it: {names}. Add --basics to have them identified.",)
 
 
@@ -88,17 +97,8 @@ def facts_words(checked: Checked) -> tuple[str, ...]:
     return tuple(out)
 
 
-def sections(checked: Checked, images: tuple[Image, ...] = ()) -> list[Section]:
-    """Faults, recordings, joints and parameters; a preview first where there is one."""
-    out = [_faults(checked)]
-    if images:
-        text = "The declared model with the values that its files give, before anything is fitted; measured torque beside it."
-        out.append(Section("Preview", (text,), (), images))
-    return [*out, _recordings(checked), _joints(checked), _parameters(checked)]
-
-
 def _faults(checked: Checked) -> Section:
-    rows = tuple(
+    rows = [
         (
             f.kind,
             f.signal or "",
@@ -109,43 +109,43 @@ def _faults(checked: Checked) -> Section:
             f.message,
         )
         for f in checked.data_faults
-    )
+    ]
+    if not rows:
+        return Section("Faults", "None was found.")
     head = ("kind", "signal", "joints", "factor", "held-out error, %", "data", "what to do")
     text = (
         "Each line is a hypothesis about the data that predicts rows it was not fitted to better than no fault does, or "
         "something that shows in the log itself. A factor is what is stated over what is true (seconds for a shift, rad for a zero)."
     )
-    tables = (PageTable(head, rows, "What was found", numbers=(3, 4)),) if rows else ()
-    return Section("Faults", (text,) if rows else ("None was found.",), tables)
+    return Section("Faults", text, PageTable(head, rows, "What was found", numbers=(3, 4)))
 
 
 def _recordings(checked: Checked) -> Section:
-    rows = tuple(
+    rows = [
         (
             r.file, r.role, f"{r.duration_s:.4g}", f"{r.rate_hz:g}", f"{100 * r.at_rest:.3g}",
             "" if r.position_step_rad is None else f"{r.position_step_rad:.2g}", "" if r.period_s is None else f"{r.period_s:g}",
         )
         for r in checked.recordings
-    )  # fmt: skip
+    ]  # fmt: skip
     head = ("file", "role", "duration, s", "rate, Hz", "at rest, %", "position step, rad", "period, s")
-    return Section("Recordings", facts_words(checked), (PageTable(head, rows, numbers=(2, 3, 4, 5, 6)),))
+    return Section("Recordings", *facts_words(checked), PageTable(head, rows, numbers=range(2, 7)))
 
 
 def _joints(checked: Checked) -> Section:
-    rows = tuple((j, f"{100 * e:.3g}") for j, e in zip(checked.joints, checked.relative_error, strict=False))
+    rows = [(j, f"{100 * e:.3g}") for j, e in zip(checked.joints, checked.relative_error, strict=False)]
     text = (
         "Error of the rigid model with basic friction on rows that it was not fitted to, over the torque's standard deviation; "
         "100 % is what a constant leaves."
     )
-    return Section("Joints", (text,), (PageTable(("joint", "error, %"), rows),) if rows else ())
+    return Section("Joints", text, PageTable(("joint", "error, %"), rows) if rows else None)
 
 
 def _parameters(checked: Checked) -> Section:
-    rows = tuple((p.name, p.status) for p in checked.parameters)
-    text = [*told_words(checked)]
-    text.append(
-        "weak: the standard deviation is a third of the parameter's size or more; not: told only together with others."
-    )
+    rows = [(p.name, p.status) for p in checked.parameters]
     return Section(
-        "What the motion can tell", tuple(text), (PageTable(("parameter", "status"), rows, numbers=()),) if rows else ()
+        "What the motion can tell",
+        *told_words(checked),
+        "weak: the standard deviation is a third of the parameter's size or more; not: told only together with others.",
+        PageTable(("parameter", "status"), rows, numbers=()) if rows else None,
     )

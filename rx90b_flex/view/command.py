@@ -5,87 +5,67 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from rx90b_flex.default_flexibility import default_words, with_default_flexibility, without_written_hinges
+from rx90b_flex.early import campaign_path
 from rx90b_flex.interrupts import calm
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign
-from rx90b_flex.signals.single import check_file
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.command import STATE_FILE
 from rx90b_flex.tip import tip_words, with_tip
 from rx90b_flex.view.meshcat import MAGNIFY, Run, View, compare, show, show_modes
 
-CAMPAIGN_FILE = "campaign.toml"
 
+def view_of(
+    source: str,
+    beside: str | None = None,
+    *,
+    recording: str | None = None,
+    magnify: float = MAGNIFY,
+    modes: bool = False,
+    pose: str | None = None,
+    count: int = 6,
+    flexible: bool = False,
+    tip: str | None = None,
+) -> View:
+    """The view that is asked for.
 
-@dataclass(frozen=True)
-class Wanted:
-    """What the user asks for.
-
-    Attributes
+    Parameters
     ----------
-    source : str
-        A run's folder, a campaign file, or a robot as `load_robot` takes it, whose mode shapes are then shown.
-    beside : str or None
-        A second run, shown beside the first.
-    recording : str or None
-        Name of the recording; the first of the campaign where not given.
-    magnify : float
+    source, beside, recording, magnify, count, flexible, tip
+        As of `rx90b_flex.view`.
     modes : bool
         Whether mode shapes of a run's robot are wanted and not its motion.
-    pose : str or None
+    pose : str, optional
         Drive angles of the mode shapes, degrees, with commas between.
-    count : int
-        Mode shapes at most.
-    flexible : bool
-        Whether a robot gets the stated default flexibilities where it declares none.
-    tip : str or None
-        Frame that counts as its tip.
-    """
-
-    source: str
-    beside: str | None = None
-    recording: str | None = None
-    magnify: float = MAGNIFY
-    modes: bool = False
-    pose: str | None = None
-    count: int = 6
-    flexible: bool = False
-    tip: str | None = None
-
-
-def view_of(wanted: Wanted) -> View:
-    """The view that is asked for.
 
     Raises
     ------
     ValueError
         One line that names the file, robot or option.
     """
-    if not (np.isfinite(wanted.magnify) and wanted.magnify >= 0.0):
-        raise ValueError(f"--magnify is {wanted.magnify}; expected 0 or more")
-    campaign = _campaign_path(wanted.source)
-    if wanted.modes or (campaign is None and wanted.beside is None and wanted.recording is None):
-        if wanted.beside is not None:
+    if not (np.isfinite(magnify) and magnify >= 0.0):
+        raise ValueError(f"--magnify is {magnify}; expected 0 or more")
+    campaign = campaign_path(source)
+    if modes or (campaign is None and beside is None and recording is None):
+        if beside is not None:
             raise ValueError("--beside and --modes: choose one")
-        robot = load_robot(wanted.source if campaign is None else load_campaign(campaign).robot_source)
+        robot = load_robot(source if campaign is None else load_campaign(campaign).robot_source)
         rigid, *_ = without_written_hinges(robot)
-        return modes_of(robot, _pose(wanted.pose, len(rigid.joints)), wanted.count, wanted.flexible, wanted.tip)
-    if wanted.flexible:
+        return modes_of(robot, _pose(pose, len(rigid.joints)), count, flexible, tip)
+    if flexible:
         raise ValueError(
             "--flexible is of a robot's mode shapes; recordings (--recording, --beside) have their own robot"
         )
-    if wanted.pose is not None:
+    if pose is not None:
         raise ValueError("--pose is of mode shapes; add --modes, or leave it out")
-    run = read_run(wanted.source, wanted.recording, wanted.tip)
-    if wanted.beside is not None:
-        return compare(run, read_run(wanted.beside, wanted.recording, wanted.tip), magnify=wanted.magnify)
-    view = show(run, magnify=wanted.magnify)
+    run = read_run(source, recording, tip)
+    if beside is not None:
+        return compare(run, read_run(beside, recording, tip), magnify=magnify)
+    view = show(run, magnify=magnify)
     return dataclasses.replace(view, notes=(tip_words(run.robot), *view.notes))
 
 
@@ -99,7 +79,7 @@ def modes_of(
     loaded : Robot
     pose : list of float, rad, or None
     count, flexible, tip
-        As in `Wanted`.
+        As of `rx90b_flex.view`.
 
     Raises
     ------
@@ -132,7 +112,7 @@ def read_run(source: str, recording: str | None = None, tip: str | None = None) 
     ValueError
         One line that names the file and what is wrong.
     """
-    path = _campaign_path(source)
+    path = campaign_path(source)
     if path is None:
         raise ValueError(
             f"{source}: no run and no campaign; expected a folder of `rx90b-flex simulate` or a campaign file"
@@ -155,22 +135,6 @@ def read_run(source: str, recording: str | None = None, tip: str | None = None) 
     return Run(run.name, robot, run.time, q, run.reference)
 
 
-def write_view(view: View, path: Path) -> None:
-    """Write the page; its folder is made where it is missing.
-
-    Raises
-    ------
-    ValueError
-        A path that cannot be written.
-    """
-    check_file(path)
-    try:
-        path.absolute().parent.mkdir(parents=True, exist_ok=True)
-        view.save_html(path)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written: {error.strerror}") from None
-
-
 def serve_until_interrupted(view: View, tell: Callable[[str], None], wait: Callable[[], object] | None = None) -> None:
     """Open the view in the browser and keep serving it until Ctrl-C (or until `wait` returns)."""
     visualizer = view.open()
@@ -183,29 +147,11 @@ def serve_until_interrupted(view: View, tell: Callable[[str], None], wait: Calla
         visualizer.window.server_proc.terminate()
 
 
-def _campaign_path(source: str) -> Path | None:
-    """Of a folder with a campaign file, or of a file that is one; None where the name is neither."""
-    path = Path(source)
-    if path.is_dir():
-        inside = path / CAMPAIGN_FILE
-        if not inside.is_file():
-            raise ValueError(f"{path}: no {CAMPAIGN_FILE} in it; expected a folder of `rx90b-flex simulate`")
-        return inside
-    if (
-        path.suffix == ".toml"
-        and path.is_file()
-        and "[[recording]]" in path.read_text(encoding="utf-8", errors="replace")
-    ):
-        return path
-    return None
-
-
 def _named(campaign: Campaign, name: str) -> Recording:
-    for recording in campaign.recordings:
-        if recording.name == name:
-            return recording
-    known = ", ".join(recording.name for recording in campaign.recordings)
-    raise ValueError(f"{campaign.path}: no recording {name!r}; it has {known}")
+    found = {recording.name: recording for recording in reversed(campaign.recordings)}
+    if name not in found:
+        raise ValueError(f"{campaign.path}: no recording {name!r}; it has {', '.join(reversed(found))}")
+    return found[name]
 
 
 def _pose(text: str | None, joints: int) -> list[float] | None:

@@ -11,6 +11,7 @@ from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.make import MakeParameter, RobotValue
 from rx90b_flex.fleet.robots import REFUSED
 from rx90b_flex.fleet.statistics import CHANGED, FEWEST_OTHERS, STANDS_OUT
+from rx90b_flex.view.axes import MEASURED
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 SHOWN_OUT = 3  # parameters of a robot that a sentence names
@@ -79,16 +80,16 @@ def _standing_out(fleet: Fleet) -> Section:
         for o in fleet.robots for p, v in fleet.standing_out(o.name)
     ]  # fmt: skip
     head = ("robot", "parameter", "value", "the others", "p-value", "when", "value before")
-    tables = (PageTable(head, tuple(rows), numbers=(2, 3, 4, 5, 6)),) if rows else ()
     figure = fleet_figure(fleet)
-    images = () if figure is None else (image(figure, "Values of every robot beside the make's mean", CAPTION),)
-    text = (
-        "None does."
-        if not rows
-        else "Values are those after a robot's last change, ± one standard deviation; of the others the mean and the standard "
-        "deviation between robots. A day stands where recordings carry dates and the value changed between two of them."
+    if figure is None:
+        return Section("Which robots stand out", "None does.")
+    return Section(
+        "Which robots stand out",
+        "Values are those after a robot's last change, ± one standard deviation; of the others the mean and the standard "
+        "deviation between robots. A day stands where recordings carry dates and the value changed between two of them.",
+        PageTable(head, rows, numbers=range(2, 7)),
+        image(figure, "Values of every robot beside the make's mean", CAPTION),
     )
-    return Section("Which robots stand out", (text,), tables, images)
 
 
 def _between(p: MakeParameter) -> str:
@@ -99,11 +100,11 @@ def _between(p: MakeParameter) -> str:
 
 
 def _make(fleet: Fleet) -> Section:
-    rows = tuple(
+    rows = [
         (_label(p), f"{p.present} of {len(p.values)}", f"{p.summary.mean:.4g}", f"{p.summary.low:.4g} to {p.summary.high:.4g}",
          _between(p), p.unit.replace(" ", NO_BREAK))
         for p in fleet.parameters if p.present or any(v.stands_out for v in p.values)
-    )  # fmt: skip
+    ]  # fmt: skip
     head = ("parameter", "robots that have it", "mean", "95 % interval", "between robots (interval)", "unit")
     text = (
         "Mean over the robots that do not stand out with its 95 % interval, and the standard deviation between robots with its own, "
@@ -111,9 +112,7 @@ def _make(fleet: Fleet) -> Section:
         "with what its data hold of it, which is zero within a standard deviation. What a loop found on some robot and the second "
         "fit shows on none is left out here; fleet.csv has it."
     )
-    return Section(
-        "What the make has in common", (text,), (PageTable(head, rows, numbers=(1, 2, 3, 4)),) if rows else ()
-    )
+    return Section("What the make has in common", text, PageTable(head, rows, numbers=range(1, 5)) if rows else None)
 
 
 def _robots(fleet: Fleet) -> Section:
@@ -124,19 +123,15 @@ def _robots(fleet: Fleet) -> Section:
         )  # fmt: skip
         report = "" if o.verdict == REFUSED else f"{o.name}/report.html"
         found = ", ".join(e.label for e in o.found)
-        rows.append(
-            (o.name, o.verdict.replace("_", " "), *errors, found, " to ".join(_ends(o.dates)), o.reason or report)
-        )
+        recorded = " to ".join(dict.fromkeys([*o.dates[:1], *o.dates[-1:]]))
+        rows.append((o.name, o.verdict.replace("_", " "), *errors, found, recorded, o.reason or report))
     head = ("robot", "verdict", "error before, %", "after, %", "found", "recorded", "report, or why there is none")
-    return Section("Every robot", (), (PageTable(head, tuple(rows), numbers=(2, 3)),))
-
-
-def _ends(dates: tuple[str, ...]) -> tuple[str, ...]:
-    return dates if len(dates) < 2 else (dates[0], dates[-1])
+    return Section("Every robot", PageTable(head, rows, numbers=(2, 3)))
 
 
 def _how() -> Section:
-    text = (
+    return Section(
+        "How it was done",
         "The loop is closed on each robot by itself. Then each is fitted again, to all its recordings, with the effects that more "
         "than half of them have and with what its own loop found beside these and still shows.",
         "Mean and standard deviation between robots: random effects, restricted maximum likelihood (Viechtbauer 2005). Intervals: of "
@@ -149,7 +144,6 @@ def _how() -> Section:
         f"{CHANGED:g} after correction for robots, coefficients and dates. A robot that changed is fitted apart for the days before "
         "and after, and compared as it is now; it stands out until a day where it did so before its last change only.",
     )
-    return Section("How it was done", text)
 
 
 def fleet_figure(fleet: Fleet) -> Figure | None:
@@ -161,11 +155,11 @@ def fleet_figure(fleet: Fleet) -> Figure | None:
     lines = -(-len(shown) // columns)
     names = [o.name for o in fleet.compared]
     figure = Figure(figsize=(3.6 * columns, 1.0 + 1.9 * lines), layout="constrained")
-    for ax, p in zip(np.atleast_1d(figure.subplots(lines, columns, squeeze=False).ravel()), shown, strict=False):
+    for ax, p in zip(figure.subplots(lines, columns, squeeze=False).ravel(), shown, strict=False):
         places = np.array([names.index(v.robot) for v in p.values])
         out = np.array([v.stands_out for v in p.values])
         values, stds = (np.array([getattr(v, field) for v in p.values]) for field in ("value", "std"))
-        for mask, colour in ((~out, "#8a8a8a"), (out, "#b34a00")):
+        for mask, colour in ((~out, MEASURED), (out, "#b34a00")):
             ax.errorbar(places[mask], values[mask], 1.96 * stds[mask], fmt="o", ms=3.5, lw=1, color=colour)
         ax.axhline(p.summary.mean, color="#005f96", linewidth=1)
         between = p.summary.between_std or 0.0

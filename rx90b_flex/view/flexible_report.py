@@ -27,9 +27,7 @@ SHOWN = 8  # refused changes; the best
 def write_flexible_report(loop: FlexibleLoop, path: Path) -> None:
     """Write the report; it appears whole or not at all."""
     sections = [_found(loop), _sure(loop), _data(loop), _alternatives(loop), _refused(loop), _how(loop)]
-    write_page(
-        path, f"{loop.source.name}: what its {loop.kind} say", _lead(loop), [s for s in sections if s is not None]
-    )
+    write_page(path, f"{loop.source.name}: what its {loop.kind} say", _lead(loop), sections)
 
 
 @singledispatch
@@ -84,22 +82,22 @@ def _found(loop: FlexibleLoop) -> Section:
                 ("added: " if c.adds else "changed: ") + c.type.replace("_", " "), c.place.replace("_", " "), what,
                 number(float(value)), number(float(std)), unit_text(unit) if c.adds else "", f"{f.gain:.1f}", p_value(f.p_value),
             ))  # fmt: skip
+    if not rows:
+        return Section("What was found", "Nothing was added.")
     head = ("change", "where", "parameter", "value", "std", "unit", "gain", "chance")
-    tables = (PageTable(head, tuple(rows), "What the data support", (3, 4, 6, 7)),) if rows else ()
     text = (
         "Gain: how much smaller -2 log likelihood is with it, everything else fitted again. Chance: that it explains nothing, "
         f"corrected for {loop.result.tried} changes that might have been tried."
     )
-    return Section("What was found", (text,) if rows else ("Nothing was added.",), tables)
+    return Section("What was found", text, PageTable(head, rows, "What the data support", (3, 4, 6, 7)))
 
 
 def _sure(loop: FlexibleLoop) -> Section:
-    doubts = loop.doubts()
     chance = (
         f"Probability of such a misfit if the model were right to its stated errors: {p_value(loop.result.chance_before)} before, "
         f"{p_value(loop.result.chance_after)} after."
     )
-    return Section("How sure", (*doubts, chance))
+    return Section("How sure", *loop.doubts(), chance)
 
 
 @_data.register
@@ -113,42 +111,22 @@ def _(loop: ModalLoop) -> Section:
             shown = ["–" if m is None else f"{m:.1f}" for m in model]
             name = "resonance" if b.measured.locked is None else b.measured.locked.replace("_", " ")
             rows.append((name, str(b.pose + 1), f"{hz:.1f}", f"{std:.2f}", shown[0], errors[0], shown[1], errors[1]))
-    head = (
-        "list", "pose", "measured, Hz", "std, Hz", "declared, Hz", "error, %", "found, Hz", "error, %"
-    )  # fmt: skip
+    head = ("list", "pose", "measured, Hz", "std, Hz", "declared, Hz", "error, %", "found, Hz", "error, %")
     figures = []
     for pose in range(len(loop.residual.structure.poses)):
         before, after = ([c for c in both if c.pose == pose] for both in (loop.before, loop.after))
-        words = f"pose {pose + 1}: partners are joined; a ring marks a measured mode without one"
-        figures.append(
-            image(modal_plots.ladder(before, after), f"Modes of pose {pose + 1}, measured and modelled", words)
-        )
-        figures.append(
-            image(
-                modal_plots.errors(before, after, loop.residual.smallest_error),
-                f"Errors of pose {pose + 1}",
-                f"pose {pose + 1}",
-            )
-        )
+        name = f"pose {pose + 1}"
+        words = f"{name}: partners are joined; a ring marks a measured mode without one"
+        apart = modal_plots.errors(before, after, loop.residual.smallest_error)
+        figures.append(image(modal_plots.ladder(before, after), f"Modes of {name}, measured and modelled", words))
+        figures.append(image(apart, f"Errors of {name}", name))
     caption = "Partners; beside a joint: its antiresonances. Errors: measured over model"
     text = (
         f"With the n-th measured mode as the model's n-th: {_share(in_order_rms(loop.before))} before, "
         f"{_share(in_order_rms(loop.after))} after. Each mode predicted from the others (to first order): "
         f"{_share(loop.left_out_before)} before, {_share(loop.left_out_after)} after."
     )
-    return Section(
-        "Modes, before and after",
-        (text,),
-        (
-            PageTable(
-                head,
-                tuple(rows),
-                caption,
-                tuple(range(1, 8)),
-            ),
-        ),
-        tuple(figures),
-    )
+    return Section("Modes, before and after", text, PageTable(head, rows, caption), *figures)
 
 
 @_data.register
@@ -158,26 +136,19 @@ def _(loop: ResponseLoop) -> Section:
         pose = ", ".join(f"{np.rad2deg(a):.0f}°" for a in response.pose)
         words = f"at {pose}" + ("" if k < loop.fitted else " (not fitted)")
         others = [(response.hz, loop.before[k], "as declared"), (response.hz, loop.after[k], "as found")]
-        figures.append(
-            image(frf_plots.magnitude(response, others), f"Magnitude of every entry {words}", words, zoom=True)
+        drawn = frf_plots.magnitude(response, others)
+        figures.append(image(drawn, f"Magnitude of every entry {words}", words, zoom=True))
+    rows = [
+        (name, percent(b.relative), percent(a.relative), f"{b.weighted:.3g}", f"{a.weighted:.3g}")
+        for name, before, after in (
+            ("fitted lines", loop.errors_before, loop.errors_after),
+            ("held out", loop.held_out_before, loop.held_out_after),
         )
-    rows = []
-    parts = (
-        ("fitted lines", loop.errors_before, loop.errors_after),
-        ("held out", loop.held_out_before, loop.held_out_after),
-    )
-    for name, before, after in parts:
-        rows += [
-            (name, percent(b.relative), percent(a.relative), f"{b.weighted:.3g}", f"{a.weighted:.3g}")
-            for b, a in zip(before, after, strict=True)
-        ]
+        for b, a in zip(before, after, strict=True)
+    ]
     head = ("lines", "error before", "after", "over stated errors, before", "after")
-    return Section(
-        "Frequency responses, before and after",
-        tuple(delay_words(loop.torque_delay)),
-        (PageTable(head, tuple(rows), "Errors"),),
-        tuple(figures),
-    )
+    table = PageTable(head, rows, "Errors")
+    return Section("Frequency responses, before and after", *delay_words(loop.torque_delay), table, *figures)
 
 
 def _alternatives(loop: FlexibleLoop) -> Section | None:
@@ -189,27 +160,23 @@ def _alternatives(loop: FlexibleLoop) -> Section | None:
     if not rows:
         return None
     text = "The data cannot tell these from what was found: odds better than 1 to 20. Worse by: of the information criterion."
-    table = PageTable(("found", "instead", "worse by", "what would tell them apart"), tuple(rows), "", (2,))
-    return Section("Alternatives", (text,), (table,))
+    table = PageTable(("found", "instead", "worse by", "what would tell them apart"), rows, numbers=(2,))
+    return Section("Alternatives", text, table)
 
 
 def _refused(loop: FlexibleLoop) -> Section | None:
-    rows = tuple((t.change.words, f"{t.gain:.1f}", p_value(t.p_value)) for t in loop.result.refused[:SHOWN])
+    rows = [(t.change.words, f"{t.gain:.1f}", p_value(t.p_value)) for t in loop.result.refused[:SHOWN]]
     if not rows:
         return None
-    return Section(
-        "What was refused", ("The best of the last round.",), (PageTable(("change", "gain", "chance"), rows),)
-    )
+    return Section("What was refused", "The best of the last round.", PageTable(("change", "gain", "chance"), rows))
 
 
 def _how(loop: FlexibleLoop) -> Section:
     moved = ", ".join(j.replace("_", " ") for j in loop.joints)
     return Section(
         "Method",
-        (
-            f"Drives of {moved} move, the others are held. The robot is linearised at rest in each pose; a change multiplies "
-            "declared values or adds an effect, and its values are fitted from several starts with those of all others found.",
-            f"Beside the stated errors a model error of at least {percent(loop.residual.smallest_error)} is allowed for, and its "
-            "size is estimated. Of the fits, the extended Bayesian information criterion chooses.",
-        ),
+        f"Drives of {moved} move, the others are held. The robot is linearised at rest in each pose; a change multiplies "
+        "declared values or adds an effect, and its values are fitted from several starts with those of all others found.",
+        f"Beside the stated errors a model error of at least {percent(loop.residual.smallest_error)} is allowed for, and its "
+        "size is estimated. Of the fits, the extended Bayesian information criterion chooses.",
     )

@@ -38,9 +38,8 @@ def bode(response: FrequencyResponse, others: Sequence[Comparison] = (), level: 
             above, below = grid[2 * j, k], grid[2 * j + 1, k]
             size(above, j, k)
             angle(below, j, k)
-            _label(
-                above, f"{response.joints[j]} over torque of {response.joints[k]}", k == 0, f"|P|, {UNIT}", bottom=False
-            )
+            title = f"{response.joints[j]} over torque of {response.joints[k]}"
+            _label(above, title, k == 0, f"|P|, {UNIT}", bottom=False)
             _label(below, "", k == 0, "phase, °", bottom=j == n - 1)
     grid[0, 0].legend(fontsize=6.5, frameon=False)
     return figure
@@ -65,9 +64,7 @@ def _draw_magnitude(response: FrequencyResponse, others: Sequence[Comparison], l
         size = np.abs(response.value[:, j, k])
         # the band's lower edge where the circle holds zero: a tenth of the entry, so that the axis keeps its scale
         low = np.maximum(size - radius[:, j, k], 0.1 * size)
-        ax.fill_between(
-            response.hz, low, size + radius[:, j, k], color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band"
-        )
+        _band(ax, response.hz, low, size + radius[:, j, k], level)
         ax.plot(response.hz, size, color=MEASURED, lw=0.9, label="estimate")
         for (hz, value, label), (colour, dash) in zip(others, _STYLES * len(others), strict=False):
             ax.plot(hz, np.abs(value[:, j, k]), color=colour, ls=dash, lw=1.0, label=label)
@@ -89,9 +86,7 @@ def _draw_phase(response: FrequencyResponse, others: Sequence[Comparison], level
         angle = np.rad2deg(np.angle(value))
         share = np.clip(radius[:, j, k] / np.abs(value), 0.0, 1.0)
         half = np.where(share < 1.0, np.rad2deg(np.arcsin(share)), 180.0)
-        ax.fill_between(
-            response.hz, angle - half, angle + half, color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band"
-        )
+        _band(ax, response.hz, angle - half, angle + half, level)
         ax.plot(response.hz, angle, ".", color=MEASURED, ms=2.5, label="estimate")
         for (hz, other, label), (colour, _) in zip(others, _STYLES * len(others), strict=False):
             # points, or every turn from 180 to -180 degrees would draw a line
@@ -144,19 +139,15 @@ def signal_to_noise(response: MeasuredResponse) -> Figure:
 
 def channel_signal_to_noise(response: MeasuredResponse) -> Figure:
     """Torque and acceleration of each joint over the noise of one period, and over one realisation's distortion, dB."""
-    figure, axes = _row(len(response.joints))
+    count = len(response.joints)
+    figure = Figure(figsize=(CELL_IN[0] * count, 1.3 * CELL_IN[1]), layout="constrained")
+    axes = figure.subplots(1, count, squeeze=False, sharey=True)[0]
     for j, (ax, joint) in enumerate(zip(axes, response.joints, strict=True)):
-        ax.plot(response.hz, _db(response.spectra.torque_snr[:, j]), color=MEASURED, lw=0.9, label="torque, noise")
-        ax.plot(
-            response.hz, _db(response.spectra.acceleration_snr[:, j]), color=NOISE, lw=0.9, label="acceleration, noise"
-        )
-        ax.plot(
-            response.hz,
-            _db(response.acceleration_distortion[:, j]),
-            color=DISTORTION,
-            lw=0.9,
-            label="acceleration, noise and distortion",
-        )
+        spectra = response.spectra
+        ax.plot(response.hz, _db(spectra.torque_snr[:, j]), color=MEASURED, lw=0.9, label="torque, noise")
+        ax.plot(response.hz, _db(spectra.acceleration_snr[:, j]), color=NOISE, lw=0.9, label="acceleration, noise")
+        distortion = _db(response.acceleration_distortion[:, j])
+        ax.plot(response.hz, distortion, color=DISTORTION, lw=0.9, label="acceleration, noise and distortion")
         _label(ax, joint, j == 0, "signal over noise, dB")
     axes[0].legend(fontsize=6.5, frameon=False)
     return figure
@@ -172,22 +163,11 @@ def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
     )
     for row, (axes, (signal, noise, label)) in enumerate(zip(grid, rows, strict=True)):
         for j, (ax, joint) in enumerate(zip(axes, joints, strict=True)):
-            ax.plot(
-                spectra.hz[spectra.excited],
-                signal[spectra.excited, j],
-                ".",
-                color=MEASURED,
-                ms=3,
-                label="excited lines",
-            )
-            ax.plot(
-                spectra.hz[~spectra.excited],
-                signal[~spectra.excited, j],
-                ".",
-                color=DISTORTION,
-                ms=1.5,
-                label="other lines",
-            )
+            for lines, colour, size, name in (
+                (spectra.excited, MEASURED, 3, "excited lines"),
+                (~spectra.excited, DISTORTION, 1.5, "other lines"),
+            ):
+                ax.plot(spectra.hz[lines], signal[lines, j], ".", color=colour, ms=size, label=name)
             if np.isfinite(noise).all():
                 ax.plot(spectra.hz, noise[:, j], color=NOISE, lw=0.7, label="noise of a period")
             _log(ax)
@@ -201,7 +181,7 @@ def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
 _STYLES = ((MODEL, "--"), (DISTORTION, ":"), ("black", "-."))
 
 
-def _entries(joints: Sequence[str], draw: Callable[[Axes, int, int], None], label: str) -> Figure:
+def _entries(joints: Sequence[str], draw: Draw, label: str) -> Figure:
     """One axes an entry: rows are accelerations, columns torques."""
     n = len(joints)
     size = CELL_IN[0] * n, CELL_IN[1] * n
@@ -218,9 +198,8 @@ def _entries(joints: Sequence[str], draw: Callable[[Axes, int, int], None], labe
     return figure
 
 
-def _row(count: int) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(CELL_IN[0] * count, 1.3 * CELL_IN[1]), layout="constrained")
-    return figure, list(figure.subplots(1, count, squeeze=False, sharey=True)[0])
+def _band(ax: Axes, hz: Array, low: Array, high: Array, level: float) -> None:
+    ax.fill_between(hz, low, high, color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band")
 
 
 def _label(ax: Axes, title: str, left: bool, label: str, bottom: bool = True) -> None:

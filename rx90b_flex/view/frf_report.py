@@ -14,7 +14,7 @@ from rx90b_flex.identify.grey_model import SLOPE, Delay, HingePlace
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
-from rx90b_flex.view.page import PageTable, Section, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, seconds_table, write_page
 from rx90b_flex.view.report import unit_text
 
 SHOWN_STARTS = 6
@@ -33,7 +33,7 @@ def write_frf_report(result: MotorIdentification, path: Path) -> None:
     """
     at_poses = [section for p in result.poses for section in (_response(result, p), _modes(result, p))]
     sections = [_by_replay(result), _physical(result), *at_poses, _residuals(result), _how(result)]
-    write_page(path, f"{result.robot.name} from motor signals", _lead(result), [s for s in sections if s is not None])
+    write_page(path, f"{result.robot.name} from motor signals", _lead(result), sections)
 
 
 def _lead(result: MotorIdentification) -> list[str]:
@@ -113,14 +113,13 @@ def _by_replay(result: MotorIdentification) -> Section | None:
              unit_text(e.unit), note)
         )  # fmt: skip
     head = ("parameter", "as measured", "95 % interval", "by replay", "95 % interval", "declared", "unit", "")
-    tables = [PageTable(head, tuple(rows), "", (1, 2, 3, 4, 5))]
-    if replayed.frictions:
-        frictions = tuple(
-            (_words(f.name), *amounts(f.value, f.std, f.declared), unit_text(f.unit)) for f in replayed.frictions
-        )
-        caption = "Friction, from how the response changes with the excitation; its standard deviations hold if the form is right"
-        tables.append(PageTable(("parameter", "value", "std", "declared", "unit"), frictions, caption, (1, 2, 3)))
-    text = (
+    frictions = [(_words(f.name), *amounts(f.value, f.std, f.declared), unit_text(f.unit)) for f in replayed.frictions]
+    caption = (
+        "Friction, from how the response changes with the excitation; its standard deviations hold if the form is right"
+    )
+    told = PageTable(("parameter", "value", "std", "declared", "unit"), frictions, caption, (1, 2, 3))
+    return Section(
+        "Physical parameters, friction's distortion removed",
         "Friction that reverses distorts the response. The experiments were simulated on the robot as fitted, and what they showed "
         "there beyond a robot with viscous friction was taken off the measured response; then the grey box was fitted again.",
         "As measured, the fit assumes nothing of friction's form, only how large an error it may leave. The replay assumes that "
@@ -129,11 +128,10 @@ def _by_replay(result: MotorIdentification) -> Section | None:
         f"The fit's residual is {replayed.grey.cost / replayed.grey.expected_cost:.2f} times what its intervals allow for.",
         *delay_words(replayed.grey.torque_delay),
         *hinge_words(replayed.grey.hinges),
+        PageTable(head, rows, numbers=range(1, 6)),
+        told if frictions else None,
+        image(grey_plots.intervals(replayed.grey), "Intervals of all physical parameters", "95 % intervals, by replay"),
     )
-    figure = image(
-        grey_plots.intervals(replayed.grey), "Intervals of all physical parameters", "95 % intervals, by replay"
-    )
-    return Section("Physical parameters, friction's distortion removed", text, tuple(tables), (figure,))
 
 
 def delay_words(delay: Delay | None) -> list[str]:
@@ -171,18 +169,12 @@ def _physical(result: MotorIdentification) -> Section | None:
         note = "" if e.determined else "not determined by this data"
         value, std, low, high, start = amounts(e.value, e.std, e.low, e.high, e.start)
         rows.append((_words(e.name), value, std, f"{low} – {high}", start, unit_text(e.unit), note))
-    tables = [
-        PageTable(
-            ("parameter", "value", "std", "95 % interval", "declared", "unit", ""),
-            tuple(rows),
-            "Grey box: fitted to all poses together",
-            (1, 2, 3, 4),
-        ),
-    ]
+    columns = ("parameter", "value", "std", "95 % interval", "declared", "unit", "")
+    tables = [PageTable(columns, rows, "Grey box: fitted to all poses together", range(1, 5))]
     if grey.directions:
-        vague = tuple(
+        vague = [
             (d.words.rsplit(":", 1)[0], f"{100 * d.relative_std:.0f} %") for d in grey.directions[:SHOWN_DIRECTIONS]
-        )
+        ]
         caption = "What the data say least: parameters that change together almost unseen, and how far (one standard deviation)"
         tables.append(PageTable(("combination", "std"), vague, caption))
     compared = [row for p in result.poses for row in _drive_rows(result, p, grey)]
@@ -192,7 +184,7 @@ def _physical(result: MotorIdentification) -> Section | None:
             "Beside it the source's route, from poles and zeros: it counts the modes in the band alone. What lies above the band is "
             "missing in its stiffness, and its standard deviation does not know of that."
         )
-        tables.append(PageTable(head, tuple(compared), caption, (1, 2, 3, 4)))
+        tables.append(PageTable(head, compared, caption, range(1, 5)))
     text = [
         "Fitted straight to the frequency responses; links and springs are as declared. All values are on the joint side.",
         "Drive stiffness and damping: torsion between motor and link. Joint stiffness and damping 1 and 2: bending about the two "
@@ -214,7 +206,7 @@ def _physical(result: MotorIdentification) -> Section | None:
     text += delay_words(grey.torque_delay) + hinge_words(grey.hinges)
     figure = image(grey_plots.intervals(grey), "Intervals of all physical parameters", "95 % intervals")
     title = "Physical parameters" + ("" if result.replayed is None else ", as measured")
-    return Section(title, tuple(text), tuple(tables), (figure,))
+    return Section(title, *text, *tables, figure)
 
 
 def _drive_rows(result: MotorIdentification, at: AtPose, grey: GreyBox) -> list[tuple[str, ...]]:
@@ -246,6 +238,7 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
         if len(hz) == len(measured.hz):
             apart = f"Difference from the {name}"
             pictures.append((frf_plots.difference(measured, model, name), apart, f"{apart}. {UNDER}"))
+    signals = "Signal-to-noise ratio of the measured signals"
     pictures += [
         (
             frf_plots.signal_to_noise(measured),
@@ -253,11 +246,7 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
             "How far every entry stands out: of noise alone (more periods lower it), and of noise and nonlinear distortion "
             "(more realisations lower both)",
         ),
-        (
-            frf_plots.channel_signal_to_noise(measured),
-            "Signal-to-noise ratio of the measured signals",
-            "Signal-to-noise ratio of the measured signals",
-        ),
+        (frf_plots.channel_signal_to_noise(measured), signals, signals),
         (
             frf_plots.excitation(measured.spectra, measured.joints),
             "Torque and acceleration at excited and other lines",
@@ -267,7 +256,7 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
     # grids of axes take seconds each to draw
     images = joblib.Parallel(n_jobs=result.options.jobs)(joblib.delayed(image)(*each, zoom=True) for each in pictures)
     text = f"Drive acceleration over drive torque, at a mean pose of {_angles(result, at)}."
-    return Section(f"{_named(result, at)}Frequency response", (text,), (), tuple(images))
+    return Section(f"{_named(result, at)}Frequency response", text, *images)
 
 
 def _place_in_grey(result: MotorIdentification, at: AtPose) -> int | None:
@@ -282,28 +271,29 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
         return None
     tables = _mode_tables(fit)
     if tests is not None:
-        rows = tuple((c.name, "pass" if c.passed else "fail", c.found, c.implies) for c in tests.checks)
+        rows = [(c.name, "pass" if c.passed else "fail", c.found, c.implies) for c in tests.checks]
         tables.append(PageTable(("test", "", "found", "what it implies"), rows, "Validation", ()))
-    correlation = image(
-        transfer_plots.residual_correlation(fit),
-        "Correlation of residuals",
-        "Correlation of the residuals along the lines",
-        zoom=True,
-    )
-    stable = image(
-        transfer_plots.stabilisation(fit),
-        "Modes of fits of several orders",
-        "Stabilisation diagram: modes of the fits of every order that was tried, and the mean response",
-    )
     terms = {"restoring": "1/s²", "direct": "a constant", "slope": "s", "flexibility": "s² (residual flexibility)"}
-    text = (
+    return Section(
+        f"{_named(result, at)}Transfer functions",
         f"{sum(fit.counted)} modes count, of {len(fit.counted)} in the fit chosen from "
         f"{', '.join(str(c.modes) for c in fit.candidates)}. Beside them stand, for what lies beside the band: "
         f"{', '.join(terms[name] for name in fit.residual_terms)}.",
         "Standard deviations hold noise, distortion, and by how much fits with other numbers of modes and terms differ, as far "
         "as the data leave the choice open.",
+        *tables,
+        image(
+            transfer_plots.residual_correlation(fit),
+            "Correlation of residuals",
+            "Correlation of the residuals along the lines",
+            zoom=True,
+        ),
+        image(
+            transfer_plots.stabilisation(fit),
+            "Modes of fits of several orders",
+            "Stabilisation diagram: modes of the fits of every order that was tried, and the mean response",
+        ),
     )
-    return Section(f"{_named(result, at)}Transfer functions", text, tuple(tables), (correlation, stable))
 
 
 def _mode_tables(fit: TransferFit) -> list[PageTable]:
@@ -325,12 +315,12 @@ def _mode_tables(fit: TransferFit) -> list[PageTable]:
                 zeros.append((name, f"{f:.2f}", f"{s:.2g}"))
     head = ("mode", "resonance, Hz", "std, Hz", "damping ratio, -", "std, -")
     tables = [
-        PageTable(head, tuple(resonances), "Resonances, undamped"),
-        PageTable(("drive", "antiresonance, Hz", "std, Hz"), tuple(zeros), "Antiresonances, undamped"),
+        PageTable(head, resonances, "Resonances, undamped"),
+        PageTable(("drive", "antiresonance, Hz", "std, Hz"), zeros, "Antiresonances, undamped"),
     ]
     if refused:
         caption = "Refused: terms of the fit that are no modes or antiresonances which the data show"
-        tables.append(PageTable(("", "frequency, Hz", "std, Hz", "why"), tuple(refused), caption, (1, 2)))
+        tables.append(PageTable(("", "frequency, Hz", "std, Hz", "why"), refused, caption, (1, 2)))
     return tables
 
 
@@ -341,35 +331,19 @@ def _residuals(result: MotorIdentification) -> Section | None:
     alike, followed = grey.ended_alike
     best = min(s.cost for s in grey.starts if s.cost is not None)
     costs = [(s.name, f"{s.cost - best:.2f}") for s in grey.starts if s.cost is not None]
-    table = PageTable(
-        ("start", "cost at its end, above the lowest"),
-        tuple(costs[:SHOWN_STARTS]),
-        f"{alike} of {followed} starts that were followed to the end agree",
-    )
-    figures = [
-        image(
-            grey_plots.residuals(grey, k),
-            "Residuals of the grey box along frequency",
-            f"{_named(result, result.poses[i])}residuals",
-            zoom=True,
-        )
-        for k, i in enumerate(result.fitted)
-    ]
-    beside = grey.responses[len(result.fitted) :]  # of the accelerometers
-    figures += [
-        image(
-            grey_plots.residuals(grey, len(result.fitted) + k),
-            "Residuals of the grey box along frequency, accelerometers",
-            f"{_named(result, result.poses[i])}residuals of the accelerometers",
-            zoom=True,
-        )
-        for i, (k, _) in zip(result.fitted, enumerate(beside), strict=False)
-    ]
+    agree = f"{alike} of {followed} starts that were followed to the end agree"
+    table = PageTable(("start", "cost at its end, above the lowest"), costs[:SHOWN_STARTS], agree)
+    figures = []
+    for k in range(len(grey.responses)):  # first of the motors at each pose, then of the accelerometers
+        of_motors = k < len(result.fitted)
+        name = _named(result, result.poses[result.fitted[k % len(result.fitted)]])
+        alt = "Residuals of the grey box along frequency" + ("" if of_motors else ", accelerometers")
+        caption = f"{name}residuals" + ("" if of_motors else " of the accelerometers")
+        figures.append(image(grey_plots.residuals(grey, k), alt, caption, zoom=True))
     text = f"Cost {grey.cost:.0f}; {grey.expected_cost:.0f} expected, 95 % of right models below {grey.cost_limit:.0f}."
-    return Section("Residuals of the grey box", (text, bias_words(grey)), (table,), tuple(figures))
+    return Section("Residuals of the grey box", text, bias_words(grey), table, *figures)
 
 
 def _how(result: MotorIdentification) -> Section:
-    rows: Sequence[tuple[str, ...]] = [(stage, f"{s:.1f}") for stage, s in result.seconds.items()]
-    text = [*result.remarks, *(f"{x.stage}: left out: {x.why}." for x in result.left_out)]
-    return Section("How it was done", tuple(text), (PageTable(("stage", "time, s"), tuple(rows)),))
+    left_out = (f"{x.stage}: left out: {x.why}." for x in result.left_out)
+    return Section("How it was done", *result.remarks, *left_out, seconds_table(result.seconds))

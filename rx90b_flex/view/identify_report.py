@@ -9,7 +9,7 @@ import numpy as np
 from rx90b_flex.identify.command import Identified, RoleError
 from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.view.identify_plots import relative_stds, torque_fit
-from rx90b_flex.view.page import Image, PageTable, Section, image, write_page
+from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.report import number, unit_text
 
 LARGEST_BARS = 40  # parameters in the figure of standard deviations; the table holds all
@@ -73,12 +73,10 @@ def _errors(result: Identified) -> Section:
     if result.validation is not None:
         roles.append(("validation", result.validation))
     joints = result.campaign.joints
-    rows = tuple((role, f"{100 * e.relative_error:.4g}", *(f"{x:.4g}" for x in e.torque_rms)) for role, e in roles)
-    table = PageTable(
-        ("recordings", "relative error, %", *(f"{j}, N m" for j in joints)), rows, "Error, and its root mean square a joint"
-    )  # fmt: skip
+    rows = [(role, f"{100 * e.relative_error:.4g}", *(f"{x:.4g}" for x in e.torque_rms)) for role, e in roles]
+    head = ("recordings", "relative error, %", *(f"{j}, N m" for j in joints))
     first = result.predictions[0]
-    images = tuple(
+    images = (
         image(
             torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint),
             f"Torque of {joint}, measured and predicted",
@@ -88,32 +86,29 @@ def _errors(result: Identified) -> Section:
         for i, joint in enumerate(joints)
     )
     text = "Of the robot as it is exported. Signals are compared after the campaign's low-pass, where it has one."
-    return Section("Errors", (text,), (table,), images)
+    return Section("Errors", text, PageTable(head, rows, "Error, and its root mean square a joint"), *images)
 
 
 def _parameters(result: Identified) -> Section:
     told = [e for e in result.parameters if e.value is not None]
     free = {f.name: f.value for f in result.fitted}
-    rows = tuple((e.name, number(e.value), number(e.std), unit_text(e.unit), _moved(e, free[e.name])) for e in told)
+    rows = [(e.name, number(e.value), number(e.std), unit_text(e.unit), _moved(e, free[e.name])) for e in told]
     head = ("parameter", "value", "std", "unit", "fitted without bounds")
-    table = PageTable(head, rows, "Parameters by themselves", numbers=(1, 2, 4))
-    images: tuple[Image, ...] = ()
+    figure = None
     sized = [(e.name, abs(e.std / e.value)) for e in result.parameters if e.value and e.std]
     if sized:
         names, relative = zip(*sorted(sized, key=lambda pair: -pair[1])[:LARGEST_BARS], strict=True)
         caption = "Standard deviation over value, least certain first; dashed: 10 %"
-        images = (image(relative_stds(names, np.array(relative)), "Relative standard deviations", caption),)
+        figure = image(relative_stds(names, np.array(relative)), "Relative standard deviations", caption)
     text = (
         "Values of the robot that is written, which can exist. Standard deviations are those of the fit and allow for residuals that "
         "are correlated in time; they count noise, not what the model lacks."
     )
-    silent = [e.name for e in result.parameters if e.value is None and not e.name.startswith(_bodies(result))]
-    untold = (f"Not told: {', '.join(silent)}.",) if silent else ()
-    return Section("Parameters", (text, *untold), (table,), images)
-
-
-def _bodies(result: Identified) -> tuple[str, ...]:
-    return tuple(f"{body}." for body, _ in result.model.regression.robot.bodies)
+    bodies = tuple(f"{body}." for body, _ in result.model.regression.robot.bodies)
+    silent = [e.name for e in result.parameters if e.value is None and not e.name.startswith(bodies)]
+    untold = f"Not told: {', '.join(silent)}." if silent else None
+    table = PageTable(head, rows, "Parameters by themselves", numbers=(1, 2, 4))
+    return Section("Parameters", text, untold, table, figure)
 
 
 def _moved(estimate: Estimate, fitted: float | None) -> str:
@@ -124,10 +119,10 @@ def _moved(estimate: Estimate, fitted: float | None) -> str:
 
 
 def _base(result: Identified) -> Section:
-    rows = tuple((b.text, number(b.value), number(b.std), unit_text(b.unit)) for b in result.base)
+    rows = [(b.text, number(b.value), number(b.std), unit_text(b.unit)) for b in result.base]
     table = PageTable(("combination", "value", "std", "unit"), rows, "Base parameters", numbers=(1, 2))
     text = "The smallest set of combinations that the torques depend on; each is led by a parameter that stands in no other."
-    return Section("Base parameters", (text,), (table,))
+    return Section("Base parameters", text, table)
 
 
 def _consistency(result: Identified) -> Section:
@@ -138,23 +133,18 @@ def _consistency(result: Identified) -> Section:
             f"Base parameters moved by {consistency.largest_shift_std:.3g} of their standard deviations at the most. "
             "More than about 3 says that the model lacks something."
         )
-    text += bound_words(result)
-    rows = tuple((f.link, f"{f.eigenvalue:.4g}", f.message) for f in consistency.found)
-    tables = (
-        (PageTable(("link", "smallest eigenvalue", "reason"), rows, "Links as estimated", numbers=(1,)),)
-        if rows
-        else ()
-    )
-    return Section("Physical consistency", tuple(text), tables)
+    rows = [(f.link, f"{f.eigenvalue:.4g}", f.message) for f in consistency.found]
+    table = PageTable(("link", "smallest eigenvalue", "reason"), rows, "Links as estimated", numbers=(1,))
+    return Section("Physical consistency", *text, *bound_words(result), table if rows else None)
 
 
 def _facts(result: Identified) -> Section:
     campaign = result.campaign
-    rows = tuple((r.name, r.role, f"{r.duration_s:.4g}", str(r.samples)) for r in campaign.recordings)
+    rows = [(r.name, r.role, f"{r.duration_s:.4g}", str(r.samples)) for r in campaign.recordings]
     table = PageTable(("recording", "role", "duration, s", "samples"), rows, numbers=(2, 3))
     cutoff = "no low-pass" if campaign.cutoff_hz is None else f"low-pass at {campaign.cutoff_hz:g} Hz"
     flexible = sorted({e.type_name() for e in result.source.effects if e.traits.virtual})
     text = [f"{campaign.sample_rate_hz:g} Hz, {cutoff}. Weighted least squares, one weight a joint."]
     if flexible:
         text.append(f"Kept as declared, since motor signals at low frequency do not tell them: {', '.join(flexible)}.")
-    return Section("Data and method", tuple(text), (table,))
+    return Section("Data and method", *text, table)

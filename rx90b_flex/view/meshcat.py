@@ -26,13 +26,14 @@ import pinocchio as pin
 import umsgpack  # type: ignore[import-untyped, unused-ignore]
 from meshcat.animation import Animation, AnimationClip, AnimationTrack
 from meshcat.servers.zmqserver import VIEWER_ROOT
+from scipy.spatial.transform import Rotation
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.linearize import ComplexArray, Modes
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 from rx90b_flex.signals.single import write_file
-from rx90b_flex.simulate.closed_loop import Simulation
+from rx90b_flex.simulate.closed_loop import Simulation, tip_poses
 from rx90b_flex.view import scene
 from rx90b_flex.view.page import template
 from rx90b_flex.view.server import start_server
@@ -118,19 +119,19 @@ class Run:
         """Positions of the rigid robot's tip at the references, shape (N, 3), m; None without references."""
         if self.reference is None:
             return None
-        return scene.frame_poses(self.robot.tree, self.reference, [self.robot.tip_frame])[:, 0, :3, 3]
+        return tip_poses(self.robot.tree, self.robot.tip_frame, self.reference)[:, :3, 3]
 
     @cached_property
     def tip_path(self) -> Array:
         """Positions of the tip, not magnified, shape (N, 3), m."""
-        return scene.frame_poses(self.robot.model, self.q, [self.robot.tip_frame])[:, 0, :3, 3]
+        return tip_poses(self.robot.model, self.robot.tip_frame, self.q)[:, :3, 3]
 
     @cached_property
     def deviation_mm(self) -> Array | None:
         """Distance of the tip from its reference, not magnified, shape (N,), mm."""
-        return (
-            None if self.reference_path is None else 1e3 * np.linalg.norm(self.tip_path - self.reference_path, axis=1)
-        )
+        if self.reference_path is None:
+            return None
+        return 1e3 * np.linalg.norm(self.tip_path - self.reference_path, axis=1)
 
 
 # the camera starts before the robot, to its right and above: three unit vectors in the base frame
@@ -415,11 +416,10 @@ class _Builder:
         drives = run.q @ run.robot.input_matrix
         self.add_robot(name, run.robot, q[rows], drives[rows] if run.deforms else None, at, fps)
         trail = np.unique(np.linspace(0, len(q) - 1, TRAIL_POINTS).round().astype(int))
-        path = scene.frame_poses(run.robot.model, q[trail], [run.robot.tip_frame])[:, 0, :3, 3] + at
-        grey = np.full((len(trail), 3), 0.3)
-        colours = (
-            grey if largest is None or run.deviation_mm is None else scene.colours_of(run.deviation_mm[trail], largest)
-        )
+        path = tip_poses(run.robot.model, run.robot.tip_frame, q[trail])[:, :3, 3] + at
+        colours = np.full((len(trail), 3), 0.3)
+        if largest is not None and run.deviation_mm is not None:
+            colours = scene.colours_of(run.deviation_mm[trail], largest)
         material = geometry.MeshBasicMaterial(vertexColors=True)
         self.root[f"{name}/trail"].set_object(geometry.Mesh(scene.tube(path, TRAIL_RADIUS, colours), material))
         if run.reference_path is not None:
@@ -487,7 +487,7 @@ def _material(colour: tuple[float, float, float, float], ghost: bool) -> Any:
 def _clip(poses: Array, fps: float) -> AnimationClip:
     frames = list(range(len(poses)))
     position = poses[:, :3, 3].astype(np.float32).astype(float).tolist()
-    turning = scene.quaternions(poses).tolist()
+    turning = Rotation.from_matrix(poses[:, :3, :3]).as_quat().tolist()
     tracks = {
         "position": AnimationTrack("position", "vector3", frames, position),
         "quaternion": AnimationTrack("quaternion", "quaternion", frames, turning),

@@ -34,19 +34,10 @@ def ladder(before: Sequence[Compared], after: Sequence[Compared]) -> Figure:
                 ends = [compared.measured.hz[i], compared.model_hz[j]]
                 ax.plot(ends, [ROWS["measured"], row], color=colour, lw=0.7, alpha=0.8)
         hz, std = b.measured.hz, b.measured.std_hz
-        ax.errorbar(
-            hz,
-            np.full(len(hz), 1.0),
-            xerr=2 * std,
-            fmt="o",
-            ms=4,
-            color=MEASURED,
-            elinewidth=1.4,
-            capsize=2.5,
-            zorder=3,
-        )
+        level = np.full(len(hz), ROWS["measured"])
+        ax.errorbar(hz, level, xerr=2 * std, fmt="o", ms=4, color=MEASURED, elinewidth=1.4, capsize=2.5, zorder=3)
         left = np.setdiff1d(np.arange(len(hz)), a.pairing.measured)
-        ax.plot(hz[left], np.full(len(left), 1.0), "o", ms=9, mfc="none", mec=AFTER, zorder=4)
+        ax.plot(hz[left], level[left], "o", ms=9, mfc="none", mec=AFTER, zorder=4)
         ax.set_title(b.measured.name.replace("_", " "), fontsize=8, loc="left", pad=3)
         ax.set_ylim(-0.5, 2.5)
         ax.set_yticks(list(ROWS.values()), ["as declared", "measured", "as found"], fontsize=7)

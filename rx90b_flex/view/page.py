@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import jinja2
@@ -18,6 +17,7 @@ import matplotlib
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from rx90b_flex import __version__
 from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.view.zoom import ZOOM_COLUMNS, described, script, script_hash, thin, zoom_style
 
@@ -47,10 +47,10 @@ class PageTable:
     folds : whether a long one waits to be opened.
     """
 
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
     caption: str = ""
-    numbers: tuple[int, ...] | None = None
+    numbers: Sequence[int] | None = None
     folds: bool = True
 
     def is_number(self, column: int) -> bool:
@@ -58,18 +58,23 @@ class PageTable:
         return column in (range(1, len(self.head)) if self.numbers is None else self.numbers)
 
 
-@dataclass(frozen=True)
+def seconds_table(seconds: Mapping[str, float]) -> PageTable:
+    """How long each stage took."""
+    return PageTable(("stage", "time, s"), [(stage, f"{s:.1f}") for stage, s in seconds.items()])
+
+
 class Section:
-    """A part of a page: paragraphs, then tables, then figures, then smaller parts."""
+    """A part of a page: paragraphs, then tables, figures and smaller parts, in whatever order they are given; None is nothing."""
 
-    title: str
-    text: tuple[str, ...] = ()
-    tables: tuple[PageTable, ...] = ()
-    images: tuple[Image, ...] = ()
-    parts: tuple[Section, ...] = ()
+    def __init__(self, title: str, *content: str | PageTable | Image | Section | None) -> None:
+        self.title = title
+        self.text = [x for x in content if isinstance(x, str)]
+        self.tables = [x for x in content if isinstance(x, PageTable)]
+        self.images = [x for x in content if isinstance(x, Image)]
+        self.parts = [x for x in content if isinstance(x, Section)]
 
 
-def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[Section]) -> None:
+def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[Section | None]) -> None:
     """Write a page; it appears whole or not at all.
 
     Parameters
@@ -79,27 +84,20 @@ def write_page(path: Path, title: str, lead: Sequence[str], sections: Sequence[S
     title : str
     lead : sequence of str
         The main result in a sentence, then what qualifies it.
-    sections : sequence of Section
+    sections : sequence of Section or None
+        None is left out.
     """
-    html = page_html(title, lead, sections)
-    write_whole(Path(path), lambda temporary: write_text(temporary, html))
-
-
-def page_html(title: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
-    """The text of a page with all its figures in it."""
-    zooms = any(image.zoom for section in sections for image in section.images)
-    return render("page.html", title=title, lead=list(lead), sections=list(sections), zooms=zooms, source="")
+    shown = [section for section in sections if section is not None]
+    zooms = any(image.zoom for section in shown for image in section.images)
+    html = render("page.html", title=title, lead=lead, sections=shown, zooms=zooms, source="")
+    write_whole(Path(path), lambda temporary: temporary.write_text(html, encoding="utf-8"))
 
 
 def render(name: str, filters: Mapping[str, object] | None = None, **values: object) -> str:
     """A page from a template that is or extends ``page.html``, with filters and values of its own."""
-    common = {"version": package_version(), "style": style(), "script": script(), "script_hash": script_hash()}
-    return template(name, **(filters or {})).render(**common, **values)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8."""
-    path.write_text(text, encoding="utf-8")
+    own = resources.files("rx90b_flex.view").joinpath("style.css").read_text(encoding="utf-8")
+    common = {"version": __version__, "script": script(), "script_hash": script_hash()}
+    return template(name, **(filters or {})).render(style=markupsafe.Markup(own) + zoom_style(), **common, **values)
 
 
 @cache
@@ -115,12 +113,6 @@ def template(name: str, **filters: object) -> jinja2.Template:
     )
     environment.filters.update(filters)
     return environment.get_template(name)
-
-
-def style() -> markupsafe.Markup:
-    """The style sheet of all pages."""
-    own = resources.files("rx90b_flex.view").joinpath("style.css").read_text(encoding="utf-8")
-    return markupsafe.Markup(own) + zoom_style()
 
 
 def image(figure: Figure, alt: str, caption: str = "", zoom: bool = False) -> Image:
@@ -164,11 +156,3 @@ def _laid_out(figure: Figure) -> Iterator[None]:
     finally:
         figure.set_layout_engine(engine)
         figure.set_canvas(canvas)
-
-
-def package_version() -> str:
-    """Of this package, for a page's foot."""
-    try:
-        return version("rx90b-flex")
-    except PackageNotFoundError:
-        return "not installed"

@@ -1,9 +1,4 @@
-"""Figures of a closed loop. Each function takes a result and returns a `matplotlib.figure.Figure`.
-
-No figure knows of a window or of pyplot, so they can be made in any thread and saved with ``figure.savefig``.
-Before is always orange with squares, after always blue with circles: colours that stay apart for colour-blind eyes,
-and marks that stay apart on paper.
-"""
+"""Figures of a closed loop. Each function takes a result and returns a `matplotlib.figure.Figure`."""
 
 from __future__ import annotations
 
@@ -19,14 +14,11 @@ from rx90b_flex.diagnose.close import ClosedLoop, Prediction
 from rx90b_flex.diagnose.evidence import STANDSTILL, Dependence, at_rest, signals
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import lowpass
-from rx90b_flex.view.axes import plain_axes
+from rx90b_flex.view.axes import AFTER, BEFORE, FLOOR, MEASURED, REACHED, legend, new_figure
 
 if TYPE_CHECKING:
     from rx90b_flex.simulate.closed_loop import Simulation
 
-BEFORE, AFTER, MEASURED, FLOOR = "#d55e00", "#0072b2", "#8a8a8a", "#000000"
-FREE = "#009e73"  # what a free-form model reaches
-WIDTH_IN = 5.4  # about the width of a column of the report, so that text keeps its size
 BINS = 32
 CURVE = 0.5  # of the variance of what was added to a torque, from which a curve shows it best
 SEGMENT_S = 2.0  # of the spectra's averaged parts; their lines lie 1 / SEGMENT_S apart
@@ -39,28 +31,33 @@ def errors_by_joint(result: ClosedLoop, role: str = "validation") -> Figure:
 
     Both roles share one scale, so that their figures can be compared.
     """
-    torques = joint_torques(result)
-    errors = {r: [getattr(e, r).torque_rms for e in (result.before, result.after)] for r in torques}
-    torque = torques[role]
-    longest = max(float(_percent(e, torques[r]).max()) for r in torques for e in errors[r])
-    height = 1.0 + 0.42 * len(result.joints)
-    figure, (ax,) = _figure(1, height)
-    y = np.arange(len(result.joints))
-    for values, shift, colour, hatch, label in (
-        (errors[role][0], -0.19, BEFORE, "////", "before"),
-        (errors[role][1], 0.19, AFTER, "", "after"),
-    ):
-        ax.barh(y + shift, _percent(values, torque), 0.36, color=colour, hatch=hatch, edgecolor="white", label=label)
+    both = (result.before, result.after)
+    errors = {r: [_percent(getattr(e, r).torque_rms, t) for e in both] for r, t in joint_torques(result).items()}
+    before, after = errors[role]
+    longest = float(np.max([*errors.values()]))
+    figure, (ax,) = new_figure(1.0 + 0.42 * len(result.joints))
+    y = _bars(ax, result.joints, [(before, BEFORE, "////", "before"), (after, AFTER, "", "after")], 0.38, 0.36)
     if result.noise_floor is not None:
-        floor = _percent(result.noise_floor, torque)
+        floor = _percent(result.noise_floor, joint_torques(result)[role])
         ax.vlines(floor, y - 0.42, y + 0.42, color=FLOOR, linewidth=1.6, label="noise floor")
-    ax.set_yticks(y, [_plain(j) for j in result.joints])
-    ax.invert_yaxis()
-    ax.set_xlim(0, 1.05 * longest or 1.0)
-    ax.set_xlabel("error in % of the joint's torque (both root mean square)", fontsize=9)
-    ax.grid(axis="x", color="#dddddd", linewidth=0.6)
-    _legend(ax)
+    ax.set(xlim=(0, 1.05 * longest or 1.0), xlabel="error in % of the joint's torque (both root mean square)")
+    legend(ax)
     return figure
+
+
+Bars = tuple[Array, str, str, str]  # lengths, shape (names,), colour, hatch, label
+
+
+def _bars(ax: Axes, names: Sequence[str], groups: Sequence[Bars], apart: float, thickness: float) -> Array:
+    """Horizontal bars of several groups beside each other, the first name on top; returns the names' places, which are 1 apart."""
+    y = np.arange(len(names), dtype=float)
+    for k, (lengths, colour, hatch, label) in enumerate(groups):
+        at = y + apart * (k - 0.5 * (len(groups) - 1))
+        ax.barh(at, lengths, thickness, color=colour, hatch=hatch, edgecolor="white", label=label)
+    ax.set_yticks(y, [_plain(name) for name in names])
+    ax.invert_yaxis()
+    ax.grid(axis="x", color="#dddddd", linewidth=0.6)
+    return y
 
 
 def explainable_by_joint(result: ClosedLoop) -> Figure:
@@ -75,41 +72,40 @@ def explainable_by_joint(result: ClosedLoop) -> Figure:
     if known is None:
         raise ValueError(f"no free-form model to draw: {result.not_explainable}")
     torque = joint_torques(result)["validation"]
-    figure, (ax,) = _figure(1, 1.2 + 0.5 * (1 + len(result.joints)))
-    y = np.arange(1 + len(result.joints))
-    for errors, shift, colour, hatch, label in (
-        (result.before.validation, -0.27, BEFORE, "////", "declared"),
-        (result.after.validation, 0.0, AFTER, "", "after"),
-        (known.validation, 0.27, FREE, "....", "free form"),
-    ):
-        values = np.r_[100 * errors.relative_error, _percent(errors.torque_rms, torque)]
-        ax.barh(y + shift, values, 0.25, color=colour, hatch=hatch, edgecolor="white", label=label)
-    ax.set_yticks(y, ["all", *(_plain(j) for j in result.joints)])
-    ax.invert_yaxis()
-    ax.set_xlabel("error in % of torque (both root mean square), validation", fontsize=9)
-    ax.grid(axis="x", color="#dddddd", linewidth=0.6)
-    _legend(ax)
+    figure, (ax,) = new_figure(1.2 + 0.5 * (1 + len(result.joints)))
+    groups = [
+        (np.r_[100 * errors.relative_error, _percent(errors.torque_rms, torque)], colour, hatch, label)
+        for errors, colour, hatch, label in (
+            (result.before.validation, BEFORE, "////", "declared"),
+            (result.after.validation, AFTER, "", "after"),
+            (known.validation, REACHED, "....", "free form"),
+        )
+    ]
+    _bars(ax, ["all", *result.joints], groups, 0.27, 0.25)
+    ax.set_xlabel("error in % of torque (both root mean square), validation")
+    legend(ax)
     return figure
 
 
 def error_by_step(result: ClosedLoop) -> Figure:
     """Validation error of the declared model and after each effect that was added."""
-    values = [result.before.validation.relative_error, *(e.after.relative_error for e in result.effects)]
-    figure, (ax,) = _figure(1, 2.1)
+    values = 100 * np.array(
+        [result.before.validation.relative_error, *(e.after.relative_error for e in result.effects)]
+    )
+    figure, (ax,) = new_figure(2.1)
     steps = np.arange(len(values))
-    ax.plot(steps, 100 * np.array(values), color=AFTER, marker="o", markersize=5, linewidth=1.2)
-    ax.plot(steps[:1], 100 * np.array(values[:1]), color=BEFORE, marker="s", markersize=7, linestyle="none")
+    ax.plot(steps, values, color=AFTER, marker="o", markersize=5, linewidth=1.2)
+    ax.plot(steps[:1], values[:1], color=BEFORE, marker="s", markersize=7, linestyle="none")
     ax.set_xticks(steps, ["declared", *(str(i) for i in steps[1:])])
-    ax.set_xlabel("effects added (numbers as in the table)", fontsize=9)
-    ax.set_ylabel("validation error, %", fontsize=9)
-    ax.set_ylim(0, 110 * max(values) if max(values) > 0 else 1.0)
+    ax.set(xlabel="effects added (numbers as in the table)", ylabel="validation error, %")
+    ax.set_ylim(0, 1.1 * values.max() or 1.0)
     return figure
 
 
 def residual_in_time(result: ClosedLoop, joint: str) -> Figure:
     """One joint's torque over time, measured and after; below it the residual before and after, on one scale."""
     column = result.joints.index(joint)
-    figure, axes = _figure(3, 3.5, heights=(1.0, 1.0, 1.0), sharex=True)
+    figure, axes = new_figure(3.5, rows=3, sharex=True)
     pieces = list(_end_to_end(result.predictions))
     for time, p in pieces:
         tau, before, after = (x[:, column] for x in (p.torque, p.before, p.after))
@@ -122,13 +118,12 @@ def residual_in_time(result: ClosedLoop, joint: str) -> Figure:
     errors = [(p.torque - x)[_inside(result, p), column] for p in result.predictions for x in (p.before, p.after)]
     limit = 1.08 * max(float(np.abs(e).max()) for e in errors) or 1.0
     for ax, label in zip(axes[1:], ("error before", "error after"), strict=True):
-        ax.set_ylim(-limit, limit)
-        ax.set_ylabel(f"{label},\nN m", fontsize=9)
+        ax.set(ylim=(-limit, limit), ylabel=f"{label},\nN m")
         if result.noise_floor is not None:
             for sign in (-1, 1):
                 ax.axhline(sign * result.noise_floor[column], color=FLOOR, linewidth=0.7, linestyle="--")
-    axes[0].set_ylabel("torque,\nN m", fontsize=9)
-    axes[-1].set_xlabel("time, s" if len(pieces) == 1 else "time, s (recordings end to end)", fontsize=9)
+    axes[0].set_ylabel("torque,\nN m")
+    axes[-1].set_xlabel("time, s" if len(pieces) == 1 else "time, s (recordings end to end)")
     figure.align_ylabels(axes)
     return figure
 
@@ -136,7 +131,7 @@ def residual_in_time(result: ClosedLoop, joint: str) -> Figure:
 def residual_in_frequency(result: ClosedLoop, joint: str) -> Figure:
     """Amplitude spectrum of one joint's residual before and after, and of its torque, up to cutoff or Nyquist."""
     column = result.joints.index(joint)
-    figure, (ax,) = _figure(1, 3.5)
+    figure, (ax,) = new_figure(3.5)
     top = 0.0
     for kind, colour, width, label in (
         ("torque", MEASURED, 1.6, "torque"),
@@ -150,10 +145,7 @@ def residual_in_frequency(result: ClosedLoop, joint: str) -> Figure:
     if top > 0:
         ax.set_yscale("log")
         ax.set_ylim(top / 10**DECADES, 2 * top)
-    ax.set_xlim(0, _highest_hz(result))
-    ax.set_xlabel("frequency, Hz", fontsize=9)
-    ax.set_ylabel("amplitude, N m", fontsize=9)
-    _legend(ax)
+    _spectral(ax, result)
     return figure
 
 
@@ -174,11 +166,7 @@ def change_at_joint(result: ClosedLoop, joint: str) -> tuple[Figure, str]:
     """
     column = result.joints.index(joint)
     added = np.concatenate([(p.after - p.before)[:, column] for p in result.predictions])
-    shares = {}
-    for kind in ("velocity", "position"):
-        x = [(p.recording.position if kind == "position" else p.velocity)[:, column] for p in result.predictions]
-        curve = Binned(np.concatenate(x), added)
-        shares[kind] = 1.0 - float(curve.count @ curve.std**2) / max(len(added) * float(added.var()), 1e-300)
+    shares = {kind: explained(_moved(result, column, kind), added) for kind in ("velocity", "position")}
     best = max(shares, key=lambda kind: shares[kind])
     if shares[best] < CURVE:
         return residual_in_time(result, joint), "time"
@@ -204,23 +192,22 @@ def remaining_dependence(result: ClosedLoop, dependence: Dependence) -> Figure |
         return None
     residual = np.concatenate([left[:, column] for _, left in result.unexplained.data])
     binned = Binned(np.concatenate(known)[moving], residual[moving])
-    figure, (ax,) = _figure(1, 2.7)
+    figure, (ax,) = new_figure(2.7)
     ax.axhline(0.0, color="#555555", linewidth=0.6)
     x = binned.centre
     ax.fill_between(x, binned.low, binned.high, color=AFTER, alpha=0.12, linewidth=0, label="smallest, largest")
     ax.fill_between(x, *binned.band, color=AFTER, alpha=0.25, linewidth=0, label="± 1 std")
     ax.plot(x, binned.mean, color=AFTER, marker="o", markersize=3, linewidth=1.2, label="mean")
     cycle = f"part of a cycle, {_plain(dependence.signal)} (cycles a turn)"
-    ax.set_xlabel(_with_unit(_plain(dependence.signal)) if order is None else cycle, fontsize=9)
-    ax.set_ylabel("error left, N m", fontsize=9)
-    _legend(ax)
+    ax.set(xlabel=_with_unit(_plain(dependence.signal)) if order is None else cycle, ylabel="error left, N m")
+    legend(ax)
     return figure
 
 
 def remaining_bands(result: ClosedLoop, joint: str) -> Figure:
     """Amplitude spectrum of what is left of a joint's torque, fitted and held out; bands in which it repeats are shaded."""
     column = result.joints.index(joint)
-    figure, (ax,) = _figure(1, 2.7)
+    figure, (ax,) = new_figure(2.7)
     for (regression, left), label in zip(result.unexplained.data, ("fitted", "held out"), strict=True):
         rate = min(s.rate_hz for s in regression.segments)
         parts = [left[span, column] for span in regression.spans]
@@ -228,17 +215,19 @@ def remaining_bands(result: ClosedLoop, joint: str) -> Figure:
         ax.plot(hz, amplitude, color=AFTER, linewidth=1.0, linestyle="-" if label == "fitted" else "--", label=label)
     for i, band in enumerate(b for b in result.unexplained.bands if b.joint == joint):
         ax.axvspan(band.low_hz, band.high_hz, color=BEFORE, alpha=0.18, linewidth=0, label=None if i else "repeats")
-    ax.set_xlim(0, _highest_hz(result))
     ax.set_ylim(0, None)
-    ax.set_xlabel("frequency, Hz", fontsize=9)
-    ax.set_ylabel("amplitude, N m", fontsize=9)
-    _legend(ax)
+    _spectral(ax, result)
     return figure
+
+
+def _spectral(ax: Axes, result: ClosedLoop) -> None:
+    ax.set(xlim=(0, _highest_hz(result)), xlabel="frequency, Hz", ylabel="amplitude, N m")
+    legend(ax)
 
 
 def _rests(result: ClosedLoop, column: int) -> Figure:
     """What is left of one joint over time, all recordings end to end; times when no joint moves are shaded."""
-    figure, (ax,) = _figure(1, 2.7)
+    figure, (ax,) = new_figure(2.7)
     at = 0.0
     for regression, left in result.unexplained.data:
         resting = at_rest(regression)
@@ -252,8 +241,7 @@ def _rests(result: ClosedLoop, column: int) -> Figure:
             ax.axvline(at, color=MEASURED, linewidth=0.6, linestyle=":")
             at += len(segment) / segment.rate_hz
     ax.axhline(0.0, color="#555555", linewidth=0.6)
-    ax.set_xlabel("time, s (recordings end to end; shaded: at rest)", fontsize=9)
-    ax.set_ylabel("error left, N m", fontsize=9)
+    ax.set(xlabel="time, s (recordings end to end; shaded: at rest)", ylabel="error left, N m")
     return figure
 
 
@@ -287,15 +275,21 @@ class Binned:
         self.band = (self.mean - self.std, self.mean + self.std)
 
 
+def explained(x: Array, y: Array) -> float:
+    """Share of the variance of `y` that a curve over `x` holds."""
+    curve = Binned(x, y)
+    return 1.0 - float(curve.count @ curve.std**2) / max(len(y) * float(y.var()), 1e-300)
+
+
 def tip_deviation(result: Simulation) -> Figure:
     """Tip deviation over time, up and across the path, as in figure 4.7; below both along the path."""
-    figure, axes = _figure(3, 4.2, sharex=True)
+    figure, axes = new_figure(4.2, rows=3, sharex=True)
     places = {"up": 2, "across (left)": 1, "along": 0}
     for ax, (name, column) in zip(axes, places.items(), strict=True):
         ax.axhline(0.0, color="#555555", linewidth=0.6)
         ax.plot(result.time, result.path_deviation_mm[:, column], color=AFTER, linewidth=1.0)
-        ax.set_ylabel(f"{name}, mm", fontsize=9)
-    axes[-1].set_xlabel("time, s", fontsize=9)
+        ax.set_ylabel(f"{name}, mm")
+    axes[-1].set_xlabel("time, s")
     axes[0].set_title(f"tip deviation, {_plain(result.recording.name)}", fontsize=9, loc="left")
     return figure
 
@@ -315,9 +309,10 @@ def rms(recordings: Sequence[Array]) -> Array:
 def _residual_against(result: ClosedLoop, joint: str, kind: str) -> Figure:
     column = result.joints.index(joint)
     # one scale for both kinds, so that the two figures of a joint can be compared
-    curves = {k: [_binned(result, column, k, which) for which in ("before", "after")] for k in ("position", "velocity")}
+    left = [np.concatenate(_residuals(result, column, which)) for which in ("before", "after")]
+    curves = {k: [Binned(_moved(result, column, k), y) for y in left] for k in ("position", "velocity")}
     limit = max(float((np.abs(c.mean) + c.std).max()) for pair in curves.values() for c in pair) * 1.08 or 1.0
-    figure, (ax,) = _figure(1, 2.7)
+    figure, (ax,) = new_figure(2.7)
     ax.axhline(0.0, color="#555555", linewidth=0.6)
     for curve, colour, mark, style, label in zip(
         curves[kind], (BEFORE, AFTER), ("s", "o"), ("--", "-"), ("before", "after"), strict=True
@@ -325,16 +320,16 @@ def _residual_against(result: ClosedLoop, joint: str, kind: str) -> Figure:
         x, line = curve.centre, f"{mark}{style}"
         ax.fill_between(x, *curve.band, color=colour, alpha=0.16, linewidth=0)
         ax.plot(x, curve.mean, line, color=colour, markersize=3, linewidth=1.1, label=label)
-    ax.set_ylim(-limit, limit)
-    ax.set_xlabel(f"joint {_with_unit(kind)}", fontsize=9)
-    ax.set_ylabel("error, N m", fontsize=9)
-    _legend(ax)
+    ax.set(ylim=(-limit, limit), xlabel=f"joint {_with_unit(kind)}", ylabel="error, N m")
+    legend(ax)
     return figure
 
 
-def _binned(result: ClosedLoop, column: int, kind: str, which: str) -> Binned:
-    x = [(p.recording.position if kind == "position" else p.velocity)[:, column] for p in result.predictions]
-    return Binned(np.concatenate(x), np.concatenate(_residuals(result, column, which)))
+def _moved(result: ClosedLoop, column: int, kind: str) -> Array:
+    """Position or velocity of a joint over all validation recordings."""
+    return np.concatenate(
+        [(p.recording.position if kind == "position" else p.velocity)[:, column] for p in result.predictions]
+    )
 
 
 def _residuals(result: ClosedLoop, column: int, which: str) -> list[Array]:
@@ -379,20 +374,6 @@ def _end_to_end(predictions: Sequence[Prediction]) -> Iterator[tuple[Array, Pred
         time = p.recording.time
         yield (time if len(predictions) == 1 else time - time[0] + at), p
         at += p.recording.duration_s
-
-
-def _figure(
-    rows: int, height: float, heights: Sequence[float] | None = None, sharex: bool = False
-) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH_IN, height), layout="constrained")
-    axes = figure.subplots(rows, 1, squeeze=False, sharex=sharex, height_ratios=heights)[:, 0]
-    for ax in axes:
-        plain_axes(ax)
-    return figure, list(axes)
-
-
-def _legend(ax: Axes) -> None:
-    ax.legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
 
 
 def _percent(part: Sequence[float], whole: Array) -> Array:

@@ -38,13 +38,7 @@ def preview(source: str | os.PathLike[str] | Campaign) -> dict[str, Figure]:
     }
 
 
-def preview_images(source: Path | Campaign) -> tuple[Image, ...]:
+def preview_images(source: Path | Campaign) -> list[Image]:
     """The same as parts of a report."""
-    return tuple(
-        image(
-            figure,
-            f"Torque of {joint}, measured and of the declared model",
-            f"{joint}: first recording, nothing fitted",
-        )
-        for joint, figure in preview(source).items()
-    )
+    alt, caption = "Torque of {}, measured and of the declared model", "{}: first recording, nothing fitted"
+    return [image(figure, alt.format(j), caption.format(j)) for j, figure in preview(source).items()]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
-from functools import singledispatch
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from rx90b_flex import __version__
 from rx90b_flex.diagnose import evidence
 from rx90b_flex.diagnose.close import ClosedLoop, FoundEffect
 from rx90b_flex.diagnose.free_form import NO_FORM
@@ -36,7 +36,7 @@ from rx90b_flex.view.advice import (
 )
 from rx90b_flex.view.check_report import check_section, write_check_page
 from rx90b_flex.view.deflection_section import gear_section
-from rx90b_flex.view.page import Image, PageTable, Section, image, package_version, render, write_text
+from rx90b_flex.view.page import Image, PageTable, Section, image, render
 
 MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
 WORSE = 1.005  # times the error before: an error after it that is marked
@@ -52,7 +52,6 @@ VERDICTS = {
 }
 
 
-@singledispatch
 def write_report(result: ClosedLoop | RefusedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
     """Write the report of a result as one HTML file; it appears whole or not at all.
 
@@ -65,18 +64,11 @@ def write_report(result: ClosedLoop | RefusedLoop, path: Path, motion: MotionErr
     motion : MotionErrors or str, optional
         What `rx90b_flex.diagnose.motion.motion_errors` says of the result.
     """
-    raise TypeError(f"no report of {type(result).__name__}")
-
-
-@write_report.register
-def _(result: ClosedLoop, path: Path, motion: MotionErrors | str | None = None) -> None:
+    if isinstance(result, RefusedLoop):
+        write_check_page(result.checked, path)
+        return
     html = report_html(result, motion)
-    write_whole(Path(path), lambda temporary: write_text(temporary, html))
-
-
-@write_report.register
-def _(result: RefusedLoop, path: Path, motion: None = None) -> None:
-    write_check_page(result.checked, path)
+    write_whole(Path(path), lambda temporary: temporary.write_text(html, encoding="utf-8"))
 
 
 def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) -> str:
@@ -96,7 +88,9 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         verdict_meaning=_verdict_meaning(result),
         headline=headline(result),
         error_tables=_error_tables(result),
-        errors_figures=[_errors_figure(result, role) for role in ROLES],
+        errors_figures=[
+            _captioned(plots.errors_by_joint(result, role), f"Error of each joint on {role}, before and after") for role in ROLES
+        ],
         steps_figure=_steps_figure(result),
         explainable_figure=_explainable_figure(result),
         explainable_words=explainable_words(result),
@@ -107,9 +101,9 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         floor=_floor_words(result),
         motion=_motion(result, motion),
         finding_figures=_finding_figures(result),
-        residuals=Section("", parts=tuple(_joint_residuals(result, joint) for joint in result.joints)),
+        residuals=Section("", *(_joint_residuals(result, joint) for joint in result.joints)),
         alternatives=_alternatives(result),
-        tried=Section("", parts=tuple(_rounds(result))),
+        tried=Section("", *_rounds(result)),
         gears=gear_section(result.deflection),
         data=check_section(result.checked),
         dependences=_dependences(result),
@@ -120,7 +114,7 @@ def report_html(result: ClosedLoop, motion: MotionErrors | str | None = None) ->
         parameters=_parameters(result),
         links=_links(result),
         moved_links=_moved_links(result),
-        facts=PageTable(("what", "how"), tuple(_facts(result)), "Settings", numbers=(), folds=False),
+        facts=PageTable(("what", "how"), _facts(result), "Settings", numbers=(), folds=False),
         evidence=evidence,
         segment_s=plots.SEGMENT_S,
     )  # fmt: skip
@@ -312,7 +306,7 @@ def _error_tables(result: ClosedLoop) -> list[PageTable]:
         both = [percent(e.relative_error) for e in (before, after)]
         rows.append(("all", "", "", both[0], "", both[1], "", *("" for _ in over)))
         caption = f"{role.capitalize()}: {what}. Root mean square, N m.{worse}"
-        out.append(PageTable(head, tuple(rows), caption))
+        out.append(PageTable(head, rows, caption))
     return out
 
 
@@ -329,15 +323,13 @@ def _above_floor(result: ClosedLoop) -> str:
 def _motion(result: ClosedLoop, motion: MotionErrors | str | None) -> Section | None:
     """The simulated motion before and after beside the measured one."""
     if not isinstance(motion, MotionErrors):
-        return None if motion is None else Section("", (motion,))
+        return None if motion is None else Section("", motion)
     sides = {"motor": motion.motor_rms_mrad, "link": motion.link_rms_mrad}
     columns = {f"{side}, {when}": x for side, both in sides.items() if both for when, x in both._asdict().items()}
-    rows = tuple((j, *(number(float(x[i])) for x in columns.values())) for i, j in enumerate(result.joints))
-    part = (
-        f"the first {motion.seconds:.3g} s of {motion.of_s:.3g} s"
-        if motion.seconds < motion.of_s
-        else f"{motion.seconds:.3g} s"
-    )
+    rows = [(j, *(number(float(x[i])) for x in columns.values())) for i, j in enumerate(result.joints)]
+    part = f"{motion.seconds:.3g} s"
+    if motion.seconds < motion.of_s:
+        part = f"the first {part} of {motion.of_s:.3g} s"
     caption = (
         f"Simulated less measured angle under the references of {motion.recording}, {part} of validation. RMS, mrad."
     )
@@ -352,7 +344,7 @@ def _motion(result: ClosedLoop, motion: MotionErrors | str | None) -> Section | 
             "No link side was measured: where the tip really was is not known. The tips of the two simulations are "
             f"{number(motion.tip_apart_rms_mm)} mm apart (root mean square)."
         )
-    return Section("", (tip,), (PageTable(("joint", *columns), rows, caption),))
+    return Section("", tip, PageTable(("joint", *columns), rows, caption))
 
 
 def _alternatives(result: ClosedLoop) -> PageTable | None:
@@ -361,23 +353,15 @@ def _alternatives(result: ClosedLoop) -> PageTable | None:
         for other in found.alternatives:
             more = other.size - found.trial.size
             extra = f" ({more} more parameter{'s' if more > 1 else ''})" if more > 0 else ""
-            values = [
-                f"{name} = {number(value)} {unit_text(unit)}".rstrip()
-                for name, unit, value in other.effect.public_values()
-            ]
+            values = (f"{n} = {number(v)} {unit_text(unit)}".rstrip() for n, unit, v in other.effect.public_values())
             rows.append((
                 effect_words(found.effect), effect_words(other.effect) + extra, "; ".join(values), f"{100 * other.share:.1f}",
                 f"{other.behind:.1f}", other.advice,
             ))  # fmt: skip
     head = (
-        "found",
-        "could also be",
-        "with",
-        "explains, % of found",
-        "behind, standard errors",
-        "what would tell them apart",
-    )
-    return PageTable(head, tuple(rows), "Alternatives", numbers=(3, 4)) if rows else None
+        "found", "could also be", "with", "explains, % of found", "behind, standard errors", "what would tell them apart",
+    )  # fmt: skip
+    return PageTable(head, rows, "Alternatives", numbers=(3, 4)) if rows else None
 
 
 def _rounds(result: ClosedLoop) -> list[Section]:
@@ -400,7 +384,7 @@ def _rounds(result: ClosedLoop) -> list[Section]:
         rows = [_tried(t, percent(t.share), _outcome(t, (), 0)) for t in trials]
         out.append(_round("Last round: nothing more was added", "share of squared error", rows))
     elif result.noise_floor is not None:
-        out.append(Section("Last round", ("Not needed: the error had reached the noise floor.",)))
+        out.append(Section("Last round", "Not needed: the error had reached the noise floor."))
     return out
 
 
@@ -411,7 +395,7 @@ def _tried(trial: TorqueTrial, share: str, outcome: str) -> tuple[str, ...]:
 
 def _round(title: str, share: str, rows: Sequence[tuple[str, ...]]) -> Section:
     head = ("effect", "where", share, "held-out gain t", "p-value", "outcome")
-    return Section(title, tables=(PageTable(head, tuple(rows), numbers=(2, 3, 4)),))
+    return Section(title, PageTable(head, rows, numbers=(2, 3, 4)))
 
 
 def _outcome(trial: TorqueTrial, effects: Sequence[FoundEffect], at: int) -> str:
@@ -425,16 +409,11 @@ def _outcome(trial: TorqueTrial, effects: Sequence[FoundEffect], at: int) -> str
 
 def _at_rest(result: ClosedLoop) -> PageTable:
     still, rms = standstill(result), result.after.validation.torque_rms
-    rows = tuple(
-        (
-            joint,
-            percent(still.time_share[i]),
-            percent(still.error_share[i]),
-            number(rms[i]),
-            number(still.moving_rms[i]),
-        )
+    shares, errors = (still.time_share, still.error_share), (rms, still.moving_rms)
+    rows = [
+        (joint, *(percent(x[i]) for x in shares), *(number(x[i]) for x in errors))
         for i, joint in enumerate(result.joints)
-    )
+    ]
     head = ("joint", "at rest, % of time", "% of squared error", "error, N m", "error in motion, N m")
     caption = (
         "What is left on validation, at rest and in motion. At rest: a joint slower than 1 % of its largest speed."
@@ -443,7 +422,7 @@ def _at_rest(result: ClosedLoop) -> PageTable:
 
 
 def _dependences(result: ClosedLoop) -> PageTable:
-    rows = tuple((d.joint, d.signal, f"{d.score:.3f}", p_value(d.p_value)) for d in result.unexplained.where)
+    rows = [(d.joint, d.signal, f"{d.score:.3f}", p_value(d.p_value)) for d in result.unexplained.where]
     caption = (
         "What is left of a joint's torque (fitted and held-out recordings) and the signals that it still depends on."
     )
@@ -451,10 +430,10 @@ def _dependences(result: ClosedLoop) -> PageTable:
 
 
 def _bands(result: ClosedLoop) -> PageTable:
-    rows = tuple(
+    rows = [
         (b.joint, number(b.low_hz), number(b.high_hz), percent(b.score), p_value(b.p_value))
         for b in result.unexplained.bands
-    )
+    ]
     caption = (
         "Frequencies in which what is left repeats with the motion, beyond the noise that differs between periods: there the model "
         "lacks something."
@@ -464,27 +443,29 @@ def _bands(result: ClosedLoop) -> PageTable:
 
 def _parameters(result: ClosedLoop) -> PageTable:
     """Each identified parameter of the final model, its value in the declared one, and what the robot file gives."""
-    declared: dict[tuple[str, tuple[str, ...], str], Estimate] = {}
-    for i, effect in enumerate(result.declared.effects):
-        declared |= {(effect.type_name(), effect.place, e.name): e for e in result.declared.estimates(i)}
-    given: dict[tuple[str, tuple[str, ...], str], float] = {}
-    for effect in result.source.effects:
-        values = ((name, value) for name, _, value in effect.public_values() if not np.isnan(value))
-        given |= {(effect.type_name(), effect.place, name): value for name, value in values}
+    declared = {
+        (effect.type_name(), effect.place, e.name): measured(e)
+        for i, effect in enumerate(result.declared.effects)
+        for e in result.declared.estimates(i)
+    }
+    given = {
+        (effect.type_name(), effect.place, name): value
+        for effect in result.source.effects
+        for name, _, value in effect.public_values()
+        if not np.isnan(value)
+    }
     new = [e.effect for e in result.effects]
     rows = []
     for effect, estimates in effect_estimates(result):
         kind = _kind(effect) + (" (added)" if any(effect is e for e in new) else "")
         for e in estimates:
             key = (effect.type_name(), effect.place, e.name)
-            earlier = measured(declared[key]) if key in declared else "–"
-            rows.append((
-                kind, place_words(effect), e.name, measured(e), unit_text(e.unit), earlier, number(given.get(key)),
-            ))  # fmt: skip
+            before = (declared.get(key, "–"), number(given.get(key)))
+            rows.append((kind, place_words(effect), e.name, measured(e), unit_text(e.unit), *before))
     head = (
         "effect", "where", "parameter", "value ± standard deviation", "unit", "identified before", "in the robot file"
     )  # fmt: skip
-    return PageTable(head, tuple(rows), "Parameters of the effects", numbers=(3, 5, 6))
+    return PageTable(head, rows, "Parameters of the effects", numbers=(3, 5, 6))
 
 
 def _moved_links(result: ClosedLoop) -> PageTable:
@@ -492,27 +473,23 @@ def _moved_links(result: ClosedLoop) -> PageTable:
     rows = []
     if result.effects and result.model.links_fitted:
         robot = result.model.regression.robot
-        names = [
-            (b, name, unit) for b, _ in robot.bodies for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True)
-        ]
+        names = [(b, *named) for b, _ in robot.bodies for named in zip(LINK_PARAMETERS, LINK_UNITS, strict=True)]
         before, after = result.declared.link_estimates(), result.model.link_estimates()
         given = result.source.rigid().restricted(result.joints).link_parameters
         for (link, name, unit), g, b, a in zip(names, given, before, after, strict=True):
             moved = None if b.value is None or a.value is None or not b.std else (a.value - b.value) / b.std
             if moved is not None and abs(moved) > MOVED:
                 rows.append((link, name, unit_text(unit), number(float(g)), measured(b), measured(a), f"{moved:+.1f}"))
-    head = (
-        "link", "parameter", "unit", "in the URDF", "identified before", "after", "moved, standard deviations"
-    )  # fmt: skip
+    head = ("link", "parameter", "unit", "in the URDF", "identified before", "after", "moved, standard deviations")
     caption = f"Link parameters that moved by more than {MOVED:g} standard deviations when the effects were added."
-    return PageTable(head, tuple(rows), caption, numbers=(3, 4, 5, 6))
+    return PageTable(head, rows, caption, numbers=range(3, 7))
 
 
 def _links(result: ClosedLoop) -> PageTable:
     texts = ["–" if e.value is None else measured(e) for e in result.model.link_estimates()]
     size = len(LINK_PARAMETERS)
-    names = [link for link, _ in result.model.regression.robot.bodies]
-    rows = tuple((name, *texts[size * i : size * (i + 1)]) for i, name in enumerate(names))
+    links = result.model.regression.robot.bodies
+    rows = [(name, *texts[size * i : size * (i + 1)]) for i, (name, _) in enumerate(links)]
     units = (f"{name}, {unit_text(unit)}" for name, unit in zip(LINK_PARAMETERS, LINK_UNITS, strict=True))
     return PageTable(("link", *units), rows, "Parameters of the links")
 
@@ -531,16 +508,16 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
         floor = "from the sensor noise that the campaign file states, after the low-pass"
     low_pass = "none" if campaign.cutoff_hz is None else f"{campaign.cutoff_hz:g} Hz, zero phase, on every signal"
     asked = f"p < {SIGNIFICANCE:g}, corrected for {result.last_round.tests} independent trials a round"
-    declared = [effect_words(e) for e in result.source.effects]
+    declared = "; ".join(effect_words(e) for e in result.source.effects)
     links = "identified, over base parameters" if result.model.links_fitted else "known: kept from the URDF"
     return [
         ("Campaign", campaign.path.name),
         ("Robot", result.robot),
-        *((f"Recording {r.name}", _recording_words(r.role, r.samples, r.duration_s)) for r in campaign.recordings),
+        *((f"Recording {r.name}", f"{r.role}, {r.samples} samples, {r.duration_s:.3g} s") for r in campaign.recordings),
         ("Sample rate of the recordings", f"{campaign.sample_rate_hz:g} Hz"),
         ("Low-pass", low_pass),
         ("Sample rate of the fit", f"{joined([f'{r:g}' for r in rates])} Hz, {len(regression)} samples a joint"),
-        ("Declared effects", "; ".join(declared) or "none: the rigid tree alone"),
+        ("Declared effects", declared or "none: the rigid tree alone"),
         ("Inertial parameters of the links", links),
         ("Held-out blocks", f"{len(blocks)} of about {seconds / len(blocks):.2g} s of the identification recordings"),
         ("Tried in the last round", f"{result.last_round.candidates} effects (types and places)"),
@@ -553,27 +530,22 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
         ),
         ("Noise floor", floor),
         ("Seed", f"{result.seed} (of the permutation test for what remains)"),
-        ("Software", f"rx90b_flex {package_version()}"),
+        ("Software", f"rx90b_flex {__version__}"),
     ]
-
-
-def _recording_words(role: str, samples: int, duration_s: float) -> str:
-    return f"{role}, {samples} samples, {duration_s:.3g} s"
 
 
 # ---- figures --------------------------------------------------------------------------------------------
 
 
-def _errors_figure(result: ClosedLoop, role: str) -> Image:
-    text = f"Error of each joint on {role}, before and after"
-    return image(plots.errors_by_joint(result, role), text, text)
+def _captioned(figure: Figure, caption: str, zoom: bool = False) -> Image:
+    return image(figure, caption, caption, zoom)
 
 
 def _explainable_figure(result: ClosedLoop) -> Image | None:
     if result.explainable is None:
         return None
     text = "Error of the declared model, after, and of a free-form model on validation"
-    return image(plots.explainable_by_joint(result), text, text)
+    return _captioned(plots.explainable_by_joint(result), text)
 
 
 def _steps_figure(result: ClosedLoop) -> Image | None:
@@ -601,14 +573,15 @@ def _finding_figures(result: ClosedLoop) -> list[Image | None]:
 
 
 def _joint_residuals(result: ClosedLoop, joint: str) -> Section:
-    kinds: tuple[tuple[Callable[[ClosedLoop, str], Figure], str], ...] = (
+    kinds = (
         (plots.residual_in_time, "In time: measured torque (grey) and final model (blue); error before; error after"),
         (plots.residual_in_frequency, "In frequency: amplitude spectrum of measured torque and error"),
         (plots.residual_against_position, "Against the joint's position: mean and ± 1 standard deviation"),
         (plots.residual_against_velocity, "Against the joint's velocity: mean and ± 1 standard deviation"),
     )
-    images = (image(draw(result, joint), f"Error of {joint}. {text}", text, zoom=True) for draw, text in kinds)
-    return Section(joint, images=tuple(images))
+    return Section(
+        joint, *(image(draw(result, joint), f"Error of {joint}. {text}", text, zoom=True) for draw, text in kinds)
+    )
 
 
 def _dependence_figures(result: ClosedLoop) -> list[Image]:
@@ -619,13 +592,11 @@ def _dependence_figures(result: ClosedLoop) -> list[Image]:
             over = "over time" if d.signal == evidence.STANDSTILL else f"against {d.signal}, in motion"
             over = f"over one of the {d.signal.rpartition(' ')[2]} cycles of a turn, in motion" if d.order else over
             text = f"Error left of {d.joint} {over} ({percent(d.score)} of its power)"
-            out.append(image(figure, text, text, zoom=True))
+            out.append(_captioned(figure, text, zoom=True))
     return out
 
 
 def _band_figures(result: ClosedLoop) -> list[Image]:
-    out = []
-    for joint in dict.fromkeys(b.joint for b in result.unexplained.bands[:SHOWN_DEPENDENCES]):
-        text = f"Spectrum of the error left of {joint}; shaded: where it repeats with the motion"
-        out.append(image(plots.remaining_bands(result, joint), text, text, zoom=True))
-    return out
+    text = "Spectrum of the error left of {}; shaded: where it repeats with the motion"
+    joints = dict.fromkeys(b.joint for b in result.unexplained.bands[:SHOWN_DEPENDENCES])
+    return [_captioned(plots.remaining_bands(result, joint), text.format(joint), zoom=True) for joint in joints]

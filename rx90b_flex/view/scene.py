@@ -17,7 +17,6 @@ import numpy as np
 import pinocchio as pin
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
 
 from rx90b_flex import flexify as virtual
 from rx90b_flex.effects.motion import Array
@@ -27,9 +26,7 @@ PLAIN = (0.70, 0.72, 0.75, 1.0)  # of a link whose URDF says no colour
 STICK_RADIUS = 0.035  # m, where a robot has no shapes
 COLOURS = "plasma"  # rises in lightness, so that it reads on paper and by colour-blind eyes; its yellow end is left out
 BRIGHTEST = 0.92
-_CYLINDER_TO_Z = pin.utils.rpyToMatrix(
-    np.array([0.5 * np.pi, 0.0, 0.0])
-)  # meshcat's cylinders lie along y, URDF's along z
+_CYLINDER_TO_Z = pin.utils.rpyToMatrix(0.5 * np.pi, 0.0, 0.0)  # meshcat's cylinders lie along y, URDF's along z
 
 
 class Plane(geometry.Geometry):  # type: ignore[misc, unused-ignore]
@@ -127,7 +124,10 @@ def _mesh_path(name: str) -> Path | None:
 def _sticks(robot: Robot) -> tuple[Shape, ...]:
     """A ball at every joint and a stick to each joint behind it, and to the tip."""
     tree = robot.tree
-    names = {0: _first_body(tree, 0)} | {j: _first_body(tree, j) for j in range(1, tree.njoints)}
+    bodies = {
+        f.parentJoint: f.name for f in reversed(list(tree.frames)) if f.type == pin.FrameType.BODY
+    }  # the first of each
+    names = {j: bodies.get(j, "universe") for j in range(tree.njoints)}
     ends = [(int(tree.parents[j]), tree.jointPlacements[j].translation) for j in range(1, tree.njoints)]
     tip = tree.frames[tree.getFrameId(robot.tip_frame)]
     ends.append((int(tip.parentJoint), tip.placement.translation))
@@ -138,19 +138,11 @@ def _sticks(robot: Robot) -> tuple[Shape, ...]:
     for joint, end in ends:
         length = float(np.linalg.norm(end))
         if length > 1e-6:
-            found.append(
-                Shape(names[joint], geometry.Cylinder(length, STICK_RADIUS), _along(end), (0.95, 0.78, 0.2, 1))
-            )
+            stick = geometry.Cylinder(length, STICK_RADIUS)
+            found.append(Shape(names[joint], stick, _along(end), (0.95, 0.78, 0.2, 1)))
     # body frames may lie apart from their joint: sticks are told in the joint's frame
     frames = {name: tree.frames[tree.getFrameId(name)].placement.inverse().homogeneous for name in names.values()}
     return tuple(Shape(s.link, s.geometry, frames[s.link] @ s.placement, s.colour) for s in found)
-
-
-def _first_body(tree: pin.Model, joint: int) -> str:
-    for frame in tree.frames:
-        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
-            return str(frame.name)
-    return "universe"
 
 
 def _along(end: Array) -> Array:
@@ -186,12 +178,6 @@ def magnified(robot: Robot, q: Array, factor: float) -> Array:
     """Coordinates with torsion and bending multiplied by a factor, drives as they are; shape as q."""
     drives = robot.input_matrix.any(axis=1)
     return np.where(drives, q, factor * q)
-
-
-def quaternions(poses: Array) -> Array:
-    """x, y, z, w of poses (..., 4, 4), shape (..., 4)."""
-    flat = poses.reshape(-1, 4, 4)
-    return np.asarray(Rotation.from_matrix(flat[:, :3, :3]).as_quat()).reshape(*poses.shape[:-2], 4)
 
 
 # ---- paths, colours, words ------------------------------------------------------------------------------------

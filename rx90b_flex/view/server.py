@@ -66,12 +66,8 @@ def _serve() -> None:
 
         def make_app(self) -> LoopbackApplication:
             files = {"path": zmqserver.VIEWER_ROOT, "default_filename": zmqserver.VIEWER_HTML}
-            return LoopbackApplication(
-                [
-                    (r"/static/(.*)", zmqserver.StaticFileHandlerNoCache, files),
-                    (r"/", zmqserver.WebSocketHandler, {"bridge": self}),
-                ]
-            )
+            static = (r"/static/(.*)", zmqserver.StaticFileHandlerNoCache, files)
+            return LoopbackApplication([static, (r"/", zmqserver.WebSocketHandler, {"bridge": self})])
 
     bridge = LoopbackBridge()
     loop = tornado.ioloop.IOLoop.current()

@@ -9,25 +9,22 @@ from matplotlib.figure import Figure
 
 from rx90b_flex.identify.static_stiffness import StaticStiffness
 from rx90b_flex.signals.static_test import StaticTest
-from rx90b_flex.view.axes import plain_axes
-
-LOADING, UNLOADING = "#d55e00", "#0072b2"
+from rx90b_flex.view.axes import AFTER, BEFORE, new_figure
 
 
 def static_test_figure(tests: Sequence[StaticTest], found: Sequence[StaticStiffness], columns: int = 3) -> Figure:
     """Deformation over moment of each test, up and down, with a line for each direction: figure 4.2."""
     columns = min(columns, len(tests))
     rows = -(-len(tests) // columns)
-    figure = Figure(figsize=(1.0 + 2.7 * columns, 0.5 + 2.2 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for ax in grid.ravel()[len(tests) :]:
+    figure, axes = new_figure(0.5 + 2.2 * rows, rows, columns, width=1.0 + 2.7 * columns, labels=8, sharey=True)
+    for ax in axes[len(tests) :]:
         ax.set_axis_off()
-    for ax, test, result in zip(grid.ravel(), tests, found, strict=False):
-        for rows_, line, colour, mark, label in (
-            (test.rising, result.loading, LOADING, "o", "loading"),
-            (~test.rising, result.unloading, UNLOADING, "x", "unloading"),
+    for place, (ax, test, result) in enumerate(zip(axes, tests, found, strict=False)):
+        for part, line, colour, mark, label in (
+            (test.rising, result.loading, BEFORE, "o", "loading"),
+            (~test.rising, result.unloading, AFTER, "x", "unloading"),
         ):
-            at, turned = test.moment[rows_], 1e3 * test.deformation[rows_]
+            at, turned = test.moment[part], 1e3 * test.deformation[part]
             ax.plot(at, turned, mark, color=colour, markersize=4, label=label)
             ends = np.array([test.moment.min(), test.moment.max()])
             lined = line.deformation + (ends - line.mean_moment) / line.stiffness
@@ -37,11 +34,9 @@ def static_test_figure(tests: Sequence[StaticTest], found: Sequence[StaticStiffn
             f"{result.coordinate}\n{result.stiffness / 1e5:.2f} ({low} to {high}) 10⁵ N m/rad, p = {result.p_value:.2g}",
             fontsize=8,
         )
-        plain_axes(ax)
-    for ax in grid[:, 0]:
-        ax.set_ylabel("deformation, 10⁻³ rad", fontsize=8)
-    for place in range(len(tests)):
         if place + columns >= len(tests):
-            grid.ravel()[place].set_xlabel("moment, N m", fontsize=8)
-    grid[0, 0].legend(fontsize=7, frameon=False, loc="upper left")
+            ax.set_xlabel("moment, N m")
+    for ax in axes[::columns]:
+        ax.set_ylabel("deformation, 10⁻³ rad")
+    axes[0].legend(fontsize=7, frameon=False, loc="upper left")
     return figure

@@ -9,36 +9,29 @@ from matplotlib.ticker import NullFormatter
 from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.identify.validation import whiteness
-from rx90b_flex.view.axes import plain_axes
-from rx90b_flex.view.plots import AFTER, BEFORE, FLOOR, MEASURED, WIDTH_IN
+from rx90b_flex.view.axes import AFTER, BEFORE, FLOOR, MEASURED, legend, new_figure
 
 
 def residual_correlation(fit: TransferFit) -> Figure:
     """Correlation of the weighted residuals of each output over lines apart, with its 95 % bound (figures 6.6 and 6.13)."""
     white, joints = whiteness(fit), fit.response.joints
-    figure = Figure(figsize=(WIDTH_IN, 1.3 * len(joints) + 0.6), layout="constrained")
-    rows = figure.subplots(len(joints), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+    figure, rows = new_figure(1.3 * len(joints) + 0.6, rows=len(joints), sharex=True, sharey=True)
     for j, ax in enumerate(rows):
-        plain_axes(ax)
         ax.plot([0, *white.lag], [1, *np.abs(white.correlation[:, j])], ".-", color=AFTER, markersize=3, linewidth=0.7)
         ax.plot(white.lag, white.bound, "--", color=BEFORE, linewidth=1.1, label="95 % bound")
         ax.set_title(f"{joints[j]}: {100 * white.inside[j]:.0f} % of lags within the bound", fontsize=9, loc="left")
-        ax.set_ylabel("correlation", fontsize=9)
-    rows[-1].set_xlabel("lines apart", fontsize=9)
+        ax.set_ylabel("correlation")
+    rows[-1].set_xlabel("lines apart")
     rows[0].legend(fontsize=8, frameon=False, loc="upper right")
     return figure
 
 
 def stabilisation(fit: TransferFit) -> Figure:
     """Modes of the fits of every order over frequency, and behind them the mean response (root mean square of its entries)."""
-    figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
-    ax = figure.subplots()
-    plain_axes(ax)
+    figure, (ax,) = new_figure(3.4)
     behind = ax.twinx()
-    hz = fit.response.hz
-    behind.semilogy(
-        hz, np.sqrt((np.abs(fit.response.value) ** 2).mean(axis=(1, 2))), color=MEASURED, alpha=0.35, linewidth=1.0
-    )
+    hz, mean = fit.response.hz, np.sqrt((np.abs(fit.response.value) ** 2).mean(axis=(1, 2)))
+    behind.semilogy(hz, mean, color=MEASURED, alpha=0.35, linewidth=1.0)
     behind.set_ylabel("mean response, rad/s² per N m", fontsize=9)
     behind.tick_params(labelsize=8)
     behind.yaxis.set_minor_formatter(NullFormatter())
@@ -56,7 +49,6 @@ def stabilisation(fit: TransferFit) -> Figure:
     ax.axhline(len(fit.resonances_hz), color=FLOOR, linewidth=0.8, linestyle=":", label="chosen")
     ax.set_xlim(0.9 * hz[0], right)
     ax.set_yticks([one.modes for one in fit.candidates])
-    ax.set_xlabel("frequency, Hz (bars: one standard deviation of what is stable)", fontsize=9)
-    ax.set_ylabel("modes of the fit", fontsize=9)
-    ax.legend(fontsize=8, frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    ax.set(xlabel="frequency, Hz (bars: one standard deviation of what is stable)", ylabel="modes of the fit")
+    legend(ax)
     return figure

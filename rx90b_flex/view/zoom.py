@@ -152,16 +152,8 @@ def _axes(ax: Axes, figure: Figure) -> dict[str, Any]:
             # a comma is matplotlib's pixel and a point is drawn at half its size
             marks = max(2.0, 0.6 * marks) if line.get_marker() == "." else marks
             steps = line.get_drawstyle() == "steps-post"
-            series.append(
-                style
-                | {
-                    "steps": steps,
-                    "line": line.get_linestyle() != "None",
-                    "marks": marks,
-                    "x": _packed(x),
-                    "y": _packed(y),
-                }
-            )
+            drawn = line.get_linestyle() != "None"
+            series.append(style | {"steps": steps, "line": drawn, "marks": marks, "x": _packed(x), "y": _packed(y)})
         elif line.get_transform() == ax.get_yaxis_transform(which="grid"):
             levels.append(style | {"y": float(y[0])})
         else:
@@ -182,14 +174,11 @@ def _span(ax: Axes, patch: Any) -> dict[str, Any]:
     if not isinstance(patch, Rectangle):
         raise ValueError(f"a figure that zooms has no {type(patch).__name__}")
     said = {"label": _label(patch), "colour": to_hex(patch.get_facecolor()), "alpha": float(patch.get_alpha() or 1.0)}
-    x, y = (
-        sorted((patch.get_x(), patch.get_x() + patch.get_width())),
-        sorted((patch.get_y(), patch.get_y() + patch.get_height())),
-    )
+    box = patch.get_bbox()
     if patch.get_data_transform() == ax.get_xaxis_transform(which="grid"):
-        return said | {"from": float(x[0]), "to": float(x[1])}
+        return said | {"from": float(box.xmin), "to": float(box.xmax)}
     if patch.get_data_transform() == ax.get_yaxis_transform(which="grid"):
-        return said | {"bottom": float(y[0]), "top": float(y[1])}
+        return said | {"bottom": float(box.ymin), "top": float(box.ymax)}
     raise ValueError("a figure that zooms has no bars")
 
 
