@@ -25,7 +25,7 @@ class SharedColumns:
     target: Array  # (joints, N)
     weight: Array
     blocks: tuple[slice, ...]
-    precision: Array  # (p,) inverse variance of coefficients before the data: of shapes, which may change by their size
+    precision: Array  # (p, p) inverse covariance of coefficients before the data: penalties; shapes may change by their size
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -62,7 +62,7 @@ class Base:
     def grams(self) -> Array:
         """Weighted Gram matrices, shape (blocks, p, p)."""
         whole = np.einsum("j,bjpq->bpq", self.weight, self.shared.normal.gram)
-        whole = whole + np.diag(self.shared.precision) / len(whole)
+        whole = whole + self.shared.precision / len(whole)
         return whole[:, self.kept[:, None], self.kept]
 
     @cached_property
@@ -185,10 +185,14 @@ class Base:
         return out
 
 
-def solve_beside(left: Array, own: Array, score: Array) -> Array:
-    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
+def solve_beside(left: Array, own: Array, score: Array, precision: Array | None = None) -> Array:
+    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero.
+
+    With a precision (k, k) of theirs before the data they are penalised.
+    """
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+    whole = left if precision is None else left + precision
+    values, vectors = np.linalg.eigh(whole / np.outer(scale, scale))
     kept = values > DETERMINED
     basis = vectors[:, kept]
     return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
