@@ -25,7 +25,9 @@ class SharedColumns:
     target: Array  # (joints, N)
     weight: Array
     blocks: tuple[slice, ...]
-    precision: Array  # (p, p) inverse covariance of coefficients before the data: penalties; shapes may change by their size
+    precision: (
+        Array  # (p, p) inverse covariance of coefficients before the data: penalties; shapes may change by their size
+    )
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -196,3 +198,33 @@ def solve_beside(left: Array, own: Array, score: Array, precision: Array | None 
     kept = values > DETERMINED
     basis = vectors[:, kept]
     return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
+
+
+def penalised_wald(bread: Array, meat: Array, own: Array, precision: Array, beta: Array) -> tuple[float, int, Array]:
+    """Wald statistic of the combinations of penalised coefficients that the data say more of than the penalty, their number,
+    and the coefficients' covariance with the penalty's bias.
+
+    Source: S. N. Wood, "On p-values for smooth components of an extended generalized additive model", Biometrika 100(1), 2013,
+    with as many combinations as the penalty leaves to more than half.
+
+    Parameters
+    ----------
+    bread, meat : array, shape (k, k)
+        Weighted Gram matrix of the columns less the base's part, and the covariance of their score.
+    own : array, shape (k,)
+        Squares of the columns before the base took its part.
+    precision : array, shape (k, k)
+    beta : array, shape (k,)
+    """
+    scale = np.sqrt(np.maximum(own, 1e-300))
+    values, vectors = np.linalg.eigh(bread / np.outer(scale, scale))
+    kept = values > DETERMINED
+    basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
+    bent, turned = np.linalg.eigh(basis.T @ precision @ basis)
+    some = (
+        basis @ turned[:, : max(int((bent < 1.0).sum()), 1)]
+    )  # of the data's precision, which is one in each of these
+    said = some.T @ (bread + precision) @ beta
+    statistic = said @ np.linalg.pinv(some.T @ meat @ some, rcond=1e-10, hermitian=True) @ said
+    inverse = (basis @ turned / (1.0 + bent)) @ (basis @ turned).T
+    return float(statistic), some.shape[1], inverse @ (meat + precision) @ inverse

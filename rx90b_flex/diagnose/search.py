@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg, stats
 
-from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
+from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, penalised_wald, solve_beside
 from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone
@@ -615,11 +615,11 @@ class Search:
         spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(residual, absorbed, strict=True)]
         meat = scatter(apart, base.weight, spectra, spans)
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
-        # a penalty moves what the data say of coefficients, and how likely chance says so: what they say without it is tested
-        said = beta
-        if effect.strength is not None:
-            said = solve_beside(bread[:k, :k], np.diag(own[:k]), (bread[:k, :k] + prior_precision([effect])) @ beta)
-        wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], said, DETERMINED)
+        before = prior_precision([effect])
+        tested = bread[:k, :k], meat[:k, :k], own[:k]
+        wald, free, covariance = (
+            penalised_wald(*tested, before, beta) if before.any() else _wald(*tested, beta, DETERMINED)
+        )
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         shapes = self.free(effect)
         tests = free + len(shapes)
