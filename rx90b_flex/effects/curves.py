@@ -18,8 +18,7 @@ from rx90b_flex.effects.parameters import FRICTION, SPRING, given, linear
 
 KNOTS = 24  # of a curve that a search places: more than it has bends, so that the penalty says how smooth it is
 NEAREST = 0.5 / KNOTS  # of their range: knots lie no nearer to each other, where samples crowd
-STANDS = 1e-6  # of the range: a joint that hardly leaves one value has no curve
-OUTERMOST = 0.0  # part of the samples beyond the last knot on either side, where the curve goes on level
+STANDS = 1e-12  # rad or rad/s within which a joint has no curve: it does not move
 
 
 class ManyCoefficients(JointForce):
@@ -123,7 +122,8 @@ class _Curve(ManyCoefficients, last_resort=True):
         return np.asarray(ends + middle.T @ (weight[:, None] * middle))
 
     def penalised(self, strength: float) -> Self:
-        return dataclasses.replace(self, strength=strength)
+        change: dict[str, Any] = {"strength": strength}
+        return dataclasses.replace(self, **change)
 
     def placed(self, motion: Motion) -> Self:
         """With knots over what this motion covers, half of them evenly and half where it has its samples; without any where it
@@ -131,13 +131,12 @@ class _Curve(ManyCoefficients, last_resort=True):
         """
         at = self.abscissa(motion.joint(self.joint))
         x = np.unique(at)  # a joint at rest has one velocity, however long it stands
-        low, high = np.quantile(x, [OUTERMOST, 1.0 - OUTERMOST])
+        low, high = x[0], x[-1]
         change: dict[str, Any] = {self.knots_name: ()}
-        if high - low > STANDS * max(float(np.ptp(x)), 1e-12):
-            inside = x[(x >= low) & (x <= high)]
-            evenly = np.linspace(low, high, len(inside))
+        if high - low > STANDS:
+            evenly = np.linspace(low, high, len(x))
             knots = [float(low)]
-            for knot in np.quantile(np.concatenate([inside, evenly]), np.linspace(0.0, 1.0, KNOTS))[1:-1]:
+            for knot in np.quantile(np.concatenate([x, evenly]), np.linspace(0.0, 1.0, KNOTS))[1:-1]:
                 if min(knot - knots[-1], high - knot) > NEAREST * (high - low):
                     knots.append(float(knot))
             change = {self.knots_name: (*knots, float(high))}
