@@ -25,7 +25,9 @@ class SharedColumns:
     target: Array  # (joints, N)
     weight: Array
     blocks: tuple[slice, ...]
-    precision: Array  # (p,) inverse variance of coefficients before the data: of shapes, which may change by their size
+    precision: (
+        Array  # (p, p) inverse covariance of coefficients before the data: penalties; shapes may change by their size
+    )
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -62,7 +64,7 @@ class Base:
     def grams(self) -> Array:
         """Weighted Gram matrices, shape (blocks, p, p)."""
         whole = np.einsum("j,bjpq->bpq", self.weight, self.shared.normal.gram)
-        whole = whole + np.diag(self.shared.precision) / len(whole)
+        whole = whole + self.shared.precision / len(whole)
         return whole[:, self.kept[:, None], self.kept]
 
     @cached_property
@@ -185,10 +187,44 @@ class Base:
         return out
 
 
-def solve_beside(left: Array, own: Array, score: Array) -> Array:
-    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
+def solve_beside(left: Array, own: Array, score: Array, precision: Array | None = None) -> Array:
+    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero.
+
+    With a precision (k, k) of theirs before the data they are penalised.
+    """
     scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+    whole = left if precision is None else left + precision
+    values, vectors = np.linalg.eigh(whole / np.outer(scale, scale))
     kept = values > DETERMINED
     basis = vectors[:, kept]
     return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
+
+
+def penalised_wald(bread: Array, meat: Array, own: Array, precision: Array, beta: Array) -> tuple[float, int, Array]:
+    """Wald statistic of the combinations of penalised coefficients that the data say more of than the penalty, their number,
+    and the coefficients' covariance with the penalty's bias.
+
+    Source: S. N. Wood, "On p-values for smooth components of an extended generalized additive model", Biometrika 100(1), 2013,
+    with as many combinations as the penalty leaves to more than half.
+
+    Parameters
+    ----------
+    bread, meat : array, shape (k, k)
+        Weighted Gram matrix of the columns less the base's part, and the covariance of their score.
+    own : array, shape (k,)
+        Squares of the columns before the base took its part.
+    precision : array, shape (k, k)
+    beta : array, shape (k,)
+    """
+    scale = np.sqrt(np.maximum(own, 1e-300))
+    values, vectors = np.linalg.eigh(bread / np.outer(scale, scale))
+    kept = values > DETERMINED
+    basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
+    bent, turned = np.linalg.eigh(basis.T @ precision @ basis)
+    some = (
+        basis @ turned[:, : max(int((bent < 1.0).sum()), 1)]
+    )  # of the data's precision, which is one in each of these
+    said = some.T @ (bread + precision) @ beta
+    statistic = said @ np.linalg.pinv(some.T @ meat @ some, rcond=1e-10, hermitian=True) @ said
+    inverse = (basis @ turned / (1.0 + bent)) @ (basis @ turned).T
+    return float(statistic), some.shape[1], inverse @ (meat + precision) @ inverse

@@ -9,9 +9,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy import stats
+from scipy import linalg, stats
 
-from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, solve_beside
+from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, penalised_wald, solve_beside
 from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family, shows_by_itself
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone
@@ -25,6 +25,7 @@ from rx90b_flex.identify.least_squares import (
     identify,
     shared_values,
 )
+from rx90b_flex.identify.penalty import parameters_used, prior_precision, smoothed
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.levenberg import Damping, Iterate, lowest
 
@@ -118,7 +119,8 @@ class Search:
         """Columns and target in the form that trials use."""
         shapes = self.model.shapes
         sizes = shapes.per_step(shapes.values(self.model.effects))
-        precision = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
+        of_shapes = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
+        precision = self.model.precision + np.diag(of_shapes)
         target = np.ascontiguousarray(self.target.T)
         return SharedColumns(self.model.derivatives, target, self.model.solution.sigma**-2.0, self.blocks, precision)
 
@@ -148,7 +150,9 @@ class Search:
         more = ColumnsByJoint.of(parts, len(self.target.T), len(self.target))
         none = np.zeros(ends[-1] - len(kept))
         shared = dataclasses.replace(
-            self.shared, columns=present.beside(more), precision=np.concatenate([self.shared.precision[kept], none])
+            self.shared,
+            columns=present.beside(more),
+            precision=linalg.block_diag(self.shared.precision[np.ix_(kept, kept)], prior_precision(restored)),
         )
         return Base(shared, np.arange(ends[-1]), np.concatenate([theta[kept], none]))
 
@@ -470,14 +474,21 @@ class Search:
         b, y, d = (np.array(part) for part in zip(*per_block, strict=True))
         theta, inverse = base.whole
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
-        beta = solve_beside(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta)
-        block_gains = present.held_out - self._held_out(base, b, y, d)
+        if effect.roughness is not None:
+            effect = smoothed(
+                effect, d.sum(axis=0), lambda e: float(self._held_out(base, b, y, d, prior_precision([e])).sum())
+            )
+        before = prior_precision([effect])
+        used = parameters_used(left, before)
+        size += round(used) - k
+        beta = solve_beside(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta, before)
+        block_gains = present.held_out - self._held_out(base, b, y, d, before)
         # one that takes another's place and adds no parameter is there if it tells something beside that one, too
         known, also = base, beta
         if size <= 0:
             known = present
             left, own, score = present.projected(rows, columns)
-            also = solve_beside(left, own, score)
+            also = solve_beside(left, own, score, before)
         p_value, objection, colour, left_over = self._evidence(effect, known, rows, beside, also)
         if effect.traits.by_clock and self._follows_motion(base.residual[rows], effect):
             objection = "its line lies among those of the motion itself"
@@ -498,7 +509,7 @@ class Search:
             not objection,
             colour,
             objection,
-            *self._left_out(base, present, (b, y, d), len(beta) * colour, gain),
+            *self._left_out(base, present, (b, y, d), before, used * colour, gain),
             small=found.too_small(
                 _off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s, self.longest
             )
@@ -507,14 +518,14 @@ class Search:
         )
 
     def _left_out(
-        self, base: Base, present: Base, products: tuple[Array, ...], chance: float, gain: float
+        self, base: Base, present: Base, products: tuple[Array, ...], precision: Array, chance: float, gain: float
     ) -> tuple[Array, Array]:
         """`lost` and `by_chance` where whole recordings, or parts of a single one, are left out; nothing if it is short."""
         if (len(self.blocks) < 2 * PARTS and len(self.regression.spans) < FEWEST_RECORDINGS) or gain <= 0:
             return np.zeros(0), np.zeros(0)
         b, y, d = (np.array([part[at].sum(axis=0) for at in self.longest_parts]) for part in products)
         before = present.grouped(self.longest_parts)
-        lost = self._held_out(base.grouped(self.longest_parts), b, y, d) - before.held_out
+        lost = self._held_out(base.grouped(self.longest_parts), b, y, d, precision) - before.held_out
         parts = np.array([len(at) for at in self.longest_parts]) / len(self.blocks)
         # what a fit to the others costs a recording by chance: as much as it is longer than they are together
         spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
@@ -563,14 +574,14 @@ class Search:
         if len(rows) == 0:  # this motion does not show it
             return base.residual
         left, own, score = base.projected(rows, columns)
-        return base.residual - base.apart(rows, columns) @ solve_beside(left, own, score)
+        return base.residual - base.apart(rows, columns) @ solve_beside(left, own, score, prior_precision([effect]))
 
-    def _held_out(self, base: Base, b: Array, y: Array, d: Array) -> Array:
+    def _held_out(self, base: Base, b: Array, y: Array, d: Array, precision: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
         out = np.empty(len(b))
         for i, (theta, inverse) in enumerate(base.without):
             bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x[i] for x in (b, y, d))
-            beta = solve_beside(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
+            beta = solve_beside(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta, precision)
             new = theta - inverse @ (bb @ beta)
             out[i] = (
                 base.powers[i]
@@ -605,7 +616,11 @@ class Search:
         spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(residual, absorbed, strict=True)]
         meat = scatter(apart, base.weight, spectra, spans)
         bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
-        wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta, DETERMINED)
+        before = prior_precision([effect])
+        tested = bread[:k, :k], meat[:k, :k], own[:k]
+        wald, free, covariance = (
+            penalised_wald(*tested, before, beta) if before.any() else _wald(*tested, beta, DETERMINED)
+        )
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         shapes = self.free(effect)
         tests = free + len(shapes)

@@ -16,8 +16,9 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, SPRING, given, linear
 
-KNOTS = 9  # of a curve that a search places: two for each of its bends
-OUTERMOST = 0.02  # part of the samples beyond the last knot on either side, where the curve goes on level
+KNOTS = 24  # of a curve that a search places: more than it has bends, so that the penalty says how smooth it is
+NEAREST = 0.5 / KNOTS  # of their range: knots lie no nearer to each other, where samples crowd
+STANDS = 1e-12  # rad or rad/s within which a joint has no curve: it does not move
 
 
 class ManyCoefficients(JointForce):
@@ -77,9 +78,19 @@ def along_curve(x: float, rate: float, parameters: Any, out: Any) -> None:
 
 
 class _Curve(ManyCoefficients, last_resort=True):
-    """A natural cubic spline through a torque at each knot, level beyond the last ones."""
+    """A natural cubic spline through a torque at each knot, level beyond the last ones.
+
+    A fit penalises how far it bends from knot to knot, ``integral h(x)^3 f''(x)^2 dx`` with the distance h of the two knots on
+    either side: second differences, on knots that are not equally far apart. A straight line has none. How much that counts the
+    data choose: blocks that are held out.
+
+    Source: P. H. C. Eilers, B. D. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science 11(2), 1996;
+    the integral of a natural cubic spline as in P. J. Green, B. W. Silverman, "Nonparametric Regression and Generalized Linear
+    Models", 1994, chapter 2.
+    """
 
     knots_name: ClassVar[str]
+    strength: float | None
 
     def __post_init__(self) -> None:
         if len(self.knots) and (len(self.knots) < 3 or (np.diff(self.knots) <= 0).any()):
@@ -98,12 +109,37 @@ class _Curve(ManyCoefficients, last_resort=True):
     def count(self) -> int:
         return len(self.knots)
 
+    @property
+    def roughness(self) -> Array | None:
+        if not self.count:
+            return None
+        bent = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")(self.knots, 2)
+        # a second derivative goes straight from knot to knot: the integral of its square by Simpson's rule
+        begin, end = bent[:-1], bent[1:]
+        weight = np.diff(self.knots) ** 4 / 6.0
+        ends = begin.T @ (weight[:, None] * begin) + end.T @ (weight[:, None] * end)
+        middle = begin + end
+        return np.asarray(ends + middle.T @ (weight[:, None] * middle))
+
+    def penalised(self, strength: float) -> Self:
+        change: dict[str, Any] = {"strength": strength}
+        return dataclasses.replace(self, **change)
+
     def placed(self, motion: Motion) -> Self:
-        """With knots where this motion has its samples, each between as many as the others; without any where it does not move."""
-        x = self.abscissa(motion.joint(self.joint))
-        knots = np.quantile(x, np.linspace(OUTERMOST, 1.0 - OUTERMOST, KNOTS))
-        apart = np.diff(knots) > 1e-6 * max(float(np.ptp(x)), 1e-12)
-        change: dict[str, Any] = {self.knots_name: tuple(knots.tolist()) if apart.all() else ()}
+        """With knots over what this motion covers, half of them evenly and half where it has its samples; without any where it
+        does not move.
+        """
+        at = self.abscissa(motion.joint(self.joint))
+        x = np.unique(at)  # a joint at rest has one velocity, however long it stands
+        low, high = x[0], x[-1]
+        change: dict[str, Any] = {self.knots_name: ()}
+        if high - low > STANDS:
+            evenly = np.linspace(low, high, len(x))
+            knots = [float(low)]
+            for knot in np.quantile(np.concatenate([x, evenly]), np.linspace(0.0, 1.0, KNOTS))[1:-1]:
+                if min(knot - knots[-1], high - knot) > NEAREST * (high - low):
+                    knots.append(float(knot))
+            change = {self.knots_name: (*knots, float(high))}
         return dataclasses.replace(self, **change)
 
     @abstractmethod
@@ -144,13 +180,15 @@ class FrictionCurve(_Curve):
 
     Source
     ------
-    Not in Hardeman 2008; a natural cubic spline.
+    Not in Hardeman 2008; a natural cubic spline that is penalised for its bends: P. H. C. Eilers, B. D. Marx, Statistical Science
+    11(2), 1996.
     """
 
     knots_name: ClassVar[str] = "velocities"
 
     velocities: tuple[float, ...] = given("rad/s", size=0)
     torques: tuple[float, ...] | None = linear("N m", rank=FRICTION, size=0)
+    strength: float | None = None  # of the penalty in a fit, 1/(N m)^2
 
     def abscissa(self, at: JointMotion) -> Array:
         return at.v
@@ -174,13 +212,15 @@ class AngleCurve(_Curve, part="spring"):
 
     Source
     ------
-    Not in Hardeman 2008; a natural cubic spline.
+    Not in Hardeman 2008; a natural cubic spline that is penalised for its bends: P. H. C. Eilers, B. D. Marx, Statistical Science
+    11(2), 1996.
     """
 
     knots_name: ClassVar[str] = "angles"
 
     angles: tuple[float, ...] = given("rad", size=0)
     torques: tuple[float, ...] | None = linear("N m", rank=SPRING, size=0)
+    strength: float | None = None  # of the penalty in a fit, 1/(N m)^2
 
     def abscissa(self, at: JointMotion) -> Array:
         return at.q

@@ -131,6 +131,23 @@ class Hints(Parametrized, ABC):
             "" if part >= SMALLEST_PART else f"it takes {max(part, 0.0):.1%} off a joint's error, too little for a name"
         )
 
+    @property
+    def roughness(self) -> Array | None:
+        """What a fit keeps small beside the squared error: a quadratic form of the coefficients, (k, k); None: nothing.
+
+        The penalty is its `strength` times this, as if the coefficients had that inverse covariance before the data.
+        """
+        return None
+
+    @property
+    def strength(self) -> float | None:
+        """Of the penalty; None: not chosen yet, which a fit or a trial does by its data."""
+        return None
+
+    def penalised(self, strength: float) -> Self:
+        """With that strength of its penalty."""
+        return self
+
     def placed(self, motion: Motion) -> Self:
         """Prepared for a search on a motion: with what of its geometry this motion suggests."""
         return self

@@ -21,8 +21,10 @@ from rx90b_flex.identify.normal_equations import (
     column_scale,
     fit_weighted,
     solve_weighted,
+    squares_held_out,
     squares_left,
 )
+from rx90b_flex.identify.penalty import prior_precision, smoothed
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.levenberg import Iterate, lowest
@@ -102,7 +104,7 @@ class Identification:
         """What the fit took out of each joint's noise (`absorbed_by_fit`)."""
         regression, weight = self.regression, self.solution.sigma**-2.0
         longest = int(CORRELATION_S * regression.segments[0].rate_hz)
-        return absorbed_each(self.derivatives, len(self.theta) + len(self.shapes), weight, regression.spans, longest)
+        return absorbed_each(self.derivatives, self.precision, weight, regression.spans, longest)
 
     @property
     def relative_error(self) -> float:
@@ -124,10 +126,18 @@ class Identification:
         return tuple(e.in_tree(motion) for e in self.effects)
 
     @property
+    def precision(self) -> Array:
+        """Inverse covariance of theta and the shape parameters before the data, (p + s, p + s): penalties, else zero."""
+        out = np.zeros((len(self.theta) + len(self.shapes),) * 2)
+        out[: len(self.theta), : len(self.theta)] = _beside_links(prior_precision(self.effects), self.first_column(0))
+        return out
+
+    @property
     def information(self) -> Array:
-        """Weighted Gram matrix of all coefficients, shape (p, p)."""
+        """Weighted Gram matrix of all coefficients with their penalties, shape (p, p)."""
         size = len(self.theta)
-        return self.derivatives.gram(self.solution.sigma**-2.0, size + len(self.shapes))[:size, :size]
+        whole = self.derivatives.gram(self.solution.sigma**-2.0, size + len(self.shapes)) + self.precision
+        return whole[:size, :size]
 
     def with_rest(self, change: Array) -> tuple[Effect, ...]:
         """The effects with their coefficients changed; shape (p - links,)."""
@@ -244,7 +254,7 @@ def identify(
     links = regression.robot.link_parameters if start is None else start.link_parameters
     circular = any(e.traits.needs_load or e.traits.needs_model for e in effects)
     known = effects if start is None else start.effects
-    fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links)
+    fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links).smoothed()
     # shapes that an earlier fit of all these effects settled need no order among them
     together = start is not None and {e.label for e in effects} <= {e.label for e in start.effects}
     if any(e.traits.coefficients_follow and len(e.shape) for e in effects):
@@ -469,7 +479,34 @@ class _Fit:
 
     @cached_property
     def solution(self) -> Solution:
-        return fit_weighted(self.normal, self.prior)
+        return fit_weighted(self.normal, self.prior, precision=self.precision)
+
+    @cached_property
+    def precision(self) -> Array:
+        """Inverse covariance of the coefficients before the data, shape (p, p): penalties, else zero."""
+        return _beside_links(prior_precision(self.effects), self._offset)
+
+    def smoothed(self) -> _Fit:
+        """With strengths of penalties that were not chosen yet, each by what is predicted of blocks that are held out."""
+        fit = self
+        for i, effect in enumerate(self.effects):
+            if effect.roughness is not None and effect.strength is None:
+                fit = fit._with_strength(i)
+        return fit
+
+    def _with_strength(self, index: int) -> _Fit:
+        def of(effect: Effect) -> _Fit:
+            effects = (*self.effects[:index], effect, *self.effects[index + 1 :])
+            return dataclasses.replace(self, effects=effects)
+
+        normal = NormalEquations.by_joint(self.columns, self.goal, self.regression.blocks(), len(self.prior))
+        sigma, at = self.solution.sigma, self._places[index]
+        own = np.einsum("j,jpq->pq", sigma**-2.0, normal.total[0])[np.ix_(at, at)]
+
+        def held_out(effect: Effect) -> float:
+            return squares_held_out(normal, self.prior, sigma, of(effect).precision)
+
+        return of(smoothed(self.effects[index], own, held_out))
 
     @property
     def link_parameters(self) -> Array:
@@ -559,7 +596,7 @@ class _Fit:
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
-        return squares_left(self.normal, self.prior, sigma)
+        return squares_left(self.normal, self.prior, sigma, self.precision)
 
     def refined(self, rounds: int = 100, together: bool = False) -> _Fit:
         """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).
@@ -590,7 +627,7 @@ class _Fit:
                 np.add.at(with_columns, np.ix_(s, at), weight * products)
             np.add.at(own, np.ix_(s, s), weight * d.T @ d)
             np.add.at(score, s, weight * left)
-        gram = np.einsum("j,jpq->pq", sigma**-2.0, self.normal.total[0])
+        gram = np.einsum("j,jpq->pq", sigma**-2.0, self.normal.total[0]) + self.precision
         inverse = solve_weighted(gram, np.zeros(size), np.zeros(size))[1]
         step = self.shapes.per_step(self.shape)
         return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
@@ -605,14 +642,17 @@ class _Fit:
         free = np.flatnonzero(~np.concatenate([self.follows, np.zeros(len(self.shape), dtype=bool)]))
         estimated = derivatives if len(free) == size else derivatives.kept(free, size)
         longest = int(CORRELATION_S * regression.segments[0].rate_hz)
-        absorbed = absorbed_each(estimated, len(free), solution.sigma**-2.0, spans, longest)
+        precision = np.zeros((size, size))
+        precision[: len(self.precision), : len(self.precision)] = self.precision
+        before = precision[np.ix_(free, free)]
+        absorbed = absorbed_each(estimated, before, solution.sigma**-2.0, spans, longest)
         spectra = tuple(
             residual_spectrum(r, spans, a, longest)
             for r, a in zip((residual / np.sqrt(regression.share)).T, absorbed, strict=True)
         )
         covariance = np.zeros((size, size))
         if with_covariance:
-            covariance[np.ix_(free, free)] = coloured_covariance(estimated, len(free), solution.sigma, spectra, spans)
+            covariance[np.ix_(free, free)] = coloured_covariance(estimated, before, solution.sigma, spectra, spans)
         found = Identification(
             self.valued,
             self.link_parameters,
@@ -659,11 +699,16 @@ class _Shaped(Iterate):
         return dataclasses.replace(self, sigma=self.fit.solution.sigma)
 
 
+def _beside_links(precision: Array, links: int) -> Array:
+    """A precision of the effects' coefficients with the links' before them, of which nothing is known."""
+    return np.pad(precision, ((links, 0), (links, 0)))
+
+
 def absorbed_each(
-    columns: ColumnsByJoint, count: int, weight: Array, spans: Sequence[slice], longest: int
+    columns: ColumnsByJoint, precision: Array, weight: Array, spans: Sequence[slice], longest: int
 ) -> list[Array]:
-    """`absorbed_by_fit` of each joint, for columns in `count` places fitted with the inverse variances `weight`."""
-    gram = columns.gram(weight, count)
+    """`absorbed_by_fit` of each joint, for columns fitted with inverse variances `weight` and a precision (p, p) before the data."""
+    gram = columns.gram(weight, len(precision)) + precision
     scale = column_scale(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
@@ -673,15 +718,17 @@ def absorbed_each(
 
 
 def coloured_covariance(
-    columns: ColumnsByJoint, count: int, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]
+    columns: ColumnsByJoint, precision: Array, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]
 ) -> Array:
-    """Covariance of weighted least-squares estimates of columns in `count` places under coloured noise: A^-1 S A^-1.
+    """Covariance of weighted least-squares estimates of columns under coloured noise: (A + P)^-1 (S + P) (A + P)^-1.
 
-    A is the weighted Gram matrix, S the covariance of the weighted score. Undetermined directions count as zero.
+    A is the weighted Gram matrix, S the covariance of the weighted score, P the precision (p, p) before the data: with it the bias of
+    penalised coefficients counts (D. Nychka, Journal of the American Statistical Association 83, 1988). Undetermined directions count
+    as zero.
     """
-    weight = sigma**-2.0
-    _, inverse, _, _ = solve_weighted(columns.gram(weight, count), np.zeros(count), np.zeros(count))
-    score = np.zeros((count, count))
+    weight, count = sigma**-2.0, len(precision)
+    _, inverse, _, _ = solve_weighted(columns.gram(weight, count) + precision, np.zeros(count), np.zeros(count))
+    score = np.array(precision)
     for w, at, x, spectrum in zip(weight, columns.places, columns.columns, spectra, strict=True):
         for span in spans:
             score[np.ix_(at, at)] += w**2 * spectrum.product(x[span])

@@ -149,7 +149,13 @@ def _coefficients(gram: Array, cross: Array, prior: Array) -> Array:
     return np.asarray(prior + found / scale)
 
 
-def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = None, rounds: int = 12) -> Solution:
+def fit_weighted(
+    normal: NormalEquations,
+    prior: Array,
+    sigma: Array | None = None,
+    rounds: int = 12,
+    precision: Array | None = None,
+) -> Solution:
     """Weighted least squares, one weight a joint from its own residual, iterated.
 
     Parameters
@@ -159,8 +165,11 @@ def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = No
         Values to stay near where the data says nothing.
     sigma : array, shape (joints,), optional
         Fixed residual standard deviations; they are iterated where not given.
+    precision : array, shape (p, p), optional
+        Inverse covariance of the coefficients about zero before the data: a penalty.
     """
     gram, cross, power = normal.total
+    before = np.zeros((len(prior), len(prior))) if precision is None else precision
     samples = int(normal.counts.sum())
     fixed = sigma is not None
     # noise-free data must not make one joint's weight infinite
@@ -169,7 +178,7 @@ def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = No
 
     def weighted() -> tuple[Array, Array]:
         weight = current**-2.0
-        return np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross)
+        return np.einsum("j,jpq->pq", weight, gram) + before, np.einsum("j,jp->p", weight, cross)
 
     last = weighted()
     for _ in range(0 if fixed else rounds):
@@ -184,9 +193,21 @@ def fit_weighted(normal: NormalEquations, prior: Array, sigma: Array | None = No
     return Solution(theta, current, inverse, null, scale)
 
 
-def squares_left(normal: NormalEquations, prior: Array, sigma: Array) -> float:
-    """Sum of squares over given variances at the best coefficients."""
+def squares_left(normal: NormalEquations, prior: Array, sigma: Array, precision: Array) -> float:
+    """Sum of squares over given variances, and of the penalty by a precision (p, p), at the best coefficients."""
     gram, cross, _ = normal.total
     weight = sigma**-2.0
-    theta = _coefficients(np.einsum("j,jpq->pq", weight, gram), np.einsum("j,jp->p", weight, cross), prior)
-    return float(normal.squares(theta) @ weight)
+    theta = _coefficients(np.einsum("j,jpq->pq", weight, gram) + precision, np.einsum("j,jp->p", weight, cross), prior)
+    return float(normal.squares(theta) @ weight + theta @ precision @ theta)
+
+
+def squares_held_out(normal: NormalEquations, prior: Array, sigma: Array, precision: Array) -> float:
+    """Sum of squares over given variances on each block at the coefficients that are best on the others."""
+    weight = sigma**-2.0
+    grams, crosses = np.einsum("j,bjpq->bpq", weight, normal.gram), np.einsum("j,bjp->bp", weight, normal.cross)
+    gram, cross = grams.sum(axis=0) + precision, crosses.sum(axis=0)
+    left = float((normal.power @ weight).sum())
+    for g, c in zip(grams, crosses, strict=True):
+        theta = _coefficients(gram - g, cross - c, prior)
+        left += float(theta @ g @ theta - 2.0 * c @ theta)
+    return left

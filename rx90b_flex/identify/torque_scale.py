@@ -130,6 +130,12 @@ class _Bilinear:
     model: Identification
     places: Sequence[int]
 
+    @property
+    def precision(self) -> Array:
+        """Inverse covariance of theta and gains before the data, shape (p + gains, p + gains)."""
+        p = len(self.model.theta)
+        return np.pad(self.model.precision[:p, :p], (0, len(self.places)))
+
     def solved(self) -> tuple[Array, Solution, Array, Array]:
         """Gains, the last linear solution, its columns and the residual."""
         logged = np.concatenate([s.torque for s in self.regression.segments])
@@ -150,7 +156,8 @@ class _Bilinear:
                 columns[:, j, p + k] = torque[:, j]
             at = np.concatenate([theta, gains])
             rest = logged - torque * all_gains
-            solution = fit_weighted(NormalEquations.of(columns, rest + columns @ at, whole), at)
+            normal = NormalEquations.of(columns, rest + columns @ at, whole)
+            solution = fit_weighted(normal, at, precision=self.precision)
             step = solution.theta - at
             theta, gains = theta + step[:p], gains + step[p:]
             if np.abs(step[p:] / gains).max() < SETTLED:
@@ -178,6 +185,6 @@ class _Bilinear:
         spans = self.regression.spans
         longest = int(CORRELATION_S * self.regression.segments[0].rate_hz)
         by_joint = ColumnsByJoint.of_dense(np.arange(columns.shape[2]), columns)
-        absorbed = absorbed_each(by_joint, columns.shape[2], solution.sigma**-2.0, spans, longest)
+        absorbed = absorbed_each(by_joint, self.precision, solution.sigma**-2.0, spans, longest)
         spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(rest.T, absorbed, strict=True)]
-        return coloured_covariance(by_joint, columns.shape[2], solution.sigma, spectra, spans)
+        return coloured_covariance(by_joint, self.precision, solution.sigma, spectra, spans)

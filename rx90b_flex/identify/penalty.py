@@ -1,0 +1,51 @@
+"""Penalties of effects that have one, as a precision of their coefficients, and how strong they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy import linalg
+
+from rx90b_flex.effects import Effect
+from rx90b_flex.effects.motion import Array
+
+# Strengths that are tried, of what makes a penalty weigh as much as the data: from none that shows to all that it can do.
+STRENGTHS = np.geomspace(1e-8, 1e5, 27)
+
+
+def prior_precision(effects: Sequence[Effect]) -> Array:
+    """Inverse covariance of the coefficients of effects before the data, (p, p), (coefficient's unit)^-2; zero without penalties."""
+    parts = [np.zeros((0, 0))]
+    for effect in effects:
+        k = len(effect.coefficients)
+        rough = None if effect.strength is None else effect.roughness
+        parts.append(np.zeros((k, k)) if rough is None or effect.strength is None else effect.strength * rough)
+    return np.asarray(linalg.block_diag(*parts))
+
+
+def smoothed(effect: Effect, own: Array, held_out: Callable[[Effect], float]) -> Effect:
+    """With the strength of its penalty that predicts best what is held out.
+
+    Parameters
+    ----------
+    effect : Effect
+        One that has a penalty.
+    own : array, shape (k, k)
+        Weighted Gram matrix of its columns.
+    held_out : callable
+        Weighted squared error with an effect on what was held out.
+    """
+    rough = effect.roughness
+    size = 0.0 if rough is None else float(np.trace(rough))
+    if size <= 0.0:
+        return effect
+    tried = [effect.penalised(float(x * np.trace(own) / size)) for x in STRENGTHS]
+    return min(tried, key=held_out)
+
+
+def parameters_used(gram: Array, precision: Array) -> float:
+    """How many parameters coefficients come to under a precision: the trace of ``(gram + precision)^-1 gram``, (k, k) each."""
+    if not precision.any():
+        return float(len(gram))
+    return float(np.trace(np.linalg.pinv(gram + precision, rcond=1e-12, hermitian=True) @ gram))
