@@ -80,7 +80,7 @@ def first_stage(
     for i in range(n):
         s.a[i] = 0.0
     if wide is not None:
-        w = view(wide, room, n)
+        w = view(wide, room, s.a)
         links_torques(tree, s, wide, room, w, laws.wanted[0], q, v, s.a)
     else:
         inverse_dynamics(tree, s, q, v, s.a, s.generalised)
@@ -101,17 +101,17 @@ def first_stage(
         _add_extra_to_system(extra, lane, gh, s.system)
         factor_general(s.system)
     elif wide is not None:
-        first_system(s, w, gh, h, v)
+        first_system(s, tree.partner, w, gh, h, v)
     else:
-        factor(s.system)
+        factor(s.system, tree.partner)
     for i in range(n):
         s.k_v[i] = s.right[i]
     if extra is not None:
         solve_general(s.system, s.k_v)
     elif wide is not None:
-        solve_leaning(s, w, s.k_v, w.whole.shape[1])
+        solve_leaning(s, tree.partner, w, s.k_v, w.whole.shape[1])
     else:
-        solve(s.system, s.k_v)
+        solve(s.system, tree.partner, s.k_v)
     for i in range(n):
         s.k_q[i] = h * v[i] + gh * s.k_v[i]
         s.q[i] = q[i] + s.k_q[i]
@@ -133,9 +133,8 @@ def _bend(laws: Laws, s: Scratch, h: float) -> Any:
         missed = s.late_torques[m] - laws.inertia[m] * combine(laws, m, s.a)
         missed -= s.torques[m] + s.by_rate[m] * rate + s.by_x[m] * x
         lightest = 0.0
-        for w in range(laws.place.shape[1]):
-            if laws.weight[m, w] != 0.0:  # inverse pivots: of the inertia that this coordinate turns, or more
-                lightest = larger_size(lightest, s.system[laws.place[m, w], laws.place[m, w]])
+        for w in range(laws.width[m]):  # inverse pivots: of the inertia that this coordinate turns, or more
+            lightest = larger_size(lightest, s.system[laws.place[m, w], laws.place[m, w]])
         most = larger_size(most, missed * lightest)
     return h * h * most
 
@@ -164,7 +163,7 @@ def second_stage(
     """
     n, gh = len(q), GAMMA * h
     if wide is not None:
-        w = view(wide, room, n)
+        w = view(wide, room, s.a)
         links_torques(tree, s, wide, room, w, laws.wanted[0], s.q, s.v, s.a)
     else:
         inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
@@ -187,9 +186,9 @@ def second_stage(
         add_dense(extra.stiffness, lane, -gh, s.q, s.right)
         solve_general(s.system, s.right)
     elif wide is not None:
-        second_system(s, w, gh)
+        second_system(s, tree.partner, w, gh)
     else:
-        solve(s.system, s.right)
+        solve(s.system, tree.partner, s.right)
     for i in range(n):
         q[i] += 1.5 * s.k_q[i] + 0.5 * (s.q[i] + gh * s.right[i])
         v[i] += 1.5 * s.k_v[i] + 0.5 * s.right[i]
