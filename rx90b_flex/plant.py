@@ -149,8 +149,9 @@ def order_of(n: int) -> Order:
 class Stepped:
     """A plant in the coordinates in which it is stepped.
 
-    Where the joint of a torsion does nothing but turn on about its drive's axis, the drive's angle e and the link's, theta = e + epsilon, stand for e and
-    epsilon: q' of equations 3.73-3.83, e first. In it no link feels a drive, which leaves smaller a tree and a mass matrix.
+    Where the joint of a torsion epsilon does nothing but turn on about its drive's axis, the drive's angle e and the link's,
+    theta = e + epsilon, stand for e and epsilon: q' of equations 3.73-3.83, e first. In it no link feels a drive, so that tree and
+    mass matrix are smaller by that joint.
 
     Attributes
     ----------
@@ -203,7 +204,11 @@ def _twisting(tree: Tree, drives: Integers, ports: Array) -> Integers:
     """
     found = []
     for i, p in enumerate(tree.parent):
-        plain = p in drives and i not in drives and not (tree.heavy[p] or tree.shifted[i] or tree.turned[i] or tree.prismatic[p])
+        plain = (
+            p in drives
+            and i not in drives
+            and not (tree.heavy[p] or tree.shifted[i] or tree.turned[i] or tree.prismatic[p])
+        )
         if plain and (tree.axis[p] == tree.axis[i]).all() and np.count_nonzero(tree.parent == p) == 1:
             joined = ports[ports[:, p] != ports[:, i]]
             joined[:, [p, i]] = 0.0
@@ -280,7 +285,16 @@ def wide_of(laws: Sequence[Law], plant: Plant, q: Array) -> Wide:
         acts = int(np.flatnonzero(law.port)[-1])
         drive = int(np.flatnonzero(plant.drives == acts)[0]) if law.at in ("measured", "motor") else -1
         loaded = behind.links[acts] if law.loaded else -1
-        whole[:, m] = KINDS[law.at], _address(law), law.stores, len(law.parameters), loaded, law.remembers, drive, _leans(law)
+        whole[:, m] = (
+            KINDS[law.at],
+            _address(law),
+            law.stores,
+            len(law.parameters),
+            loaded,
+            law.remembers,
+            drive,
+            _leans(law),
+        )
         parameters[m, : len(law.parameters)] = law.parameters
         memory[:, m, 0] = q @ reading[m]
     both = 2, len(laws), width

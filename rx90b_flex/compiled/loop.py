@@ -8,9 +8,11 @@ import numpy as np
 
 from rx90b_flex.compiled.compile import Array, entry, inlined
 from rx90b_flex.compiled.controller import RUNNING, Inputs, Lanes, Logs, Loop, control
+from rx90b_flex.compiled.laws import Laws
 from rx90b_flex.compiled.packed import LAWS, Packed, unpack
-from rx90b_flex.compiled.scratch import scratch_in, scratch_size
-from rx90b_flex.compiled.step import first_stage, second_stage
+from rx90b_flex.compiled.scratch import Scratch, scratch_in, scratch_size
+from rx90b_flex.compiled.step import begin, evaluate, first_stage, second_stage
+from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH, aligned, seen_as, spread, width_of, working_memory
 from rx90b_flex.compiled.wide import Wide, deliver, load_room, room_size, show, store_room
 
@@ -57,6 +59,32 @@ def _store(
         lanes.v[lane, i] = packed[1, i, place]
     for j in range(len(loop.drive)):
         lanes.work[lane] += torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
+
+
+@inlined
+def _step(
+    tree: Tree,
+    laws: Laws,
+    s: Scratch,
+    wide: Wide | None,
+    room: Array,
+    state: Array,
+    lost: Array,
+    bend: Array,
+    h: float,
+) -> None:
+    """A step of one lane or eight: coordinates, rates and torques in `state` (3, n), of numbers or vectors.
+
+    `lost` and `bend` (width,) receive the power dissipated at its start, W, and how much the laws bend along it, rad.
+    """
+    q, v, torque = state[0], state[1], state[2]
+    begin(s, q, v)
+    for stage in range(2):  # a loop, since what both evaluate is long code
+        power = evaluate(tree, laws, s, wide, room)
+        if stage == 0:
+            spread(first_stage(tree, laws, s, wide, room, None, 0, q, v, torque, h, power), lost)
+        else:
+            spread(second_stage(tree, laws, s, wide, room, None, None, 0, q, v, torque, h), bend)
 
 
 class _Pack(NamedTuple):
@@ -144,10 +172,7 @@ def _run_pack(
                 _load(lanes, first + start, torque[start : start + size], pack.numbers)
                 if wide is not None:
                     load_room(wide, room, len(pack.lost), first + start, size, at)
-                state = pack.vectors
-                spread(first_stage(tree, laws, scratch, wide, room, None, 0, state[0], state[1], state[2], h), pack.lost)
-                most = second_stage(tree, laws, scratch, wide, room, None, None, 0, state[0], state[1], state[2], h)
-                spread(most, pack.bend)
+                _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h)
                 for place in range(size):
                     lane = first + start + place
                     if lanes.status[lane] != RUNNING:

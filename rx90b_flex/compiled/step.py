@@ -58,6 +58,26 @@ def _add_extra_to_system(extra: Extra, lane: int, gh: float, system: Array) -> N
 
 
 @inlined
+def begin(s: Scratch, q: Array, v: Array) -> None:
+    """Put the point of the first stage where `evaluate` looks."""
+    for i in range(len(q)):
+        s.q[i], s.v[i], s.a[i] = q[i], v[i], 0.0
+
+
+@inlined
+def evaluate(tree: Tree, laws: Laws, s: Scratch, wide: Wide | None, room: Array) -> Any:
+    """Forces of links and laws at the scratch's point; each law's torque and slopes to the `late` arrays.
+
+    Returns the power that laws dissipate, W.
+    """
+    if wide is not None:
+        links_torques(tree, s, wide, room, view(wide, room, s.a), laws.wanted[0], s.q, s.v, s.a)
+    else:
+        inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
+    return law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
+
+
+@inlined
 def first_stage(
     tree: Tree,
     laws: Laws,
@@ -70,23 +90,19 @@ def first_stage(
     v: Array,
     torque: Array,
     h: float,
+    lost: Any,
 ) -> Any:
-    """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch. Returns the power dissipated at y, W.
+    """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch, after `begin` and `evaluate`.
 
-    `room` is the working memory of the wide laws. `extra.force` is the effects' force less `extra.inertia` times the acceleration
-    that it was taken at.
+    Returns the power dissipated at y, W, where laws dissipate `lost`. `room` is the working memory of the wide laws.
+    `extra.force` is the effects' force less `extra.inertia` times the acceleration that it was taken at.
     """
     n, gh = len(q), GAMMA * h
-    for i in range(n):
-        s.a[i] = 0.0
-    if wide is not None:
-        w = view(wide, room, s.a)
-        links_torques(tree, s, wide, room, w, laws.wanted[0], q, v, s.a)
-    else:
-        inverse_dynamics(tree, s, q, v, s.a, s.generalised)
-    lost = law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
+    for m in range(len(laws.inertia)):
+        s.torques[m], s.by_x[m], s.by_rate[m] = s.late_torques[m], s.late_by_x[m], s.late_by_rate[m]
     mass_matrix(tree, s, s.system)
     if wide is not None:
+        w = view(wide, room, s.a)
         lost += first_forces(s, wide, room, w, laws.wanted[0], q, v)
     add_laws_to_system(laws, s, gh, gh * gh, s.system)
     for i in range(n):
@@ -154,7 +170,7 @@ def second_stage(
     torque: Array,
     h: float,
 ) -> Any:
-    """k_2, then q and v moved on by a step. Returns how much the laws bend along it, rad.
+    """k_2, then q and v moved on by a step, after `evaluate` at y + k_1. Returns how much the laws bend along it, rad.
 
     `late_force` (lanes, n) is the extra effects' force at y + k_1.
 
@@ -162,14 +178,9 @@ def second_stage(
     then of second order.
     """
     n, gh = len(q), GAMMA * h
-    if wide is not None:
-        w = view(wide, room, s.a)
-        links_torques(tree, s, wide, room, w, laws.wanted[0], s.q, s.v, s.a)
-    else:
-        inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
-    law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
     bend = _bend(laws, s, h)
     if wide is not None:
+        w = view(wide, room, s.a)
         second_forces(s, wide, room, w, laws.wanted[0], h)
     # right = h (u - f) - M k_1 - g h K r, with M k_1 from the first stage's equation and r = h v - 2 k_q
     for i in range(n):

@@ -299,27 +299,26 @@ def body_columns(tree: Tree, s: Scratch, i: int, out: Array, first: int) -> None
 
 
 @inlined
-def _hang(s: Scratch, i: int, parent: int, shifted: int) -> None:
-    """Add what hangs on joint i to what hangs on its parent, about the parent's origin."""
-    m = s.mass[i]
+def _hang(mass: Array, c: Array, inertia: Array, d: Array, i: int, parent: int, shifted: int) -> None:
+    """Add what hangs on joint i to what hangs on its parent, about the parent's origin; first moments c, arms d."""
+    m = mass[i]
     if shifted:
-        d, c = s.arm, s.moment
         square = 0.0
         for r in range(3):
             square += d[i, r] * (m * d[i, r] + 2.0 * c[i, r])
         for r in range(3):
-            s.inertia[parent, r, r] += square
+            inertia[parent, r, r] += square
             for k in range(3):
                 crossed = m * d[i, r] * d[i, k] + d[i, r] * c[i, k] + c[i, r] * d[i, k]
-                s.inertia[parent, r, k] += s.inertia[i, r, k] - crossed
+                inertia[parent, r, k] += inertia[i, r, k] - crossed
         for r in range(3):
             c[parent, r] += c[i, r] + m * d[i, r]
     else:
         for r in range(3):
-            s.moment[parent, r] += s.moment[i, r]
+            c[parent, r] += c[i, r]
             for k in range(3):
-                s.inertia[parent, r, k] += s.inertia[i, r, k]
-    s.mass[parent] += m
+                inertia[parent, r, k] += inertia[i, r, k]
+    mass[parent] += m
 
 
 @inlined
@@ -356,4 +355,4 @@ def mass_matrix(tree: Tree, s: Scratch, out: Array) -> None:
                 nz += dx * fy - dy * fx
             k = tree.parent[k]
         if parent >= 0:
-            _hang(s, i, parent, tree.shifted[i])
+            _hang(s.mass, s.moment, s.inertia, s.arm, i, parent, tree.shifted[i])
