@@ -112,10 +112,8 @@ class _NeverRun:
         """Nothing: code that is never run by itself has no place for its environment."""
 
 
-class _LinkedOnly(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
-    """A function that is part of what calls it: neither optimised nor made machine code by itself, which is half of the time
-    that compiling takes.
-    """
+class _LinkedOnly(JITCodeLibrary):
+    """A function that is part of what calls it: neither optimised nor made machine code by itself, which would only take time."""
 
     @property
     def codegen(self) -> _NeverRun:
@@ -125,34 +123,34 @@ class _LinkedOnly(JITCodeLibrary):  # type: ignore[misc]  # numba has no types
         pass
 
     def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        self._ensure_finalized()
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
         return 0
 
 
-@register_pass(mutates_CFG=False, analysis_only=True)
-class _LinkOnly(AnalysisPass):  # type: ignore[misc]
+@register_pass(mutates_CFG=False, analysis_only=True)  # type: ignore[no-untyped-call]
+class _LinkOnly(AnalysisPass):
     """Gives a function such a library before it is lowered."""
 
     _name = "rx90b_flex_link_only"
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
 
     def run_pass(self, state: Any) -> bool:
         codegen = state.targetctx.codegen()
-        state.library = _LinkedOnly(codegen, state.func_id.func_qualname)
+        state.library = _LinkedOnly(codegen, state.func_id.func_qualname)  # type: ignore[no-untyped-call]
         return False
 
 
-class _PartCompiler(CompilerBase):  # type: ignore[misc]
+class _PartCompiler(CompilerBase):
     """numba's own compiler, with that library."""
 
     def define_pipelines(self) -> Any:
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
         passes.add_pass_after(_LinkOnly, AnnotateTypes)
         passes.finalize()
         return [passes]
@@ -174,5 +172,5 @@ def _compiler(kept: bool = True, **options: Any) -> Callable[[Function], Functio
 entry = _compiler()
 # Called from compiled code: large functions, which keeps the time that the compiler takes in bounds.
 called = _compiler(no_cpython_wrapper=True)
-# Put into what calls it: a call would copy the hundreds of words that describe the arrays.
+# Put into what calls it, and compiled with it alone: a call would copy the hundreds of words that describe the arrays.
 inlined = _compiler(kept=False, no_cpython_wrapper=True, forceinline=True, pipeline_class=_PartCompiler)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from rx90b_flex.compiled.compile import Array, inlined
+from rx90b_flex.compiled.compile import Array, Integers, inlined
 from rx90b_flex.compiled.laws import Laws, add_laws_to_system, combine, law_forces, scatter
 from rx90b_flex.compiled.linear import add_dense, factor, factor_general, solve, solve_general
 from rx90b_flex.compiled.scratch import Scratch
@@ -137,7 +137,23 @@ def first_stage(
 
 
 @inlined
-def _bend(laws: Laws, s: Scratch, h: float) -> Any:
+def _inverse_pivot(system: Array, partner: Integers, c: int) -> Any:
+    """Of coordinate c of a factored system, as elimination among the robot's own coordinates would leave it.
+
+    The robot has a torsion's angle in place of the angle behind it, for which the larger one of drive and torsion is given.
+    """
+    for k in range(len(partner)):
+        p = partner[k]
+        if c in (k, p):
+            own, behind, joined = 1.0 / system[k, k], 1.0 / system[p, p], system[k, p]
+            both = own + behind + joined * joined * system[k, k] + 2.0 * joined
+            drive, torsion = 1.0 / both, both * system[k, k] * system[p, p]
+            return drive if c == k else larger_size(drive, torsion)
+    return system[c, c]
+
+
+@inlined
+def _bend(laws: Laws, partner: Integers, s: Scratch, h: float) -> Any:
     """How far the laws' torques at y + k_1 are from where their slopes at y put them, as an angle that a step errs by,
     rad.
     """
@@ -150,7 +166,7 @@ def _bend(laws: Laws, s: Scratch, h: float) -> Any:
         missed -= s.torques[m] + s.by_rate[m] * rate + s.by_x[m] * x
         lightest = 0.0
         for w in range(laws.width[m]):  # inverse pivots: of the inertia that this coordinate turns, or more
-            lightest = larger_size(lightest, s.system[laws.place[m, w], laws.place[m, w]])
+            lightest = larger_size(lightest, _inverse_pivot(s.system, partner, laws.place[m, w]))
         most = larger_size(most, missed * lightest)
     return h * h * most
 
@@ -178,7 +194,7 @@ def second_stage(
     then of second order.
     """
     n, gh = len(q), GAMMA * h
-    bend = _bend(laws, s, h)
+    bend = _bend(laws, tree.partner, s, h)
     if wide is not None:
         w = view(wide, room, s.a)
         second_forces(s, wide, room, w, laws.wanted[0], h)
