@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from rx90b_flex.compiled.compile import Integers
 from rx90b_flex.compiled.laws import Laws, compiled_law
-from rx90b_flex.compiled.packed import Packed, accelerations, link_columns, link_torques, pack
+from rx90b_flex.compiled.packed import Order, Packed, accelerations, link_columns, link_torques, pack
 from rx90b_flex.compiled.scratch import scratch_size
 from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
@@ -42,6 +42,7 @@ def tree_of(model: pin.Model) -> Tree:
         turned=np.array((rotation != np.eye(3)).any(axis=(1, 2)), dtype=np.int64),
         shifted=np.array(offset.any(axis=1) | prismatic, dtype=np.int64),
         heavy=np.array(dynamic.any(axis=1), dtype=np.int64),
+        partner=np.zeros(0, dtype=np.int64),
         rotation=np.ascontiguousarray(rotation),
         offset=np.ascontiguousarray(offset),
         axis=np.where(prismatic[:, None], axes[:, :3], axes[:, 3:]),
@@ -67,13 +68,13 @@ def torque_of_links(model: pin.Model, bodies: Sequence[int], link_parameters: Ar
     tree.mass[at], tree.moment[at] = values[:, 0], values[:, 1:4]
     tree.inertia[at] = values[:, [4, 7, 8, 7, 5, 9, 8, 9, 6]].reshape(-1, 3, 3)
     tree.heavy[at] = values.any(axis=1)
-    packed = pack(tree, laws_of((), model.nv))
+    packed = pack(tree, laws_of((), model.nv), order_of(model.nv))
     return np.asarray(link_torques(packed.integers, packed.numbers, scratch_size(model.nv, 0), *_samples(motion)))
 
 
 def columns_of_links(model: pin.Model, bodies: Sequence[int], motion: Motion, columns: int = 0) -> Array:
     """The same per unit of each parameter, shape (N, n, 10 * bodies), or of so many `columns`, those behind them zero."""
-    packed = pack(tree_of(model), laws_of((), model.nv))
+    packed = pack(tree_of(model), laws_of((), model.nv), order_of(model.nv))
     out = np.zeros((len(motion), model.nv, max(columns, 10 * len(bodies))))
     at = np.array(bodies) - 1
     link_columns(packed.integers, packed.numbers, scratch_size(model.nv, 0), at, out, *_samples(motion))
@@ -100,17 +101,24 @@ def _address(law: Law) -> int:
     return int(compiled_law(law.function).address)
 
 
+def _sparse(ports: Array) -> tuple[Integers, Array]:
+    """Places and weights (m, w) of combinations of coordinates (m, n); where one has fewer, its weights end in zeros."""
+    found = [np.flatnonzero(port) for port in ports]
+    width = max((len(at) for at in found), default=1)
+    place, weight = np.zeros((len(ports), width), dtype=np.int64), np.zeros((len(ports), width))
+    for m, at in enumerate(found):
+        place[m, : len(at)], weight[m, : len(at)] = at, ports[m, at]
+    return place, weight
+
+
 def laws_of(laws: Sequence[Law], n: int) -> Laws:
     """The arrays of scalar laws on n coordinates."""
-    ports = [np.flatnonzero(law.port) for law in laws]
-    width = max([len(p) for p in ports], default=1)
+    ports = np.array([law.port for law in laws]).reshape(len(laws), n)
+    place, weight = _sparse(ports)
+    width = np.count_nonzero(ports, axis=1)
     length = max([len(law.parameters) for law in laws], default=1)
-    place = np.zeros((len(laws), width), dtype=np.int64)
-    weight = np.zeros((len(laws), width))
     parameters = np.zeros((len(laws), max(length, 1)))
-    for m, (law, port) in enumerate(zip(laws, ports, strict=True)):
-        place[m, : len(port)] = port
-        weight[m, : len(port)] = law.port[port]
+    for m, law in enumerate(laws):
         parameters[m, : len(law.parameters)] = law.parameters
     inertia, damping, stiffness = (
         np.array([getattr(law, name) for law in laws], dtype=float) for name in ("inertia", "damping", "stiffness")
@@ -123,6 +131,7 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
         inertia,
         damping,
         stiffness,
+        width,
         np.array(address, dtype=np.int64),
         np.array(stores, dtype=np.int64),
         parameters,
@@ -131,27 +140,165 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
     )
 
 
-def wide_of(laws: Sequence[Law], drives: Integers, q: Array) -> Wide:
-    """The arrays of laws that are more than a torque by one angle, for lanes that start at q (lanes, n)."""
+def order_of(n: int) -> Order:
+    """Of a plant in the robot's own n coordinates."""
+    return Order(np.arange(n), np.full(n, -1), np.zeros(0, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped:
+    """A plant in the coordinates in which it is stepped.
+
+    Where the joint of a torsion epsilon does nothing but turn on about its drive's axis, the drive's angle e and the link's,
+    theta = e + epsilon, stand for e and epsilon: q' of equations 3.73-3.83, e first. In it no link feels a drive, so that tree and
+    mass matrix are smaller by that joint.
+
+    Attributes
+    ----------
+    tree, laws, order
+    links : array, shape (n,)
+        Coordinate by which the links feel each of the robot's.
+    """
+
+    tree: Tree
+    laws: Laws
+    order: Order
+    links: Integers
+
+    @cached_property
+    def packed(self) -> Packed:
+        """Tree and laws in flat arrays."""
+        return pack(self.tree, self.laws, self.order)
+
+    def of(self, q: Array) -> Array:
+        """Coordinates (or rates) of the robot, (..., n), in these."""
+        out = np.ascontiguousarray(q[..., self.order.source])
+        twisted = np.flatnonzero(self.order.added >= 0)
+        out[..., twisted] += q[..., self.order.added[twisted]]
+        return out
+
+    def robots(self, own: Array) -> Array:
+        """These coordinates in the robot's."""
+        out = np.empty_like(own)
+        out[..., self.order.source] = own
+        twisted = np.flatnonzero(self.order.added >= 0)
+        out[..., self.order.source[twisted]] -= out[..., self.order.added[twisted]]
+        return out
+
+    def ports(self, ports: Array) -> Array:
+        """Combinations of the robot's coordinates, (m, n), as ones of these."""
+        return _ports_behind(ports, self.order)
+
+
+def _ports_behind(ports: Array, order: Order) -> Array:
+    out = ports[:, order.source]
+    for i in np.flatnonzero(order.added >= 0):
+        out[:, np.flatnonzero(order.source == order.added[i])[0]] -= ports[:, order.source[i]]
+    return out
+
+
+def _twisting(tree: Tree, drives: Integers, ports: Array) -> Integers:
+    """Joints that turn on about a drive's axis where nothing lies between them, and no law joins the drive to more.
+
+    `ports` (m, n) are combinations of the coordinates whose torques act where they are read.
+    """
+    found = []
+    for i, p in enumerate(tree.parent):
+        plain = (
+            p in drives
+            and i not in drives
+            and not (tree.heavy[p] or tree.shifted[i] or tree.turned[i] or tree.prismatic[p])
+        )
+        if plain and (tree.axis[p] == tree.axis[i]).all() and np.count_nonzero(tree.parent == p) == 1:
+            joined = ports[ports[:, p] != ports[:, i]]
+            joined[:, [p, i]] = 0.0
+            if not joined.any():
+                found.append(i)
+    return np.array(found, dtype=np.int64)
+
+
+def _leans(law: Law) -> bool:
+    """Whether a law's part of a step's system is not symmetric."""
+    return law.loaded or not np.array_equal(law.port, law.combination)
+
+
+def stepped(tree: Tree, laws: Laws, drives: Integers, wide: Sequence[Law]) -> Stepped:
+    """A plant in the coordinates in which it is stepped; its own where a gear's error stands between drives and links."""
+    n = len(tree.parent)
+    ports = np.zeros((len(laws.inertia), n))
+    for m, (place, weight) in enumerate(zip(laws.place, laws.weight, strict=True)):
+        np.add.at(ports[m], place, weight)
+    beside = [law.port for law in wide if not _leans(law)]
+    twisting = _twisting(tree, drives, np.concatenate([ports, np.array(beside).reshape(-1, n)]))
+    if any(law.at == "links" for law in wide):
+        twisting = twisting[:0]
+    turned_by = tree.parent[twisting]  # drives
+    kept = np.setdiff1d(np.arange(n), turned_by)
+    first = len(turned_by)
+    number = np.full(n + 1, -1)  # among the joints that are left; the base's stays -1
+    number[kept] = np.arange(len(kept))
+    number[turned_by] = number[twisting]
+    whose = np.arange(n)  # joint whose place each one takes
+    whose[twisting] = turned_by
+    at = whose[kept]
+    source, added = np.concatenate([turned_by, kept]), np.full(n, -1)
+    added[first + number[twisting]] = turned_by
+    where = np.argsort(source)
+    order = Order(source, added, where[drives])
+    small = Tree(
+        parent=number[tree.parent[at]],
+        prismatic=tree.prismatic[kept],
+        turned=tree.turned[at],
+        shifted=tree.shifted[at],
+        heavy=tree.heavy[kept],
+        partner=first + number[twisting],
+        rotation=tree.rotation[at],
+        offset=tree.offset[at],
+        axis=tree.axis[kept],
+        mass=tree.mass[kept],
+        moment=tree.moment[kept],
+        inertia=tree.inertia[kept],
+        gravity=tree.gravity,
+    )
+    ports = _ports_behind(ports, order)
+    place, weight = _sparse(ports)
+    width = np.count_nonzero(ports, axis=1)
+    return Stepped(small, laws._replace(place=place, weight=weight, width=width), order, first + number[:n])
+
+
+def wide_of(laws: Sequence[Law], plant: Plant, q: Array) -> Wide:
+    """The arrays of laws that are more than a torque by one angle, for lanes that start at q (lanes, n), in `plant.stepped`'s
+    coordinates.
+    """
+    n, behind = q.shape[1], plant.stepped
     whole = np.zeros((ROWS, len(laws)), dtype=np.int64)
-    combinations = [(law.port, law.port if law.reads is None else law.reads) for law in laws]
-    width = max((np.count_nonzero(c) for both in combinations for c in both), default=1)
-    place, weight = np.zeros((2, len(laws), width), dtype=np.int64), np.zeros((2, len(laws), width))
+    acting, reading = (
+        behind.ports(np.array(ports).reshape(len(laws), n))
+        for ports in ([law.port for law in laws], [law.combination for law in laws])
+    )
+    place, weight = _sparse(np.concatenate([acting, reading]))
+    width = place.shape[1]
     most = max((law.remembers for law in laws), default=0)
     slots = max((len(law.parameters) for law in laws), default=0)
     parameters, memory = np.zeros((len(laws), slots + REMEMBERED + most)), np.zeros((len(q), len(laws), 1 + most))
-    for m, (law, both) in enumerate(zip(laws, combinations, strict=True)):
-        for which, combination in enumerate(both):
-            at = np.flatnonzero(combination)
-            place[which, m, : len(at)], weight[which, m, : len(at)] = at, combination[at]
+    for m, law in enumerate(laws):
         acts = int(np.flatnonzero(law.port)[-1])
-        drive = int(np.flatnonzero(drives == acts)[0]) if law.at in ("measured", "motor") else -1
-        loaded = acts if law.loaded else -1
-        leans = law.loaded or not np.array_equal(*both)
-        whole[:, m] = KINDS[law.at], _address(law), law.stores, len(law.parameters), loaded, law.remembers, drive, leans
+        drive = int(np.flatnonzero(plant.drives == acts)[0]) if law.at in ("measured", "motor") else -1
+        loaded = behind.links[acts] if law.loaded else -1
+        whole[:, m] = (
+            KINDS[law.at],
+            _address(law),
+            law.stores,
+            len(law.parameters),
+            loaded,
+            law.remembers,
+            drive,
+            _leans(law),
+        )
         parameters[m, : len(law.parameters)] = law.parameters
-        memory[:, m, 0] = q @ both[1]
-    return pack_wide(whole, place, weight, parameters, memory, q.shape[1])
+        memory[:, m, 0] = q @ reading[m]
+    both = 2, len(laws), width
+    return pack_wide(whole, place.reshape(both), weight.reshape(both), parameters, memory, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +325,13 @@ class Plant:
 
     @cached_property
     def packed(self) -> Packed:
-        """Tree and laws in flat arrays."""
-        return pack(self.tree, self.laws)
+        """Tree and laws in flat arrays, in the robot's own coordinates."""
+        return pack(self.tree, self.laws, order_of(len(self.tree.parent)))
+
+    @cached_property
+    def stepped(self) -> Stepped:
+        """The same in the coordinates in which it is stepped."""
+        return stepped(self.tree, self.laws, self.drives, self.wide or ())
 
     @cached_property
     def _memory(self) -> Array:
@@ -187,7 +339,8 @@ class Plant:
 
     def accelerations(self, q: Array, v: Array, drive_torque: Array) -> Array:
         """Accelerations of the tree and the effects with compiled laws, shape (n,)."""
-        return accelerations(*self.packed, self._memory, self.drives, q, v, drive_torque)
+        packed = self.stepped.packed
+        return accelerations(packed.integers, packed.numbers, self._memory, q, v, drive_torque)
 
     def scratch(self, lanes: int) -> Array:
         """Working memory, one row a lane."""

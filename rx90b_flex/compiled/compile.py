@@ -22,6 +22,10 @@ import numba
 import numpy as np
 from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import AnalysisPass, register_pass
+from numba.core.typed_passes import AnnotateTypes
 from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
@@ -101,12 +105,64 @@ def told_of_compiling(begins: Callable[[], None]) -> Iterator[None]:
         yield
 
 
-def _compiler(**options: Any) -> Callable[[Function], Function]:
+class _NeverRun:
+    """Stands for the code generator where a library is asked for it behind its lowering."""
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Nothing: code that is never run by itself has no place for its environment."""
+
+
+class _LinkedOnly(JITCodeLibrary):
+    """A function that is part of what calls it: neither optimised nor made machine code by itself, which would only take time."""
+
+    @property
+    def codegen(self) -> _NeverRun:
+        return _NeverRun()
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        return 0
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)  # type: ignore[no-untyped-call]
+class _LinkOnly(AnalysisPass):
+    """Gives a function such a library before it is lowered."""
+
+    _name = "rx90b_flex_link_only"
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+
+    def run_pass(self, state: Any) -> bool:
+        codegen = state.targetctx.codegen()
+        state.library = _LinkedOnly(codegen, state.func_id.func_qualname)  # type: ignore[no-untyped-call]
+        return False
+
+
+class _PartCompiler(CompilerBase):
+    """numba's own compiler, with that library."""
+
+    def define_pipelines(self) -> Any:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
+        passes.add_pass_after(_LinkOnly, AnnotateTypes)
+        passes.finalize()
+        return [passes]
+
+
+def _compiler(kept: bool = True, **options: Any) -> Callable[[Function], Function]:
     def decorate(function: Function) -> Function:
         # nothing calls these functions as C functions, and what makes them such takes long to compile
         njit: Any = numba.njit
         compiled: Function = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-        compiled._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
+        if kept:
+            compiled._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
         return compiled
 
     return decorate
@@ -116,5 +172,5 @@ def _compiler(**options: Any) -> Callable[[Function], Function]:
 entry = _compiler()
 # Called from compiled code: large functions, which keeps the time that the compiler takes in bounds.
 called = _compiler(no_cpython_wrapper=True)
-# Put into what calls it: a call would copy the hundreds of words that describe the arrays.
-inlined = _compiler(no_cpython_wrapper=True, forceinline=True)
+# Put into what calls it, and compiled with it alone: a call would copy the hundreds of words that describe the arrays.
+inlined = _compiler(kept=False, no_cpython_wrapper=True, forceinline=True, pipeline_class=_PartCompiler)

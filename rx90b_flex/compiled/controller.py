@@ -159,29 +159,33 @@ def command(
 
 
 @inlined
-def _end(lanes: Lanes, lane: int, status: int, joint: int, sample: int) -> None:
-    lanes.status[lane] = status
-    lanes.joint[lane] = joint
-    lanes.sample[lane] = sample
+def _why(loop: Loop, lanes: Lanes, lane: int, j: int) -> int:
+    """Why drive j ends a lane; `RUNNING` where it does not."""
+    angle, speed, found = lanes.q[lane, loop.drive[j]], lanes.v[lane, loop.drive[j]], RUNNING
+    if abs(speed) > loop.speed[j]:
+        found = OVERSPEED
+    elif angle < loop.lower[j] or angle > loop.upper[j]:
+        found = ANGLE_LIMIT
+    elif lanes.overloaded[j, lane] >= loop.overload_samples:
+        found = OVERLOAD
+    return found
 
 
 @inlined
 def check(loop: Loop, lanes: Lanes, lane: int, sample: int) -> None:
     """End a lane that is no longer finite, turns too fast or is beyond its limits."""
+    status, joint = RUNNING, -1
+    for j in range(len(loop.drive)):
+        found = _why(loop, lanes, lane, j)
+        if found != RUNNING:
+            status, joint = found, j
+    if sample >= lanes.stop[lane, 0]:
+        status, joint = JUMP, lanes.stop[lane, 1]
     for i in range(lanes.q.shape[1]):
         if not (math.isfinite(lanes.q[lane, i]) and math.isfinite(lanes.v[lane, i])):
-            _end(lanes, lane, DIVERGED, -1, sample)
-            return
-    for j in range(len(loop.drive)):
-        angle, speed = lanes.q[lane, loop.drive[j]], lanes.v[lane, loop.drive[j]]
-        if abs(speed) > loop.speed[j]:
-            _end(lanes, lane, OVERSPEED, j, sample)
-        elif angle < loop.lower[j] or angle > loop.upper[j]:
-            _end(lanes, lane, ANGLE_LIMIT, j, sample)
-        elif lanes.overloaded[j, lane] >= loop.overload_samples:
-            _end(lanes, lane, OVERLOAD, j, sample)
-    if sample >= lanes.stop[lane, 0]:
-        _end(lanes, lane, JUMP, lanes.stop[lane, 1], sample)
+            status, joint = DIVERGED, -1
+    if status != RUNNING:
+        lanes.status[lane], lanes.joint[lane], lanes.sample[lane] = status, joint, sample
 
 
 @called

@@ -35,6 +35,7 @@ class Laws(NamedTuple):
     inertia: Array  # (m,) per d2x/dt2
     damping: Array  # (m,) per dx/dt
     stiffness: Array  # (m,) per x
+    width: Integers  # (m,) how many coordinates there are
     address: Integers  # (m,) of the compiled law, 0 where there is none
     stores: Integers  # (m,) whether the law stores energy instead of dissipating it
     parameters: Array  # (m, p) of the law
@@ -65,7 +66,7 @@ _call: Any = _call_address
 def combine(laws: Laws, m: int, x: Array) -> Any:
     """The combination of x that law m depends on."""
     total = 0.0
-    for w in range(laws.place.shape[1]):
+    for w in range(laws.width[m]):
         total += laws.weight[m, w] * x[laws.place[m, w]]
     return total
 
@@ -73,7 +74,7 @@ def combine(laws: Laws, m: int, x: Array) -> Any:
 @inlined
 def scatter(laws: Laws, m: int, torque: Any, out: Array) -> None:
     """Add the torque of law m to the coordinates that it depends on."""
-    for w in range(laws.place.shape[1]):
+    for w in range(laws.width[m]):
         out[laws.place[m, w]] += laws.weight[m, w] * torque
 
 
@@ -146,9 +147,9 @@ def add_laws_to_system(laws: Laws, s: Scratch, by_rate: float, by_x: float, syst
     """Add inertia + by_rate * D + by_x * K of the laws to the upper triangle of `system`."""
     for m in range(len(laws.inertia)):
         value = laws.inertia[m] + by_rate * s.by_rate[m] + by_x * s.by_x[m]
-        for w in range(laws.place.shape[1]):
-            for u in range(laws.place.shape[1]):
+        for w in range(laws.width[m]):
+            for u in range(laws.width[m]):
                 r, c = laws.place[m, w], laws.place[m, u]
                 weight = laws.weight[m, w] * laws.weight[m, u]
-                if r <= c and weight != 0.0:
+                if r <= c:
                     system[r, c] += weight * value

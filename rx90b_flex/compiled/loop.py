@@ -1,4 +1,4 @@
-"""The sampling loop: controller and integrator of eight lanes, side by side in vectors."""
+"""The sampling loop: controller and integrator of one lane, or of eight side by side in vectors."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, called, entry, inlined
+from rx90b_flex.compiled.compile import Array, entry, inlined
 from rx90b_flex.compiled.controller import RUNNING, Inputs, Lanes, Logs, Loop, control
 from rx90b_flex.compiled.laws import Laws
-from rx90b_flex.compiled.packed import Packed, unpack
+from rx90b_flex.compiled.packed import LAWS, Packed, unpack
 from rx90b_flex.compiled.scratch import Scratch, scratch_in, scratch_size
-from rx90b_flex.compiled.step import first_stage, second_stage
+from rx90b_flex.compiled.step import begin, evaluate, first_stage, second_stage
 from rx90b_flex.compiled.tree import Tree
-from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors, lane_of
+from rx90b_flex.compiled.vectors import WIDTH, aligned, seen_as, spread, width_of, working_memory
 from rx90b_flex.compiled.wide import Wide, deliver, load_room, room_size, show, store_room
 
 DIVISION = 8  # parts of a step along which the laws bend too much
+FEW = 2  # up to so many lanes are quicker one after the other than as a vector
 
 
 @inlined
@@ -28,16 +29,16 @@ def dissipate(lanes: Lanes, lane: int, lost: float, h: float) -> None:
 
 
 @inlined
-def _load(lanes: Lanes, first: int, count: int, torque: Array, packed: Array) -> None:
-    """States and torques of a pack of lanes side by side, (3, n, WIDTH); places without a running lane repeat
+def _load(lanes: Lanes, first: int, torque: Array, packed: Array) -> None:
+    """States and torques (lanes, n) of a pack of lanes side by side, (3, n, width); places without a running lane repeat
     another.
     """
-    n = lanes.q.shape[1]
+    count, n, width = len(torque), packed.shape[1], packed.shape[2]
     spare = first
     for place in range(count):
         if lanes.status[first + place] == RUNNING:
             spare = first + place
-    for place in range(WIDTH):
+    for place in range(width):
         lane = first + place if place < count and lanes.status[first + place] == RUNNING else spare
         for i in range(n):
             packed[0, i, place] = lanes.q[lane, i]
@@ -60,11 +61,11 @@ def _store(
         lanes.work[lane] += torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
 
 
-@called
+@inlined
 def _step(
     tree: Tree,
     laws: Laws,
-    scratch: Scratch,
+    s: Scratch,
     wide: Wide | None,
     room: Array,
     state: Array,
@@ -72,58 +73,36 @@ def _step(
     bend: Array,
     h: float,
 ) -> None:
-    """A step of eight lanes: coordinates, rates and torques in `state` (3, n), of vectors.
+    """A step of one lane or eight: coordinates, rates and torques in `state` (3, n), of numbers or vectors.
 
-    `lost` and `bend` (WIDTH,) receive the power dissipated at its start, W, and how much the laws bend along it, rad.
+    `lost` and `bend` (width,) receive the power dissipated at its start, W, and how much the laws bend along it, rad.
     """
-    power = first_stage(tree, laws, scratch, wide, room, None, 0, state[0], state[1], state[2], h)
-    most = second_stage(tree, laws, scratch, wide, room, None, None, 0, state[0], state[1], state[2], h)
-    for place in range(WIDTH):
-        lost[place], bend[place] = lane_of(power, place), lane_of(most, place)
+    q, v, torque = state[0], state[1], state[2]
+    begin(s, q, v)
+    for stage in range(2):  # a loop, since what both evaluate is long code
+        power = evaluate(tree, laws, s, wide, room)
+        if stage == 0:
+            spread(first_stage(tree, laws, s, wide, room, None, 0, q, v, torque, h, power), lost)
+        else:
+            spread(second_stage(tree, laws, s, wide, room, None, None, 0, q, v, torque, h), bend)
 
 
 class _Pack(NamedTuple):
     """Working memory of the step of some lanes."""
 
-    numbers: Array  # (3, n, WIDTH) coordinates, rates, torques
+    numbers: Array  # (3, n, width) coordinates, rates, torques
     vectors: Array  # (3, n) the same
-    lost: Array  # (WIDTH,)
-    bend: Array  # (WIDTH,)
+    lost: Array  # (width,)
+    bend: Array  # (width,)
 
 
 @inlined
-def _new_pack(n: int) -> _Pack:
-    numbers = aligned(3 * n).reshape((3, n, WIDTH))
-    vectors = as_vectors(numbers.reshape(numbers.size)).reshape((3, n))
-    return _Pack(numbers, vectors, np.zeros(WIDTH), np.zeros(WIDTH))
-
-
-@inlined
-def _divided(
-    tree: Tree,
-    laws: Laws,
-    scratch: Scratch,
-    wide: Wide | None,
-    room: Array,
-    pack: _Pack,
-    loop: Loop,
-    lanes: Lanes,
-    lane: int,
-    torque: Array,
-    time: float,
-    h: float,
-) -> None:
-    """One lane's step, `DIVISION` short ones in its place; `torque` (1, n)."""
-    laws.wanted[0] = 1
-    lanes.divided[lane] += 1
-    for i in range(DIVISION):
-        _load(lanes, lane, 1, torque, pack.numbers)
-        if wide is not None:
-            load_room(wide, room, lane, 1, time + i * (h / DIVISION))
-        _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h / DIVISION)
-        _store(loop, lanes, lane, 0, torque[0], pack.numbers, pack.lost[0], h / DIVISION)
-        if wide is not None:
-            store_room(wide, room, lane, 0)
+def _new_pack(n: int, like: Array) -> _Pack:
+    width = width_of(like)
+    numbers = aligned(3 * n)[: 3 * n * width]
+    return _Pack(
+        numbers.reshape((3, n, width)), seen_as(numbers, like).reshape((3, n)), np.zeros(width), np.zeros(width)
+    )
 
 
 @inlined
@@ -153,7 +132,8 @@ def _control_pack(
 @entry
 def _run_pack(
     plant: Packed,
-    size: int,
+    memory: int,
+    alone: bool | None,
     wide: Wide | None,
     between: Wide,
     loop: Loop,
@@ -164,40 +144,51 @@ def _run_pack(
     first: int,
     count: int,
 ) -> None:
-    """`run` of up to `WIDTH` lanes, with `size` numbers of working memory each; steps that must be divided are, lane by lane."""
+    """`run` of up to `WIDTH` lanes, or of one `alone`, with `memory` numbers of working memory each; steps that must be divided
+    are, lane by lane.
+    """
     tree, laws = unpack(plant)
     n = lanes.q.shape[1]
-    scratch = scratch_in(as_vectors(aligned(size)), n, len(laws.inertia))
-    h = loop.period / loop.substeps
-    torque, pack, fine = np.zeros((count, n)), _new_pack(n), _new_pack(n)
+    scratch = scratch_in(working_memory(memory, alone), n, len(laws.inertia))
+    torque, pack, rough = np.zeros((count, n)), _new_pack(n, scratch.a), np.zeros(count, dtype=np.int64)
     wide_size = 0
     if wide is not None:
         wide_size = room_size(wide, n)
-    room, fine_room = aligned(wide_size), aligned(wide_size)
+    room = aligned(wide_size)
+    period = loop.period / loop.substeps
     for k in range(samples):
         if _control_pack(between, loop, lanes, inputs, logs, k, first, torque) == 0:
             return
         for part in range(loop.substeps):
-            time = (inputs.first + k) * loop.period + part * h
-            _load(lanes, first, count, torque, pack.numbers)
-            laws.wanted[0] = count
-            if wide is not None:
-                load_room(wide, room, first, count, time)
-            _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h)
-            for place in range(count):
-                lane = first + place
-                if lanes.status[lane] != RUNNING:
-                    continue
-                if part == 0 and k % logs.stride == 0:
-                    at = logs.row + k // logs.stride
-                    logs.dissipated[lane, at] = lanes.dissipated[lane] + lanes.open[lane] * pack.lost[place]
-                own = torque[place : place + 1]
-                if pack.bend[place] > loop.tolerance:
-                    _divided(tree, laws, scratch, wide, fine_room, fine, loop, lanes, lane, own, time, h)
-                    continue
-                _store(loop, lanes, lane, place, own[0], pack.numbers, pack.lost[place], h)
+            logged = part == 0 and k % logs.stride == 0
+            # all lanes at once, then `DIVISION` short steps of each whose laws bend too much; one loop, since the step is long code
+            turn, turns = 0, 1
+            while turn < turns:
+                h, at, start, size = period, (inputs.first + k) * loop.period + part * period, 0, count
+                if turn > 0:
+                    h, start, size = period / DIVISION, rough[(turn - 1) // DIVISION], 1
+                    at += (turn - 1) % DIVISION * h
+                laws.wanted[0] = size
+                _load(lanes, first + start, torque[start : start + size], pack.numbers)
                 if wide is not None:
-                    store_room(wide, room, lane, place)
+                    load_room(wide, room, len(pack.lost), first + start, size, at)
+                _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h)
+                for place in range(size):
+                    lane = first + start + place
+                    if lanes.status[lane] != RUNNING:
+                        continue
+                    if turn == 0 and logged:
+                        row = logs.row + k // logs.stride
+                        logs.dissipated[lane, row] = lanes.dissipated[lane] + lanes.open[lane] * pack.lost[place]
+                    if turn == 0 and pack.bend[place] > loop.tolerance:
+                        rough[(turns - 1) // DIVISION] = place
+                        turns += DIVISION
+                        lanes.divided[lane] += 1
+                        continue
+                    _store(loop, lanes, lane, place, torque[start + place], pack.numbers, pack.lost[place], h)
+                    if wide is not None:
+                        store_room(wide, room, len(pack.lost), lane, place)
+                turn += 1
 
 
 def run(
@@ -210,11 +201,15 @@ def run(
     logs: Logs,
     samples: int,
 ) -> None:
-    """Advance all running lanes by that many samples, eight at a time; every effect is a compiled law.
+    """Advance all running lanes by that many samples, eight at a time, or a few one by one; every effect is a compiled law.
 
     `wide` are laws of the robot, `between` those between its motors and the controller.
     """
-    size = scratch_size(int(plant.integers[0]), int(plant.integers[1]))
-    for first in range(0, len(lanes.status), WIDTH):
-        count = min(WIDTH, len(lanes.status) - first)
-        _run_pack(plant, size, wide, between, loop, lanes, inputs, logs, samples, first, count)
+    size, count = scratch_size(lanes.q.shape[1], int(plant.integers[LAWS])), len(lanes.status)
+    if count <= FEW:  # vectors are not even compiled then
+        for lane in range(count):
+            _run_pack(plant, size, True, wide, between, loop, lanes, inputs, logs, samples, lane, 1)
+        return
+    for first in range(0, count, WIDTH):
+        pack = min(WIDTH, count - first)
+        _run_pack(plant, size, None, wide, between, loop, lanes, inputs, logs, samples, first, pack)

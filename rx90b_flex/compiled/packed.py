@@ -13,8 +13,11 @@ from rx90b_flex.compiled.scratch import scratch_in
 from rx90b_flex.compiled.tree import Tree, body_columns, inverse_dynamics, mass_matrix, move, place
 from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors
 
-WANTED = 4  # where the integers say how many lanes of a vector are asked for their laws
-SIZES = 5  # integers before the arrays
+# Integers before the arrays: coordinates of the tree, of all, and of drives beside it; laws, width of their combinations, length of
+# their parameters; and how many lanes of a vector are asked for their laws.
+JOINTS, COORDINATES, BESIDE, LAWS, BREADTH, LENGTH, WANTED = range(7)
+SIZES = 7
+OF_JOINT, OF_LAW = 5, 3  # integers a joint, and a law beside its places
 
 
 class Packed(NamedTuple):
@@ -24,25 +27,44 @@ class Packed(NamedTuple):
     numbers: Array
 
 
-def pack(tree: Tree, laws: Laws) -> Packed:
+class Order(NamedTuple):
+    """Where a plant's coordinates lie among the robot's."""
+
+    source: Integers  # (n,) the robot's coordinate
+    added: Integers  # (n,) another one that is added to it; -1: none
+    drives: Integers  # (joints,) the plant's coordinates that drives turn
+
+
+def pack(tree: Tree, laws: Laws, order: Order) -> Packed:
     """The arrays one behind the other, in the order in which `unpack` takes them."""
-    integers = [tree.parent, tree.prismatic, tree.turned, tree.shifted, tree.heavy]
-    integers += [laws.place, laws.address, laws.stores]
+    integers = [tree.parent, tree.prismatic, tree.turned, tree.shifted, tree.heavy, tree.partner]
+    integers += [order.source, order.added, laws.place, laws.width, laws.address, laws.stores, order.drives]
     numbers = [tree.rotation, tree.inertia, tree.offset, tree.axis, tree.moment, tree.mass, tree.gravity]
     numbers += [laws.weight, laws.inertia, laws.damping, laws.stiffness, laws.parameters, laws.out]
-    sizes = np.array([len(tree.parent), *laws.place.shape, laws.parameters.shape[1], WIDTH], dtype=np.int64)
-    return Packed(np.concatenate([sizes, *(x.ravel() for x in integers)]), np.concatenate([x.ravel() for x in numbers]))
+    joints, beside = len(tree.parent), len(tree.partner)
+    sizes = [joints, joints + beside, beside, *laws.place.shape, laws.parameters.shape[1], WIDTH]
+    return Packed(
+        np.concatenate([np.array(sizes, dtype=np.int64), *(x.ravel() for x in integers)]),
+        np.concatenate([x.ravel() for x in numbers]),
+    )
+
+
+@inlined
+def _places_from(integers: Integers) -> int:
+    """Where the places of the laws begin."""
+    return SIZES + OF_JOINT * integers[JOINTS] + integers[BESIDE] + 2 * integers[COORDINATES]
 
 
 @inlined
 def unpack(packed: Packed) -> tuple[Tree, Laws]:
     """Tree and laws as views of what `pack` made."""
     integers, numbers = packed
-    n, m, width, length = integers[0], integers[1], integers[2], integers[3]
-    place_from = SIZES + 5 * n
+    n, m, width, length = integers[JOINTS], integers[LAWS], integers[BREADTH], integers[LENGTH]
+    partner_from = SIZES + OF_JOINT * n
+    place_from = _places_from(integers)
     law_from = place_from + m * width
-    of_joint = integers[SIZES:place_from].reshape((5, n))
-    of_law = integers[law_from:].reshape((2, m))
+    of_joint = integers[SIZES:partner_from].reshape((OF_JOINT, n))
+    of_law = integers[law_from : law_from + OF_LAW * m].reshape((OF_LAW, m))
     vectors_from = 2 * 9 * n
     mass_from = vectors_from + 3 * 3 * n
     gravity_from = mass_from + n
@@ -59,6 +81,7 @@ def unpack(packed: Packed) -> tuple[Tree, Laws]:
         turned=of_joint[2],
         shifted=of_joint[3],
         heavy=of_joint[4],
+        partner=integers[partner_from : partner_from + integers[BESIDE]],
         rotation=matrices[0],
         inertia=matrices[1],
         offset=vectors[0],
@@ -73,8 +96,9 @@ def unpack(packed: Packed) -> tuple[Tree, Laws]:
         inertia=linear[0],
         damping=linear[1],
         stiffness=linear[2],
-        address=of_law[0],
-        stores=of_law[1],
+        width=of_law[0],
+        address=of_law[1],
+        stores=of_law[2],
         parameters=numbers[parameters_from:out_from].reshape((m, length)),
         out=numbers[out_from:],
         wanted=integers[WANTED:SIZES],
@@ -83,26 +107,35 @@ def unpack(packed: Packed) -> tuple[Tree, Laws]:
 
 
 @entry
-def accelerations(
-    integers: Integers, numbers: Array, memory: Array, drive: Integers, q: Array, v: Array, drive_torque: Array
-) -> Array:
-    """Accelerations of what was packed, under drive torques; not finite where the mass matrix is singular."""
+def accelerations(integers: Integers, numbers: Array, memory: Array, q: Array, v: Array, drive_torque: Array) -> Array:
+    """Accelerations of what was packed, under drive torques; not finite where the mass matrix is singular.
+
+    q, v and what is returned (n,) are in the robot's own coordinates.
+    """
     tree, laws = unpack(Packed(integers, numbers))
-    n = len(q)
-    out = np.zeros(n)
+    n, order_from = len(q), SIZES + OF_JOINT * integers[JOINTS] + integers[BESIDE]
+    drives_from = _places_from(integers) + integers[LAWS] * (integers[BREADTH] + OF_LAW)
     s = scratch_in(memory, n, len(laws.inertia))
     for i in range(n):
-        s.a[i] = 0.0
-    inverse_dynamics(tree, s, q, v, s.a, s.generalised)
-    law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
+        source, added = integers[order_from + i], integers[order_from + n + i]
+        s.q[i], s.v[i], s.a[i], s.right[i] = q[source], v[source], 0.0, 0.0
+        if added >= 0:
+            s.q[i] += q[added]
+            s.v[i] += v[added]
+    inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
+    law_forces(laws, s, s.q, s.v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
     mass_matrix(tree, s, s.system)
     add_laws_to_system(laws, s, 0.0, 0.0, s.system)
-    for j in range(len(drive)):
-        out[drive[j]] = drive_torque[j]
+    for j in range(len(drive_torque)):
+        s.right[integers[drives_from + j]] = drive_torque[j]
     for i in range(n):
-        out[i] -= s.generalised[i]
-    factor(s.system)
-    solve(s.system, out)
+        s.right[i] -= s.generalised[i]
+    factor(s.system, tree.partner)
+    solve(s.system, tree.partner, s.right)
+    out = np.empty(n)
+    for i in range(n):  # what is added stands among the first
+        source, added = integers[order_from + i], integers[order_from + n + i]
+        out[source] = s.right[i] - out[added] if added >= 0 else s.right[i]
     return out
 
 

@@ -8,7 +8,7 @@ from rx90b_flex.compiled.laws import Laws
 from rx90b_flex.compiled.loop import dissipate
 from rx90b_flex.compiled.packed import Packed, unpack
 from rx90b_flex.compiled.scratch import Scratch, scratch_in
-from rx90b_flex.compiled.step import Extra, first_stage, second_stage
+from rx90b_flex.compiled.step import Extra, begin, evaluate, first_stage, second_stage
 from rx90b_flex.compiled.tree import Tree
 
 
@@ -17,7 +17,10 @@ def _begin(
     tree: Tree, laws: Laws, scratch: Scratch, loop: Loop, extra: Extra, lanes: Lanes, lane: int, torque: Array, h: float
 ) -> None:
     """First stage of a step of one lane, with its share of work and dissipation."""
-    lost = first_stage(tree, laws, scratch, None, extra.lost, extra, lane, lanes.q[lane], lanes.v[lane], torque, h)
+    q, v = lanes.q[lane], lanes.v[lane]
+    begin(scratch, q, v)
+    power = evaluate(tree, laws, scratch, None, extra.lost)
+    lost = first_stage(tree, laws, scratch, None, extra.lost, extra, lane, q, v, torque, h, power)
     dissipate(lanes, lane, lost, h)
     for j in range(len(loop.drive)):
         lanes.work[lane] -= torque[loop.drive[j]] * lanes.q[lane, loop.drive[j]]
@@ -37,6 +40,7 @@ def _finish(
     h: float,
 ) -> float:
     """Second stage of a step of one lane."""
+    evaluate(tree, laws, scratch, None, extra.lost)
     bend = second_stage(
         tree, laws, scratch, None, extra.lost, extra, late, lane, lanes.q[lane], lanes.v[lane], torque, h
     )

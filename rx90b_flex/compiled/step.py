@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from rx90b_flex.compiled.compile import Array, inlined
+from rx90b_flex.compiled.compile import Array, Integers, inlined
 from rx90b_flex.compiled.laws import Laws, add_laws_to_system, combine, law_forces, scatter
 from rx90b_flex.compiled.linear import add_dense, factor, factor_general, solve, solve_general
 from rx90b_flex.compiled.scratch import Scratch
@@ -58,6 +58,26 @@ def _add_extra_to_system(extra: Extra, lane: int, gh: float, system: Array) -> N
 
 
 @inlined
+def begin(s: Scratch, q: Array, v: Array) -> None:
+    """Put the point of the first stage where `evaluate` looks."""
+    for i in range(len(q)):
+        s.q[i], s.v[i], s.a[i] = q[i], v[i], 0.0
+
+
+@inlined
+def evaluate(tree: Tree, laws: Laws, s: Scratch, wide: Wide | None, room: Array) -> Any:
+    """Forces of links and laws at the scratch's point; each law's torque and slopes to the `late` arrays.
+
+    Returns the power that laws dissipate, W.
+    """
+    if wide is not None:
+        links_torques(tree, s, wide, room, view(wide, room, s.a), laws.wanted[0], s.q, s.v, s.a)
+    else:
+        inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
+    return law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
+
+
+@inlined
 def first_stage(
     tree: Tree,
     laws: Laws,
@@ -70,23 +90,19 @@ def first_stage(
     v: Array,
     torque: Array,
     h: float,
+    lost: Any,
 ) -> Any:
-    """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch. Returns the power dissipated at y, W.
+    """k_1, and the point y + k_1 with its acceleration k_1 / h, in the scratch, after `begin` and `evaluate`.
 
-    `room` is the working memory of the wide laws. `extra.force` is the effects' force less `extra.inertia` times the acceleration
-    that it was taken at.
+    Returns the power dissipated at y, W, where laws dissipate `lost`. `room` is the working memory of the wide laws.
+    `extra.force` is the effects' force less `extra.inertia` times the acceleration that it was taken at.
     """
     n, gh = len(q), GAMMA * h
-    for i in range(n):
-        s.a[i] = 0.0
-    if wide is not None:
-        w = view(wide, room, n)
-        links_torques(tree, s, wide, room, w, laws.wanted[0], q, v, s.a)
-    else:
-        inverse_dynamics(tree, s, q, v, s.a, s.generalised)
-    lost = law_forces(laws, s, q, v, s.a, s.torques, s.by_x, s.by_rate, s.generalised)
+    for m in range(len(laws.inertia)):
+        s.torques[m], s.by_x[m], s.by_rate[m] = s.late_torques[m], s.late_by_x[m], s.late_by_rate[m]
     mass_matrix(tree, s, s.system)
     if wide is not None:
+        w = view(wide, room, s.a)
         lost += first_forces(s, wide, room, w, laws.wanted[0], q, v)
     add_laws_to_system(laws, s, gh, gh * gh, s.system)
     for i in range(n):
@@ -101,17 +117,17 @@ def first_stage(
         _add_extra_to_system(extra, lane, gh, s.system)
         factor_general(s.system)
     elif wide is not None:
-        first_system(s, w, gh, h, v)
+        first_system(s, tree.partner, w, gh, h, v)
     else:
-        factor(s.system)
+        factor(s.system, tree.partner)
     for i in range(n):
         s.k_v[i] = s.right[i]
     if extra is not None:
         solve_general(s.system, s.k_v)
     elif wide is not None:
-        solve_leaning(s, w, s.k_v, w.whole.shape[1])
+        solve_leaning(s, tree.partner, w, s.k_v, w.whole.shape[1])
     else:
-        solve(s.system, s.k_v)
+        solve(s.system, tree.partner, s.k_v)
     for i in range(n):
         s.k_q[i] = h * v[i] + gh * s.k_v[i]
         s.q[i] = q[i] + s.k_q[i]
@@ -121,7 +137,23 @@ def first_stage(
 
 
 @inlined
-def _bend(laws: Laws, s: Scratch, h: float) -> Any:
+def _inverse_pivot(system: Array, partner: Integers, c: int) -> Any:
+    """Of coordinate c of a factored system, as elimination among the robot's own coordinates would leave it.
+
+    The robot has a torsion's angle in place of the angle behind it, for which the larger one of drive and torsion is given.
+    """
+    for k in range(len(partner)):
+        p = partner[k]
+        if c in (k, p):
+            own, behind, joined = 1.0 / system[k, k], 1.0 / system[p, p], system[k, p]
+            both = own + behind + joined * joined * system[k, k] + 2.0 * joined
+            drive, torsion = 1.0 / both, both * system[k, k] * system[p, p]
+            return drive if c == k else larger_size(drive, torsion)
+    return system[c, c]
+
+
+@inlined
+def _bend(laws: Laws, partner: Integers, s: Scratch, h: float) -> Any:
     """How far the laws' torques at y + k_1 are from where their slopes at y put them, as an angle that a step errs by,
     rad.
     """
@@ -133,9 +165,8 @@ def _bend(laws: Laws, s: Scratch, h: float) -> Any:
         missed = s.late_torques[m] - laws.inertia[m] * combine(laws, m, s.a)
         missed -= s.torques[m] + s.by_rate[m] * rate + s.by_x[m] * x
         lightest = 0.0
-        for w in range(laws.place.shape[1]):
-            if laws.weight[m, w] != 0.0:  # inverse pivots: of the inertia that this coordinate turns, or more
-                lightest = larger_size(lightest, s.system[laws.place[m, w], laws.place[m, w]])
+        for w in range(laws.width[m]):  # inverse pivots: of the inertia that this coordinate turns, or more
+            lightest = larger_size(lightest, _inverse_pivot(s.system, partner, laws.place[m, w]))
         most = larger_size(most, missed * lightest)
     return h * h * most
 
@@ -155,7 +186,7 @@ def second_stage(
     torque: Array,
     h: float,
 ) -> Any:
-    """k_2, then q and v moved on by a step. Returns how much the laws bend along it, rad.
+    """k_2, then q and v moved on by a step, after `evaluate` at y + k_1. Returns how much the laws bend along it, rad.
 
     `late_force` (lanes, n) is the extra effects' force at y + k_1.
 
@@ -163,14 +194,9 @@ def second_stage(
     then of second order.
     """
     n, gh = len(q), GAMMA * h
+    bend = _bend(laws, tree.partner, s, h)
     if wide is not None:
-        w = view(wide, room, n)
-        links_torques(tree, s, wide, room, w, laws.wanted[0], s.q, s.v, s.a)
-    else:
-        inverse_dynamics(tree, s, s.q, s.v, s.a, s.generalised)
-    law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
-    bend = _bend(laws, s, h)
-    if wide is not None:
+        w = view(wide, room, s.a)
         second_forces(s, wide, room, w, laws.wanted[0], h)
     # right = h (u - f) - M k_1 - g h K r, with M k_1 from the first stage's equation and r = h v - 2 k_q
     for i in range(n):
@@ -187,9 +213,9 @@ def second_stage(
         add_dense(extra.stiffness, lane, -gh, s.q, s.right)
         solve_general(s.system, s.right)
     elif wide is not None:
-        second_system(s, w, gh)
+        second_system(s, tree.partner, w, gh)
     else:
-        solve(s.system, s.right)
+        solve(s.system, tree.partner, s.right)
     for i in range(n):
         q[i] += 1.5 * s.k_q[i] + 0.5 * (s.q[i] + gh * s.right[i])
         v[i] += 1.5 * s.k_v[i] + 0.5 * s.right[i]

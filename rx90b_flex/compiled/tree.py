@@ -19,19 +19,24 @@ SMALL_ANGLE = 0.03  # rad; below it four terms of the Taylor series are exact in
 
 
 class Tree(NamedTuple):
-    """A tree of one-coordinate joints, in the order of the coordinates."""
+    """A tree of t one-coordinate joints, in the order of the last t coordinates.
 
-    parent: Integers  # (n,) -1 for the base
-    prismatic: Integers  # (n,)
-    turned: Integers  # (n,) whether `rotation` is not 1
-    shifted: Integers  # (n,) whether the joint's origin is not its parent's
-    heavy: Integers  # (n,) whether the body has mass
-    rotation: Array  # (n, 3, 3) of the joint's frame at zero, in the parent's
-    offset: Array  # (n, 3) m
-    axis: Array  # (n, 3) in the joint's own frame
-    mass: Array  # (n,) kg
-    moment: Array  # (n, 3) mass times centre of mass, kg m
-    inertia: Array  # (n, 3, 3) about the joint's origin, kg m^2
+    The k coordinates before them are drives whose torsion's joint turns by the link's own angle: no link feels them, and they are
+    joined to that angle alone (equations 3.73-3.83).
+    """
+
+    parent: Integers  # (t,) -1 for the base
+    prismatic: Integers  # (t,)
+    turned: Integers  # (t,) whether `rotation` is not 1
+    shifted: Integers  # (t,) whether the joint's origin is not its parent's
+    heavy: Integers  # (t,) whether the body has mass
+    partner: Integers  # (k,) coordinate of the angle behind each drive's torsion
+    rotation: Array  # (t, 3, 3) of the joint's frame at zero, in the parent's
+    offset: Array  # (t, 3) m
+    axis: Array  # (t, 3) in the joint's own frame
+    mass: Array  # (t,) kg
+    moment: Array  # (t, 3) mass times centre of mass, kg m
+    inertia: Array  # (t, 3, 3) about the joint's origin, kg m^2
     gravity: Array  # (3,) m/s^2
 
 
@@ -96,8 +101,8 @@ def place(tree: Tree, s: Scratch, q: Array) -> None:
     """Rotations, axes and arms of all joints at q, in world axes."""
     # no views of rows: counting their references would cost more than the arithmetic
     rotation, axis, arm = s.rotation, s.axis, s.arm
-    fixed, offset = tree.rotation, tree.offset
-    for i in range(len(q)):
+    fixed, offset, first = tree.rotation, tree.offset, len(tree.partner)
+    for i in range(len(tree.parent)):
         parent = tree.parent[i]
         if parent < 0:
             for r in range(3):
@@ -119,17 +124,18 @@ def place(tree: Tree, s: Scratch, q: Array) -> None:
             axis[i, r] = rotation[i, r, 0] * x + rotation[i, r, 1] * y + rotation[i, r, 2] * z
         if tree.prismatic[i]:
             for r in range(3):
-                arm[i, r] += axis[i, r] * q[i]
+                arm[i, r] += axis[i, r] * q[first + i]
         else:
-            sine, cosine = sine_cosine(q[i])
+            sine, cosine = sine_cosine(q[first + i])
             _turn(rotation, i, axis, sine, cosine, x, y, z)
 
 
 @inlined
 def move(tree: Tree, s: Scratch, v: Array, a: Array) -> None:
     """Angular velocities, angular accelerations and accelerations of the origins, gravity as an upward acceleration."""
-    for i in range(len(v)):
-        parent = tree.parent[i]
+    first = len(tree.partner)
+    for i in range(len(tree.parent)):
+        parent, rate, more = tree.parent[i], v[first + i], a[first + i]
         if parent < 0:
             px = py = pz = tx = ty = tz = 0.0
             lx, ly, lz = -tree.gravity[0], -tree.gravity[1], -tree.gravity[2]
@@ -145,17 +151,17 @@ def move(tree: Tree, s: Scratch, v: Array, a: Array) -> None:
             ly += tz * dx - tx * dz + pz * ux - px * uz
             lz += tx * dy - ty * dx + px * uy - py * ux
         if tree.prismatic[i]:
-            rate = 2.0 * v[i]
-            lx += wx * a[i] + rate * (py * wz - pz * wy)
-            ly += wy * a[i] + rate * (pz * wx - px * wz)
-            lz += wz * a[i] + rate * (px * wy - py * wx)
+            twice = 2.0 * rate
+            lx += wx * more + twice * (py * wz - pz * wy)
+            ly += wy * more + twice * (pz * wx - px * wz)
+            lz += wz * more + twice * (px * wy - py * wx)
         else:
-            tx += wx * a[i] + v[i] * (py * wz - pz * wy)
-            ty += wy * a[i] + v[i] * (pz * wx - px * wz)
-            tz += wz * a[i] + v[i] * (px * wy - py * wx)
-            px += wx * v[i]
-            py += wy * v[i]
-            pz += wz * v[i]
+            tx += wx * more + rate * (py * wz - pz * wy)
+            ty += wy * more + rate * (pz * wx - px * wz)
+            tz += wz * more + rate * (px * wy - py * wx)
+            px += wx * rate
+            py += wy * rate
+            pz += wz * rate
         s.spin[i, 0], s.spin[i, 1], s.spin[i, 2] = px, py, pz
         s.turn[i, 0], s.turn[i, 1], s.turn[i, 2] = tx, ty, tz
         s.lift[i, 0], s.lift[i, 1], s.lift[i, 2] = lx, ly, lz
@@ -206,10 +212,12 @@ def _body_wrench(s: Scratch, i: int) -> None:
 @inlined
 def inverse_dynamics(tree: Tree, s: Scratch, q: Array, v: Array, a: Array, out: Array) -> None:
     """Generalised forces that the links need; leaves the places and own inertias of all bodies in the scratch."""
-    n = len(q)
+    n, first = len(tree.parent), len(tree.partner)
     place(tree, s, q)
     move(tree, s, v, a)
     _weigh(tree, s)
+    for i in range(first):
+        out[i] = 0.0
     for i in range(n):
         if tree.heavy[i]:
             _body_wrench(s, i)
@@ -222,9 +230,9 @@ def inverse_dynamics(tree: Tree, s: Scratch, q: Array, v: Array, a: Array, out: 
         nx, ny, nz = s.torque[i, 0], s.torque[i, 1], s.torque[i, 2]
         wx, wy, wz = s.axis[i, 0], s.axis[i, 1], s.axis[i, 2]
         if tree.prismatic[i]:
-            out[i] = wx * fx + wy * fy + wz * fz
+            out[first + i] = wx * fx + wy * fy + wz * fz
         else:
-            out[i] = wx * nx + wy * ny + wz * nz
+            out[first + i] = wx * nx + wy * ny + wz * nz
         parent = tree.parent[i]
         if parent >= 0:
             if tree.shifted[i]:
@@ -291,35 +299,34 @@ def body_columns(tree: Tree, s: Scratch, i: int, out: Array, first: int) -> None
 
 
 @inlined
-def _hang(s: Scratch, i: int, parent: int, shifted: int) -> None:
-    """Add what hangs on joint i to what hangs on its parent, about the parent's origin."""
-    m = s.mass[i]
+def _hang(mass: Array, c: Array, inertia: Array, d: Array, i: int, parent: int, shifted: int) -> None:
+    """Add what hangs on joint i to what hangs on its parent, about the parent's origin; first moments c, arms d."""
+    m = mass[i]
     if shifted:
-        d, c = s.arm, s.moment
         square = 0.0
         for r in range(3):
             square += d[i, r] * (m * d[i, r] + 2.0 * c[i, r])
         for r in range(3):
-            s.inertia[parent, r, r] += square
+            inertia[parent, r, r] += square
             for k in range(3):
                 crossed = m * d[i, r] * d[i, k] + d[i, r] * c[i, k] + c[i, r] * d[i, k]
-                s.inertia[parent, r, k] += s.inertia[i, r, k] - crossed
+                inertia[parent, r, k] += inertia[i, r, k] - crossed
         for r in range(3):
             c[parent, r] += c[i, r] + m * d[i, r]
     else:
         for r in range(3):
-            s.moment[parent, r] += s.moment[i, r]
+            c[parent, r] += c[i, r]
             for k in range(3):
-                s.inertia[parent, r, k] += s.inertia[i, r, k]
-    s.mass[parent] += m
+                inertia[parent, r, k] += inertia[i, r, k]
+    mass[parent] += m
 
 
 @inlined
 def mass_matrix(tree: Tree, s: Scratch, out: Array) -> None:
     """Mass matrix of the links, upper triangle, from the places and inertias that `inverse_dynamics` left behind."""
-    n = len(tree.parent)
-    for i in range(n):
-        for k in range(i, n):
+    n, first = len(tree.parent), len(tree.partner)
+    for i in range(first + n):
+        for k in range(i, first + n):
             out[i, k] = 0.0
     for i in range(n - 1, -1, -1):
         parent = tree.parent[i]
@@ -338,9 +345,9 @@ def mass_matrix(tree: Tree, s: Scratch, out: Array) -> None:
         k = i
         while k >= 0:
             if tree.prismatic[k]:
-                out[k, i] = s.axis[k, 0] * fx + s.axis[k, 1] * fy + s.axis[k, 2] * fz
+                out[first + k, first + i] = s.axis[k, 0] * fx + s.axis[k, 1] * fy + s.axis[k, 2] * fz
             else:
-                out[k, i] = s.axis[k, 0] * nx + s.axis[k, 1] * ny + s.axis[k, 2] * nz
+                out[first + k, first + i] = s.axis[k, 0] * nx + s.axis[k, 1] * ny + s.axis[k, 2] * nz
             if tree.shifted[k]:
                 dx, dy, dz = s.arm[k, 0], s.arm[k, 1], s.arm[k, 2]
                 nx += dy * fz - dz * fy
@@ -348,4 +355,4 @@ def mass_matrix(tree: Tree, s: Scratch, out: Array) -> None:
                 nz += dx * fy - dy * fx
             k = tree.parent[k]
         if parent >= 0:
-            _hang(s, i, parent, tree.shifted[i])
+            _hang(s.mass, s.moment, s.inertia, s.arm, i, parent, tree.shifted[i])

@@ -140,6 +140,55 @@ with_lane: Any = _with_lane
 as_vectors: Any = _as_vectors
 
 
+def _of_vectors(array: Any) -> bool:
+    return isinstance(array, types.Array) and isinstance(array.dtype, Vector)
+
+
+def width_of(like: Any) -> Any:
+    """How many lanes lie side by side in an array of vectors or of numbers."""
+    raise NotImplementedError("in compiled code only")
+
+
+@overload(width_of)
+def _width_of(like):  # type: ignore[no-untyped-def]
+    width = WIDTH if _of_vectors(like) else 1
+    return lambda like: width
+
+
+def seen_as(numbers: Any, like: Any) -> Any:
+    """A flat array of numbers seen as one of vectors where `like` is one, as it is where that is one of numbers."""
+    raise NotImplementedError("in compiled code only")
+
+
+@overload(seen_as)
+def _seen_as(numbers, like):  # type: ignore[no-untyped-def]
+    if _of_vectors(like):
+        return lambda numbers, like: as_vectors(numbers)
+    return lambda numbers, like: numbers
+
+
+def spread(x: Any, out: Any) -> None:
+    """Each lane's number of x into `out` (lanes,)."""
+    raise NotImplementedError("in compiled code only")
+
+
+@overload(spread)
+def _spread(x, out):  # type: ignore[no-untyped-def]
+    if isinstance(x, Vector):
+
+        def lanes(x, out):  # type: ignore[no-untyped-def]
+            for lane in range(WIDTH):
+                out[lane] = lane_of(x, lane)
+
+        return lanes
+
+    def number(x, out):  # type: ignore[no-untyped-def]
+        for lane in range(len(out)):
+            out[lane] = x
+
+    return number
+
+
 def larger_size(a: Any, b: Any) -> Any:
     """The larger of a and the size of b, for a of 0 or more."""
     raise NotImplementedError("in compiled code only")
@@ -173,3 +222,15 @@ def aligned(count: int) -> Array:
     room = np.zeros(WIDTH * (count + 1))
     start = (-room.ctypes.data % (8 * WIDTH)) // 8
     return room[start : start + WIDTH * count]
+
+
+def working_memory(count: int, alone: bool | None) -> Array:
+    """Zeros: so many vectors; so many numbers where a lane is `alone`, which is not None."""
+    raise NotImplementedError("in compiled code only")
+
+
+@overload(working_memory)
+def _working_memory(count, alone):  # type: ignore[no-untyped-def]
+    if isinstance(alone, types.NoneType):
+        return lambda count, alone: as_vectors(aligned(count))
+    return lambda count, alone: np.zeros(count)

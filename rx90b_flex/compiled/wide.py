@@ -1,7 +1,7 @@
 """Laws that know more than one angle and its rate: time, the load of their joint, another joint's angle, what they remember;
 and laws that are no torque: of the links' angle behind a gear, of what a resolver shows, of what a motor gives.
 
-In the sampling loop of eight lanes; laws are asked lane by lane. The load L depends on the acceleration, so that a law T(L) is taken
+In the sampling loop; laws are asked lane by lane. The load L depends on the acceleration, so that a law T(L) is taken
 as ``T(L_0) + dT/dL (L - L_0)`` about the load at the acceleration of the step before, which makes it part of the mass matrix.
 
 Such a law, or one that acts elsewhere than where it reads, leans: its part ``p u'`` of the system of a step is not symmetric. The
@@ -20,7 +20,7 @@ from rx90b_flex.compiled.laws import call_law
 from rx90b_flex.compiled.linear import factor, solve
 from rx90b_flex.compiled.scratch import Scratch
 from rx90b_flex.compiled.tree import Tree, inverse_dynamics
-from rx90b_flex.compiled.vectors import WIDTH, as_vectors
+from rx90b_flex.compiled.vectors import seen_as, width_of
 
 KIND, ADDRESS, STORES, SLOT, LOADED, REMEMBERS, DRIVE, LEANS = range(8)  # rows of `whole`
 ROWS = 8
@@ -74,12 +74,12 @@ def room_size(wide: Wide, n: int) -> int:
 
 
 @inlined
-def view(wide: Wide, room: Array, n: int) -> WideView:
-    """The laws with working memory in `room` (numbers of `room_size` vectors)."""
-    m, w = wide.integers[0], wide.integers[1]
+def view(wide: Wide, room: Array, like: Array) -> WideView:
+    """The laws with working memory in `room` (numbers of `room_size` vectors, or of as many numbers), of what `like` (n,) is of."""
+    m, w, n = wide.integers[0], wide.integers[1], len(like)
     place_from = SIZES + ROWS * m
     kept = wide.memory.shape[1]
-    vectors = as_vectors(room)
+    vectors = seen_as(room, like)
     row_from = 3 * kept
     push_from = row_from + m * n
     slopes_from = push_from + m * n
@@ -101,8 +101,8 @@ def view(wide: Wide, room: Array, n: int) -> WideView:
 
 
 @called
-def _ask(wide: Wide, room: Array, n: int, m: int, lanes: int, time: float, stage: int) -> None:
-    """Ask law m for lanes: from x, rate and load in the exchange to its torque and slopes there.
+def _ask(wide: Wide, room: Array, side: int, n: int, m: int, lanes: int, time: float, stage: int) -> None:
+    """Ask law m for lanes, `side` of which lie side by side: from x, rate and load in the exchange to its torque and slopes there.
 
     What it remembers goes from the first (stage 0) or second (1) block of the room to the next one.
     """
@@ -111,23 +111,23 @@ def _ask(wide: Wide, room: Array, n: int, m: int, lanes: int, time: float, stage
     own = integers[SIZES : SIZES + ROWS * count].reshape((ROWS, count))
     row_from = 1 + 2 * count * width + m * length
     parameters, out = numbers[row_from : row_from + length], numbers[1 + count * (2 * width + length) :]
-    exchange = room[WIDTH * (room_size(wide, n) - EXCHANGE) :]
-    kept = room[WIDTH * (stage * wide.memory.shape[1] + m * remembered) :]
-    onward = room[WIDTH * ((stage + 1) * wide.memory.shape[1] + m * remembered) :]
+    exchange = room[side * (room_size(wide, n) - EXCHANGE) :]
+    kept = room[side * (stage * wide.memory.shape[1] + m * remembered) :]
+    onward = room[side * ((stage + 1) * wide.memory.shape[1] + m * remembered) :]
     slot = own[SLOT, m]
     parameters[slot] = time
     out[3] = 0.0
     for lane in range(lanes):
-        x = exchange[WIDTH * X + lane]
-        parameters[slot + 1] = exchange[WIDTH * LOAD + lane]
+        x = exchange[side * X + lane]
+        parameters[slot + 1] = exchange[side * LOAD + lane]
         for i in range(1 + own[REMEMBERS, m]):
-            parameters[slot + 2 + i] = kept[WIDTH * i + lane]
-        call_law(own[ADDRESS, m], x, exchange[WIDTH * RATE + lane], parameters, out)
+            parameters[slot + 2 + i] = kept[side * i + lane]
+        call_law(own[ADDRESS, m], x, exchange[side * RATE + lane], parameters, out)
         for i in range(4):
-            exchange[WIDTH * (ASKED + i) + lane] = out[i]
+            exchange[side * (ASKED + i) + lane] = out[i]
         onward[lane] = x
         for i in range(own[REMEMBERS, m]):
-            onward[WIDTH * (1 + i) + lane] = out[4 + i]
+            onward[side * (1 + i) + lane] = out[4 + i]
 
 
 # ---- within a step ---------------------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ def links_torques(
         if w.whole[KIND, m] == LINKS:
             i = w.place[ON, m, 0]
             found[X], found[RATE] = q[i], v[i]
-            _ask(wide, room, len(q), m, lanes, 0.0, 1)
+            _ask(wide, room, width_of(q), len(q), m, lanes, 0.0, 1)
             slope, curvature = found[ASKED + 1], found[ASKED + 2]
             links[Q, i] += found[ASKED]
             links[V, i] += slope * v[i]
@@ -194,7 +194,7 @@ def first_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, q
                 w.row[m, i] = s.system[p, i] if i >= p else s.system[i, p]
                 moved += w.row[m, i] * w.before[i]
             found[LOAD] = w.slopes[LINKS_LOAD, m] + moved
-        _ask(wide, room, n, m, lanes, w.time[0], 0)
+        _ask(wide, room, width_of(q), n, m, lanes, w.time[0], 0)
         torque = found[ASKED]
         for i in range(BY_X, BY_LOAD + 1):
             w.slopes[i, m] = found[ASKED + i]
@@ -205,7 +205,7 @@ def first_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, q
 
 
 @inlined
-def first_system(s: Scratch, w: WideView, gh: float, h: float, v: Array) -> None:
+def first_system(s: Scratch, partner: Integers, w: WideView, gh: float, h: float, v: Array) -> None:
     """The laws' part of the system of a step, which it factors, and of its right side."""
     n = len(s.system)
     for m in range(w.whole.shape[1]):
@@ -225,14 +225,14 @@ def first_system(s: Scratch, w: WideView, gh: float, h: float, v: Array) -> None
                 r, c = w.place[ON, m, a], w.place[ON, m, b]
                 if r <= c:
                     s.system[r, c] += w.weight[ON, m, a] * w.weight[ON, m, b] * value
-    factor(s.system)
+    factor(s.system, partner)
     for m in range(w.whole.shape[1]):
         if w.whole[LEANS, m]:
             for i in range(n):
                 w.push[m, i] = 0.0 * gh
             for a in range(w.place.shape[2]):
                 w.push[m, w.place[ON, m, a]] += w.weight[ON, m, a]
-            solve_leaning(s, w, w.push[m], m)
+            solve_leaning(s, partner, w, w.push[m], m)
             total = w.row[m, 0] * w.push[m, 0]
             for i in range(1, n):
                 total += w.row[m, i] * w.push[m, i]
@@ -240,9 +240,9 @@ def first_system(s: Scratch, w: WideView, gh: float, h: float, v: Array) -> None
 
 
 @called
-def solve_leaning(s: Scratch, w: WideView, x: Array, laws: int) -> None:
+def solve_leaning(s: Scratch, partner: Integers, w: WideView, x: Array, laws: int) -> None:
     """Solve with the system of a step and the first of the laws that lean, in place."""
-    solve(s.system, x)
+    solve(s.system, partner, x)
     n = len(x)
     for m in range(laws):
         if w.whole[LEANS, m]:
@@ -262,40 +262,40 @@ def second_forces(s: Scratch, wide: Wide, room: Array, w: WideView, lanes: int, 
         if w.whole[KIND, m] == FORCE:
             found[X], found[RATE] = _along(w, BY, m, s.q), _along(w, BY, m, s.v)
             found[LOAD] = w.slopes[LINKS_LOAD, m]
-            _ask(wide, room, len(s.q), m, lanes, w.time[0] + h, 1)
+            _ask(wide, room, width_of(s.q), len(s.q), m, lanes, w.time[0] + h, 1)
             _act(w, m, found[ASKED], s.generalised)
     for i in range(len(s.q)):
         w.after[i] = s.a[i]
 
 
 @inlined
-def second_system(s: Scratch, w: WideView, gh: float) -> None:
+def second_system(s: Scratch, partner: Integers, w: WideView, gh: float) -> None:
     """The laws' part of the right side, and its solution."""
     for m in range(w.whole.shape[1]):
         if w.whole[KIND, m] == FORCE:
             rate, x = _along(w, BY, m, s.k_v), _along(w, BY, m, s.q)
             _act(w, m, gh * (w.slopes[BY_RATE, m] * rate + w.slopes[BY_X, m] * (gh * rate - x)), s.right)
-    solve_leaning(s, w, s.right, w.whole.shape[1])
+    solve_leaning(s, partner, w, s.right, w.whole.shape[1])
 
 
 # ---- between steps ---------------------------------------------------------------------------------------------
 
 
 @inlined
-def load_room(wide: Wide, room: Array, first: int, count: int, time: float) -> None:
-    """What a pack of lanes keeps from the step before, side by side."""
+def load_room(wide: Wide, room: Array, side: int, first: int, count: int, time: float) -> None:
+    """What a pack of lanes keeps from the step before, `side` of them side by side."""
     wide.numbers[0] = time
     for place in range(count):
         for i in range(wide.memory.shape[1]):
-            room[WIDTH * i + place] = wide.memory[first + place, i]
+            room[side * i + place] = wide.memory[first + place, i]
 
 
 @inlined
-def store_room(wide: Wide, room: Array, lane: int, place: int) -> None:
+def store_room(wide: Wide, room: Array, side: int, lane: int, place: int) -> None:
     """What a lane keeps at the end of its step."""
     kept = wide.memory.shape[1]
     for i in range(kept):
-        wide.memory[lane, i] = room[WIDTH * (kept + i) + place]
+        wide.memory[lane, i] = room[side * (kept + i) + place]
 
 
 @called

@@ -34,7 +34,7 @@ from rx90b_flex.compiled.loop import run
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.log_effect import LogEffect, between
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.plant import Plant, wide_of
+from rx90b_flex.plant import Plant, Stepped, wide_of
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.recording import Recording, Role
@@ -49,6 +49,9 @@ Progress = Callable[[float], None]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
 TOLERANCE = 1e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
+SHRINKS = (
+    1e-2  # a step of a static start's Newton iteration that is this much smaller than the last keeps its stiffness
+)
 SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controller's supervision stops the robot
 
 
@@ -331,11 +334,16 @@ def static_start(robot: Robot, position: Array, velocity: Array) -> tuple[Array,
     free = np.setdiff1d(np.arange(n), drives)
     q, v, rest = np.zeros(n), np.zeros(n), np.zeros(n)
     q[drives], v[drives] = position, velocity
+    stiffness, last = np.eye(len(free)), 0.0
     for _ in range(20 if len(free) else 0):
         missing = robot.inverse_dynamics(q, v, rest)[free]
-        step = np.linalg.solve(robot.linearize(q, v, rest).K[np.ix_(free, free)], missing)
+        step = np.linalg.solve(stiffness, missing)
+        if not np.abs(step).max() < SHRINKS * last:
+            stiffness = robot.linearize(q, v, rest).K[np.ix_(free, free)]
+            step = np.linalg.solve(stiffness, missing)
         q[free] -= step
-        if np.abs(step).max() < 1e-14:
+        last = np.abs(step).max()
+        if last < 1e-14:
             break
     return q, v, robot.input_matrix.T @ robot.inverse_dynamics(q, v, rest)
 
@@ -450,16 +458,27 @@ class _Runner:
         self.last: Array = np.zeros(0)  # measured signals at the end of the last chunk
         rest = job.robot.motion(self.lanes.q, self.lanes.v, self.lanes.a)
         laws = self._laws(rest)
-        of_robot = [law for law in laws or () if law.at in ("force", "links")]
-        of_motors = [law for law in laws or () if law.at in ("measured", "motor")]
-        self.wide = wide_of(of_robot, self.plant.drives, self.lanes.q) if of_robot else None
-        self.between = wide_of(of_motors, self.plant.drives, self.lanes.q)
-        self.parts = None if laws is not None else ByParts(job.robot, job.between, self.loop, self.lanes)
+        self.parts: ByParts | None = None
+        self.behind: Stepped | None = None  # coordinates that the lanes are in; None: the robot's
+        if laws is None:
+            self.parts = ByParts(job.robot, job.between, self.loop, self.lanes)
+        else:
+            self._step_compiled(laws)
         self.shows = any(e.measurement_error(rest) is not None for e in job.between)
         ahead = max((e.history_s for e in job.between), default=0.0)
         rows = int(np.ceil(ahead * controller.controller_rate_hz))
         # before the start the motors held the weight, as the controller's integrators do
         self.given: Array = np.tile(self.lanes.held, (rows, 1, 1))  # torques that `logged_torque` looks back on
+
+    def _step_compiled(self, laws: Sequence[Law]) -> None:
+        """Go over to the coordinates in which the plant is stepped, and take these laws beside those that it has."""
+        self.behind = behind = self.plant.stepped
+        self.lanes = self.lanes._replace(q=behind.of(self.lanes.q), v=behind.of(self.lanes.v))
+        self.loop = self.loop._replace(drive=behind.order.drives)
+        of_robot = [law for law in laws if law.at in ("force", "links")]
+        of_motors = [law for law in laws if law.at in ("measured", "motor")]
+        self.wide = wide_of(of_robot, self.plant, self.lanes.q) if of_robot else None
+        self.between = wide_of(of_motors, self.plant, self.lanes.q)
 
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
@@ -543,6 +562,8 @@ class _Runner:
                 break
         filtered.finish(out[done:])
         unfiltered = np.concatenate(raw) if raw else None
+        if self.behind is not None:
+            whole[:2] = [self.behind.robots(x) for x in whole[:2]]
         return [self._result(i, logged[..., i], whole, unfiltered) for i in range(count)]
 
     def _inputs(self, first: int, samples: int) -> Inputs:
@@ -599,8 +620,8 @@ class _Runner:
     def _advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
         if self.parts is not None:
             self.parts.advance(inputs, logs, samples)
-        else:
-            run(self.plant.packed, self.wide, self.between, self.loop, self.lanes, inputs, logs, samples)
+        elif self.behind is not None:
+            run(self.behind.packed, self.wide, self.between, self.loop, self.lanes, inputs, logs, samples)
 
     # ---- results ----------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.early import LONGEST_S
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation import multisine
@@ -253,7 +254,8 @@ def simulate_into(
     prepared = prepare(request)
     what = f"simulating {prepared.trajectory.name}"
     tell(what, 0.0)
-    result = run(prepared, lambda part: tell(what, 0.95 * part))
+    with told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)):
+        result = run(prepared, lambda part: tell(what, 0.95 * part))
     if len(result.time) < 2:
         raise ValueError(
             f"{prepared.robot.name}: {prepared.trajectory.name} ended at once: {result.ended or 'it has no samples'}; expected a "

@@ -30,6 +30,7 @@ from rx90b_flex.compiled.about_mean import Along, Ports, Steps, make_steps
 from rx90b_flex.compiled.controller import Inputs, Logs
 from rx90b_flex.compiled.perturbed import Perturbed, advance
 from rx90b_flex.compiled.rate_table import CELLS, fill_tables
+from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Role
@@ -252,6 +253,9 @@ class _PerturbationRunner(closed_loop._Runner):
         n, lanes = len(v[0]), len(job.trajectories)
         self.state = Perturbed(y, np.zeros((n, lanes)), np.zeros((self.ports.vector.shape[1], lanes)), angle)
         self.known: dict[bytes, Steps] = {}
+
+    def _step_compiled(self, laws: Sequence[Law]) -> None:
+        """Nothing: the lanes stay in the robot's coordinates."""
 
     def _advance(self, inputs: Inputs, logs: Logs, samples: int) -> None:
         steps = self._steps(inputs.first, samples)
