@@ -172,11 +172,10 @@ class Base:
         _, inverse = self.whole
         many = columns.shape[2] // k
         with_base = self.with_base(rows, columns).reshape(-1, many, k)
-        shaped = columns.reshape(len(columns), len(rows), many, k)
-        own = np.einsum("j,njmk,njml->mkl", self.weight[rows], shaped, shaped)
-        left = own - np.einsum("pmk,pml->mkl", with_base, np.tensordot(inverse, with_base, axes=1))
+        own = _products((columns * np.sqrt(self.weight[rows])[:, None]).reshape(-1, many, k))
+        left = own - _products(with_base, np.tensordot(inverse, with_base, axes=1))
         score = self._score(rows, columns).reshape(many, k)
-        return np.array([s @ solve_beside(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
+        return np.asarray((score * solve_beside(left, own, score)).sum(axis=1))
 
     def _score(self, rows: Indices, columns: Array) -> Array:
         out = np.zeros(columns.shape[2])
@@ -185,10 +184,31 @@ class Base:
         return out
 
 
+def _products(x: Array, y: Array | None = None) -> Array:
+    """Of the columns of many candidates, each with its own, (N, M, k) twice; shape (M, k, k)."""
+    y = x if y is None else y
+    out = np.empty((x.shape[1], x.shape[2], y.shape[2]))
+    for i, j in np.ndindex(out.shape[1:]):
+        out[:, i, j] = np.einsum("nm,nm->m", x[:, :, i], y[:, :, j])
+    return out
+
+
 def solve_beside(left: Array, own: Array, score: Array) -> Array:
-    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero."""
-    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    values, vectors = np.linalg.eigh(left / np.outer(scale, scale))
+    """Coefficients (..., k) of columns that are partly explained by the base; what is wholly explained gets zero.
+
+    Parameters
+    ----------
+    left, own : array, shape (..., k, k)
+        Gram matrices of the columns less the base's part, and with it.
+    score : array, shape (..., k)
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(own, axis1=-2, axis2=-1), 1e-300))
+    scaled = left / (scale[..., :, None] * scale[..., None, :])
+    if scaled.shape[-1] == 1:  # most of them
+        values, vectors = scaled[..., 0], np.ones_like(scaled)
+    else:
+        values, vectors = np.linalg.eigh(scaled)
+    along = (np.swapaxes(vectors, -1, -2) @ (score / scale)[..., None])[..., 0]
     kept = values > DETERMINED
-    basis = vectors[:, kept]
-    return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
+    along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
+    return np.asarray((vectors @ along[..., None])[..., 0] / scale)

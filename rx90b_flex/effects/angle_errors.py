@@ -44,30 +44,40 @@ class _AngleError(LogEffect, PeriodicEffect):
         """Change of the torque per change of the angle, its rate, its second rate, each (N, n), and its slope, (N,)."""
 
     def columns(self, motion: Motion) -> Array:
-        place = self._place(motion)
-        in_phase, quarter = self._parts(motion)
-        s, c = self._sine_and_cosine(motion.q[:, place])
-        return np.stack([s * in_phase + c * quarter, c * in_phase - s * quarter], axis=2)
+        return self._at_orders(motion, self.known_shape())
 
     def factors(self, motion: Motion) -> None:
         return None
 
     def leading(self, motion: Motion) -> tuple[Array, Array]:
         place = self._place(motion)
-        in_phase, quarter = self._parts(motion, place)
-        s, c = self._sine_and_cosine(motion.q[:, place])
-        basis = np.concatenate([s * in_phase + c * quarter, c * in_phase - s * quarter], axis=1)
+        basis = self._at_orders(motion, self.known_shape(), slice(place, place + 1))[:, 0]
         return motion.coordinates.port(self.joint, "drive"), basis
 
-    def _parts(self, motion: Motion, row: int | None = None) -> tuple[Array, Array]:
-        """Torque in phase with sin and a quarter turn ahead of it; each (N, n), or (N, 1) for one row.
+    def side_by_side(
+        self, effects: Sequence[Effect], motion: Motion, leading: bool = False
+    ) -> tuple[Array | None, Array]:
+        if any(type(e) is not type(self) or e.joints != self.joints for e in effects):
+            return super().side_by_side(effects, motion, leading)
+        orders = np.concatenate([e.known_shape() for e in effects])
+        if not leading:
+            return None, self._at_orders(motion, orders)
+        place = self._place(motion)
+        basis = self._at_orders(motion, orders, slice(place, place + 1))[:, 0]
+        return motion.coordinates.port(self.joint, "drive"), basis
+
+    def _at_orders(self, motion: Motion, orders: Array, rows: slice = slice(None)) -> Array:
+        """Columns of sin and cos at some orders (M,), one pair behind the other, in some rows; (N, rows, 2 M).
 
         With delta = sin(order q): delta' = order q' cos, delta'' = order q'' cos - (order q')^2 sin.
         """
-        (order,) = self.known_shape()
-        position, centripetal, ahead = self._constants(motion)
-        rows = slice(None) if row is None else slice(row, row + 1)
-        return position[:, rows] - order**2 * centripetal[:, rows], order * ahead[:, rows]
+        position, centripetal, ahead = (x[:, rows, None] for x in self._constants(motion))
+        angle = motion.q[:, self._place(motion), None] * orders
+        s, c = np.sin(angle)[:, None], np.cos(angle)[:, None]
+        in_phase, quarter = position - orders**2 * centripetal, orders * ahead
+        out = np.empty((*in_phase.shape, 2))
+        out[..., 0], out[..., 1] = s * in_phase + c * quarter, c * in_phase - s * quarter
+        return out.reshape(*in_phase.shape[:2], -1)
 
     def _constants(self, motion: Motion) -> tuple[Array, ...]:
         """What of these does not depend on the order: what grows with its square, and what turns ahead with it; each (N, n)."""
@@ -103,10 +113,6 @@ class _AngleError(LogEffect, PeriodicEffect):
 
     def _place(self, motion: Motion) -> int:
         return int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
-
-    def _sine_and_cosine(self, q: Array) -> tuple[Array, Array]:
-        (order,) = self.known_shape()
-        return np.sin(order * q)[:, None], np.cos(order * q)[:, None]
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
         place = self._place(at.motion)

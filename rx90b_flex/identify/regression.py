@@ -594,13 +594,12 @@ class Regression:
         known[key] = found
 
     def _factored(self, segment: Segment, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        factors = [e.leading(segment.motion) if leading else e.factors(segment.motion) for e in effects]
-        if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
-            port = self.seen(effects[0], factors[0][0][None, :, None])[0, :, 0]  # type: ignore[index]
-            rows = np.flatnonzero(port)
-            basis = segment.brought(np.concatenate([f[1] for f in factors if f is not None], axis=1))
-            return rows, port[rows][None, :, None] * basis[:, None, :]
-        columns = self.seen(effects[0], np.concatenate([e.columns(segment.motion) for e in effects], axis=2))
+        port, columns = effects[0].side_by_side(effects, segment.motion, leading)
+        if port is not None:
+            weight = self.seen(effects[0], port[None, :, None])[0, :, 0]
+            rows = np.flatnonzero(weight)
+            return rows, weight[rows][None, :, None] * segment.brought(columns)[:, None, :]
+        columns = self.seen(effects[0], columns)
         rows = np.flatnonzero(columns.any(axis=(0, 2)))
         return rows, segment.brought(columns[:, rows])
 
