@@ -143,14 +143,11 @@ class Base:
 
     def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:
         """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
-        weight = self.weight[rows]
-        c = columns[block]
-        y = self.shared.target[rows, block]
-        return (
-            self.with_base(rows, columns, block),
-            np.einsum("j,jn,njk->k", weight, y, c, optimize=True),
-            np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
-        )
+        c, weight = columns[block], self.weight[rows]
+        weighted = np.ascontiguousarray((c * weight[:, None]).transpose(1, 0, 2))
+        score = sum(x.T @ y for x, y in zip(weighted, self.shared.target[rows, block], strict=True))
+        own = sum(x.T @ c[:, i] for i, x in enumerate(weighted))
+        return self.with_base(rows, columns, block), np.asarray(score), np.asarray(own)
 
     def apart(self, rows: Indices, columns: Array) -> Array:
         """What of candidate columns (N, rows, k) the base does not explain, shape (joints, N, k)."""

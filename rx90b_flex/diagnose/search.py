@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
-from rx90b_flex.identify.coloured import residual_spectrum, scatter
+from rx90b_flex.identify.coloured import residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
     BEYOND,
@@ -592,7 +592,7 @@ class Search:
         k = len(beta)
         columns = beside[:, :, :k]
         together = np.concatenate([columns, self._by_shape(effect, beside[:, :, k:], beta)], axis=2)
-        own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
+        own = base.weight[rows] @ (together**2).sum(axis=0)
         apart = base.apart(rows, together)
         residual = base.residual - apart[:, :, :k] @ beta
         left_over = base.weight * np.einsum("jn,jn->j", residual, residual)
@@ -601,9 +601,10 @@ class Search:
         spans = self.regression.spans
         longest = self.longest_lag
         absorbed = self.model.absorbed
-        spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(residual, absorbed, strict=True)]
+        spectra = residual_spectra(residual, spans, absorbed, longest)
         meat = scatter(apart, base.weight, spectra, spans)
-        bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
+        flat = (apart * np.sqrt(base.weight)[:, None]).reshape(-1, apart.shape[2])
+        bread = flat.T @ flat
         wald, free, covariance = _wald(bread[:k, :k], meat[:k, :k], own[:k], beta, DETERMINED)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         shapes = self.free(effect)

@@ -17,6 +17,10 @@ Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 STICKS = ("turn", "pause")  # where a drive sticks: as it turns, or on its way
 Held = tuple[str, str]  # a joint, and one of these
+MOST_LATEST, LATEST_BYTES = (
+    4,
+    2e6,
+)  # numbers for which a joint's motion keeps what follows from them, of a long one fewer
 
 
 @dataclass(frozen=True)
@@ -226,9 +230,13 @@ class Motion:
             self._kept[key] = make()
         return self._kept[key]
 
+    @cached_property
+    def _latest(self) -> dict[tuple[str, str], dict[str, dict[float, Array]]]:
+        return {}
+
     def forget(self) -> None:
         """Give back what was worked out once."""
-        for name in ("on_tree", "model_torque", "_kept"):
+        for name in ("on_tree", "model_torque", "_kept", "_latest"):
             self.__dict__.pop(name, None)
 
     def model_sensitivity(self, joint: str) -> tuple[Array, ...]:
@@ -261,10 +269,11 @@ class Motion:
         """Motion of one joint (its angle theta) or of one of its coordinates."""
         port = self.coordinates.port(name, kind)
         places = np.flatnonzero(port)
+        kept = self._latest.setdefault((name, kind), {})
         if len(places) == 1:
             i = int(places[0])
-            return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port)
-        return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port)
+            return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port, kept)
+        return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port, kept)
 
 
 def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Array:
@@ -291,6 +300,24 @@ class JointMotion:
     time: Array
     motion: Motion = field(repr=False)
     port: Array = field(repr=False)
+    kept: dict[str, dict[float, Array]] = field(default_factory=dict, repr=False, compare=False)
+
+    def of_number(self, name: str, number: float, make: Callable[[], Array]) -> Array:
+        """What follows from this motion and one number, shape (N,): of the numbers asked for last it is kept.
+
+        Friction laws of one joint share their turn-over, and each asks what the others have asked.
+        """
+        most = min(MOST_LATEST, int(LATEST_BYTES / (8 * max(len(self.time), 1))))
+        known = self.kept.setdefault(name, {})
+        found = known.pop(number, None)
+        if found is None:
+            found = make()
+            found.flags.writeable = False
+            if most and len(known) >= most:
+                del known[next(iter(known))]
+        if most:
+            known[number] = found  # what was asked for last stands last
+        return found
 
     @property
     def follows(self) -> bool:
