@@ -80,21 +80,23 @@ class Base:
         return theta, inverse
 
     @cached_property
-    def without(self) -> list[tuple[Array, Array]]:
-        """Coefficients and pseudo-inverse with each block held out."""
+    def without(self) -> tuple[Array, Array]:
+        """Coefficients and pseudo-inverse with each block held out; shapes (blocks, p) and (blocks, p, p)."""
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
-        out = []
-        for g, c in zip(self.grams, self.crosses, strict=True):
-            part = 1.0 - self.leak
-            theta, inverse, _, _ = solve_weighted(gram - part * g, cross - part * c, self.prior)
-            out.append((theta, inverse))
-        return out
+        part = 1.0 - self.leak
+        found = [
+            solve_weighted(gram - part * g, cross - part * c, self.prior)[:2]
+            for g, c in zip(self.grams, self.crosses, strict=True)
+        ]
+        theta, inverse = zip(*found, strict=True)
+        return np.array(theta), np.array(inverse)
 
     @cached_property
     def held_out(self) -> Array:
         """Weighted squared error on each block when it is held out, shape (blocks,)."""
-        parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
-        return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
+        theta, _ = self.without
+        predicted = (self.grams @ theta[:, :, None])[:, :, 0]
+        return np.asarray(self.powers + ((predicted - 2 * self.crosses) * theta).sum(axis=1))
 
     @cached_property
     def _grouped(self) -> dict[tuple[tuple[int, ...], ...], Base]:

@@ -566,19 +566,19 @@ class Search:
 
     def _held_out(self, base: Base, b: Array, y: Array, d: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
-        out = np.empty(len(b))
-        for i, (theta, inverse) in enumerate(base.without):
-            bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x[i] for x in (b, y, d))
-            beta = solve_beside(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta)
-            new = theta - inverse @ (bb @ beta)
-            out[i] = (
-                base.powers[i]
-                - 2 * (base.crosses[i] @ new + y[i] @ beta)
-                + new @ base.grams[i] @ new
-                + 2 * new @ b[i] @ beta
-                + beta @ d[i] @ beta
-            )
-        return out
+        theta, inverse = base.without
+        bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x for x in (b, y, d))
+        across = inverse @ bb
+        turned = np.swapaxes(bb, 1, 2)
+        beta = solve_beside(dd - turned @ across, dd, yy - _times(turned, theta))
+        new = theta - _times(across, beta)
+        return np.asarray(
+            base.powers
+            - 2 * ((base.crosses * new).sum(axis=1) + (y * beta).sum(axis=1))
+            + (new * _times(base.grams, new)).sum(axis=1)
+            + 2 * (new * _times(b, beta)).sum(axis=1)
+            + (beta * _times(d, beta)).sum(axis=1)
+        )
 
     def _evidence(
         self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array
@@ -746,6 +746,11 @@ class _Refinement(Iterate):
 
     def moved(self, step: Array) -> _Refinement:
         return replace(self, x=self.after(self.x, step))
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Of each block its matrix (blocks, m, n) times its vector (blocks, n); shape (blocks, m)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:

@@ -26,6 +26,7 @@ from rx90b_flex.effects.ripple import PeriodicEffect
 
 STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
 WIDEST_GAP = 0.1  # rad, up to which the first order says what lost motion does
+TOGETHER_BYTES = 1.5e5  # of torques at several orders that are worked out together: what a processor has close at hand
 LOAD_SCALE = 1.0  # N m; within about this much load the teeth change from one flank to the other in a simulation,
 LOAD_PART = 0.02  # and within this part of the load's root mean square in a log
 KICK_S = 0.05  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
@@ -72,12 +73,15 @@ class _AngleError(LogEffect, PeriodicEffect):
         With delta = sin(order q): delta' = order q' cos, delta'' = order q'' cos - (order q')^2 sin.
         """
         position, centripetal, ahead = (x[:, rows, None] for x in self._constants(motion))
-        angle = motion.q[:, self._place(motion), None] * orders
-        s, c = np.sin(angle)[:, None], np.cos(angle)[:, None]
-        in_phase, quarter = position - orders**2 * centripetal, orders * ahead
-        out = np.empty((*in_phase.shape, 2))
-        out[..., 0], out[..., 1] = s * in_phase + c * quarter, c * in_phase - s * quarter
-        return out.reshape(*in_phase.shape[:2], -1)
+        angle = motion.q[:, self._place(motion), None]
+        out = np.empty((*position.shape[:2], len(orders), 2))
+        together = max(1, int(TOGETHER_BYTES / (8 * max(position.size, 1))))
+        for some in (slice(i, i + together) for i in range(0, len(orders), together)):
+            order = orders[some]
+            s, c = np.sin(angle * order)[:, None], np.cos(angle * order)[:, None]
+            in_phase, quarter = position - order**2 * centripetal, order * ahead
+            out[:, :, some, 0], out[:, :, some, 1] = s * in_phase + c * quarter, c * in_phase - s * quarter
+        return out.reshape(*position.shape[:2], -1)
 
     def _constants(self, motion: Motion) -> tuple[Array, ...]:
         """What of these does not depend on the order: what grows with its square, and what turns ahead with it; each (N, n)."""

@@ -221,10 +221,10 @@ class Motion:
         return with_forces(np.array(self.on_tree.load()), self.effects, self)
 
     @cached_property
-    def _kept(self) -> dict[tuple[str, ...], tuple[Array, ...]]:
+    def _kept(self) -> dict[tuple[str, ...], tuple[NDArray[Any], ...]]:
         return {}
 
-    def once(self, key: tuple[str, ...], make: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
+    def once(self, key: tuple[str, ...], make: Callable[[], tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
         """Arrays of this motion that are worked out once: many shapes of an effect ask for them."""
         if key not in self._kept:
             self._kept[key] = make()

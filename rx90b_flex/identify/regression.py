@@ -463,6 +463,7 @@ class Regression:
         """Give back what effects worked out of the motion; also what a search's next round would ask for."""
         for segment in self.segments:
             segment.motion.forget()
+            segment.__dict__.pop("sampled", None)
         self.forget_pieces()
         if first_looks:
             self._first_looks.clear()
