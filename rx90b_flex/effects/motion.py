@@ -196,6 +196,17 @@ class Motion:
         stuck = None if self.stuck is None else np.ascontiguousarray(self.stuck[samples])
         return replace(self, q=q, v=v, a=a, time=time, stuck=stuck)
 
+    def piece(self, samples: slice) -> Motion:
+        """Some of the samples, for which the tree is asked at all of them, once for many pieces."""
+        out = self.part(samples)
+
+        def tree(moved: Motion) -> TreeMotion:
+            same = all(getattr(moved, x) is getattr(out, x) for x in "qva")
+            own = self.tree(moved)
+            return _PieceOfTree(self, samples, own) if same else own
+
+        return replace(out, tree=tree)
+
     def sticking(self, held: Sequence[Held]) -> Motion:
         """The same, with friction held in no other sticks than these joints' at their turns or in their pauses."""
         if self.stuck is None:
@@ -288,6 +299,32 @@ def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Arra
         for i in np.flatnonzero(port):
             torque[:, i] += port[i] * along
     return torque
+
+
+@dataclass(frozen=True, eq=False)
+class _PieceOfTree:
+    """The tree's view of a piece of a motion: what takes long is taken from that of the whole."""
+
+    whole: Motion
+    samples: slice
+    own: TreeMotion
+
+    def load(self) -> Array:
+        return self.whole.on_tree.load()[self.samples]
+
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        by_q, by_v, by_a = self._derivatives
+        return by_q, by_v, by_a
+
+    @cached_property
+    def _derivatives(self) -> tuple[Array, ...]:
+        return tuple(np.ascontiguousarray(by[self.samples]) for by in self.whole.on_tree.derivatives())
+
+    def body_columns(self, frame: str) -> Array:
+        return self.whole.on_tree.body_columns(frame)[self.samples]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.own, name)
 
 
 @dataclass(frozen=True)
