@@ -51,7 +51,7 @@ LARGEST = 1.0  # rad, that a drive twists
 FASTEST = 2.5  # rad a sample: a link that swings faster on its drive follows the torque at once
 SWINGS_BEFORE, DAMPED_SWINGS, DAMPED_BEFORE = 4.0, 2.0, 0.5  # before a log and into it; damping ratio
 STEP_OF_A_SWING = 0.1  # rad, of the slowest swing of several hinges: 0.1 % of its period by the trapezoidal rule
-ALONE_BYTES = 3e5  # of a matrix along the motion: so many springs of a drive are stepped on side by side
+ALONE_BYTES = 1.5e5  # of a matrix along the motion: so many springs of a drive are stepped on side by side
 SOFTEST = 3.0  # times the stiffness of gravity and of the motion itself, that a drive has at the least
 
 
