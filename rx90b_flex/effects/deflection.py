@@ -141,7 +141,8 @@ def _alone(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     """As `each_alone`, of so many that their equations fit side by side."""
     places, by = _places(motion, springs), motion.on_tree.derivatives()
     apart = np.eye(len(springs))
-    torsion = _torsion(springs, load[:, places], *(x * apart for x in _among(by, places)), motion.time)
+    at_angle, at_rate, by_a = (x * apart for x in _among(by, places))
+    torsion = _torsion(springs, load[:, places], at_angle, at_rate, by_a, motion.time)
     if len(springs) > 1 and not torsion.any(axis=0).all():  # one that swings beyond numbers must not stop the others
         return np.concatenate([_first_order(motion, [s], load)[1] for s in springs])
     return np.asarray(torques(*by, places, torsion, *_rates(torsion, motion.time)))

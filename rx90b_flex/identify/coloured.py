@@ -97,8 +97,8 @@ def residual_spectra(
     total = sum(s.stop - s.start for s in spans)
     powers = [np.abs(fft.rfft(residual[:, s], size)) ** 2 for s, size in zip(spans, sizes, strict=True)]
     spectra = _smoothed(powers, sizes, lags, total)
-    fitted = np.flatnonzero([a.any() for a in absorbed])
-    if not len(fitted):
+    fitted = [j for j, a in enumerate(absorbed) if a.any()]
+    if not fitted:
         return spectra
     ends = np.cumsum([p.shape[1] for p in powers])[:-1]
     missing = np.split(np.array([absorbed[j] for j in fitted]), ends, axis=1)
@@ -106,7 +106,7 @@ def residual_spectra(
     for _ in range(ROUNDS):
         whole = [p + m * _densities(found, n) for p, m, n in zip(powers, missing, sizes, strict=True)]
         found = _smoothed(whole, sizes, lags, total)
-    put_back = dict(zip(fitted.tolist(), found, strict=True))
+    put_back = dict(zip(fitted, found, strict=True))
     return tuple(put_back.get(j, known) for j, known in enumerate(spectra))
 
 
