@@ -82,21 +82,23 @@ class Base:
         return theta, inverse
 
     @cached_property
-    def without(self) -> list[tuple[Array, Array]]:
-        """Coefficients and pseudo-inverse with each block held out."""
+    def without(self) -> tuple[Array, Array]:
+        """Coefficients and pseudo-inverse with each block held out; shapes (blocks, p) and (blocks, p, p)."""
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
-        out = []
-        for g, c in zip(self.grams, self.crosses, strict=True):
-            part = 1.0 - self.leak
-            theta, inverse, _, _ = solve_weighted(gram - part * g, cross - part * c, self.prior)
-            out.append((theta, inverse))
-        return out
+        part = 1.0 - self.leak
+        found = [
+            solve_weighted(gram - part * g, cross - part * c, self.prior)[:2]
+            for g, c in zip(self.grams, self.crosses, strict=True)
+        ]
+        theta, inverse = zip(*found, strict=True)
+        return np.array(theta), np.array(inverse)
 
     @cached_property
     def held_out(self) -> Array:
         """Weighted squared error on each block when it is held out, shape (blocks,)."""
-        parts = zip(self.powers, self.crosses, self.grams, self.without, strict=True)
-        return np.array([power - 2 * cross @ theta + theta @ gram @ theta for power, cross, gram, (theta, _) in parts])
+        theta, _ = self.without
+        predicted = (self.grams @ theta[:, :, None])[:, :, 0]
+        return np.asarray(self.powers + ((predicted - 2 * self.crosses) * theta).sum(axis=1))
 
     @cached_property
     def _grouped(self) -> dict[tuple[tuple[int, ...], ...], Base]:
@@ -145,14 +147,11 @@ class Base:
 
     def products(self, rows: Indices, columns: Array, block: slice) -> tuple[Array, Array, Array]:
         """Weighted products of candidate columns (N, rows, k) on one block: with the base's, the torque, themselves."""
-        weight = self.weight[rows]
-        c = columns[block]
-        y = self.shared.target[rows, block]
-        return (
-            self.with_base(rows, columns, block),
-            np.einsum("j,jn,njk->k", weight, y, c, optimize=True),
-            np.einsum("j,njk,njl->kl", weight, c, c, optimize=True),
-        )
+        c, weight = columns[block], self.weight[rows]
+        weighted = np.ascontiguousarray((c * weight[:, None]).transpose(1, 0, 2))
+        score = sum(x.T @ y for x, y in zip(weighted, self.shared.target[rows, block], strict=True))
+        own = sum(x.T @ c[:, i] for i, x in enumerate(weighted))
+        return self.with_base(rows, columns, block), np.asarray(score), np.asarray(own)
 
     def apart(self, rows: Indices, columns: Array) -> Array:
         """What of candidate columns (N, rows, k) the base does not explain, shape (joints, N, k)."""
@@ -174,11 +173,10 @@ class Base:
         _, inverse = self.whole
         many = columns.shape[2] // k
         with_base = self.with_base(rows, columns).reshape(-1, many, k)
-        shaped = columns.reshape(len(columns), len(rows), many, k)
-        own = np.einsum("j,njmk,njml->mkl", self.weight[rows], shaped, shaped)
-        left = own - np.einsum("pmk,pml->mkl", with_base, np.tensordot(inverse, with_base, axes=1))
+        own = _products((columns * np.sqrt(self.weight[rows])[:, None]).reshape(-1, many, k))
+        left = own - _products(with_base, np.tensordot(inverse, with_base, axes=1))
         score = self._score(rows, columns).reshape(many, k)
-        return np.array([s @ solve_beside(a, d, s) for a, d, s in zip(left, own, score, strict=True)])
+        return np.asarray((score * solve_beside(left, own, score)).sum(axis=1))
 
     def _score(self, rows: Indices, columns: Array) -> Array:
         out = np.zeros(columns.shape[2])
@@ -187,17 +185,36 @@ class Base:
         return out
 
 
-def solve_beside(left: Array, own: Array, score: Array, precision: Array | None = None) -> Array:
-    """Coefficients of columns that are partly explained by the base; what is wholly explained gets zero.
+def _products(x: Array, y: Array | None = None) -> Array:
+    """Of the columns of many candidates, each with its own, (N, M, k) twice; shape (M, k, k)."""
+    y = x if y is None else y
+    out = np.empty((x.shape[1], x.shape[2], y.shape[2]))
+    for i, j in np.ndindex(out.shape[1:]):
+        out[:, i, j] = np.einsum("nm,nm->m", x[:, :, i], y[:, :, j])
+    return out
 
-    With a precision (k, k) of theirs before the data they are penalised.
+
+def solve_beside(left: Array, own: Array, score: Array, precision: Array | None = None) -> Array:
+    """Coefficients (..., k) of columns that are partly explained by the base; what is wholly explained gets zero.
+
+    Parameters
+    ----------
+    left, own : array, shape (..., k, k)
+        Gram matrices of the columns less the base's part, and with it.
+    score : array, shape (..., k)
+    precision : array, shape (k, k), optional
+        Of the coefficients before the data: they are penalised.
     """
-    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    whole = left if precision is None else left + precision
-    values, vectors = np.linalg.eigh(whole / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(np.diagonal(own, axis1=-2, axis2=-1), 1e-300))
+    scaled = (left if precision is None else left + precision) / (scale[..., :, None] * scale[..., None, :])
+    if scaled.shape[-1] == 1:  # most of them
+        values, vectors = scaled[..., 0], np.ones_like(scaled)
+    else:
+        values, vectors = np.linalg.eigh(scaled)
+    along = (np.swapaxes(vectors, -1, -2) @ (score / scale)[..., None])[..., 0]
     kept = values > DETERMINED
-    basis = vectors[:, kept]
-    return ((basis / values[kept]) @ (basis.T @ (score / scale))) / scale
+    along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
+    return np.asarray((vectors @ along[..., None])[..., 0] / scale)
 
 
 def penalised_wald(bread: Array, meat: Array, own: Array, precision: Array, beta: Array) -> tuple[float, int, Array]:

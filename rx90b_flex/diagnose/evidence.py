@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import sparse, stats
 
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.regression import Regression, Segment
@@ -95,9 +95,9 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
             bins = _bins(value[at])
             real, chance = np.empty(len(joints)), np.empty((len(joints), SHUFFLES))
             for j in range(len(joints)):
-                order, edges = _cells(2 * bins + forward[j])
-                real[j] = _explained(rest[order, j : j + 1], edges)[0]
-                chance[j] = _explained(shifted[j][order], edges)
+                cells = _cells(2 * bins + forward[j])
+                real[j] = _explained(rest[:, j : j + 1], cells)[0]
+                chance[j] = _explained(shifted[j], cells)
             found += _dependences(joints, name, real, chance, (rest**2).sum(axis=0), tests)
         angles = [values[names.index(f"{joint} position")][at] for joint in joints]
         for j, joint in enumerate(joints):
@@ -217,11 +217,10 @@ def _bins(value: Array) -> Indices:
     return rank * BINS // len(value)
 
 
-def _cells(cell: Indices) -> tuple[Indices, Indices]:
-    """Order that puts samples of one cell together, and where each cell begins, with the end as the last."""
-    order = np.argsort(cell, kind="stable")
-    begins = np.flatnonzero(np.diff(cell[order], prepend=-1))
-    return order, np.append(begins, len(cell))
+def _cells(cell: Indices) -> sparse.csr_array:
+    """Ones where a sample is in a cell, (cells, N), for the cells that hold any."""
+    own, at = np.unique(cell, return_inverse=True)
+    return sparse.csr_array((np.ones(len(cell)), (at, np.arange(len(cell)))), shape=(len(own), len(cell)))
 
 
 def _shifts(samples: int, rng: np.random.Generator) -> Indices:
@@ -266,10 +265,10 @@ def at_rest(regression: Regression) -> Mask:
     return np.concatenate([(v <= REST * np.maximum(fastest, 1e-12)).all(axis=1) for v in speed])
 
 
-def _explained(residual: Array, edges: Indices) -> Array:
-    """Power of the means over consecutive runs of samples, shape (joints,)."""
-    sums = np.add.reduceat(residual, edges[:-1], axis=0)
-    power: Array = (sums**2 / np.diff(edges)[:, None]).sum(axis=0)
+def _explained(residual: Array, cells: sparse.csr_array) -> Array:
+    """Power of the means of residuals (N, k) over the samples of each cell, shape (k,)."""
+    sums = cells @ residual
+    power: Array = (sums**2 / cells.sum(axis=1)[:, None]).sum(axis=0)
     return power
 
 

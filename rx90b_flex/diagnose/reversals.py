@@ -14,7 +14,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from scipy import interpolate, ndimage
+from scipy import ndimage
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, with_forces
@@ -40,14 +40,14 @@ def row_weights(regression: Regression, model: Identification) -> Array:
     steep = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
     seen = motors.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.segments, motors.segments, strict=True)
-    doubt = np.concatenate([_doubt(s, first.wider, steep) for s, first in pairs])[:, motors.rows]
+    doubt = np.concatenate([_doubt(s, first, steep) for s, first in pairs])[:, motors.rows]
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
-def _doubt(segment: Segment, wider: tuple[Array, Array], effects: list[Effect]) -> Array:
+def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     """What the torque may be off for want of the motion; after the low-pass, (N, n), N m.
 
-    `wider` is another guess at angle and velocity.
+    `measured` is the same segment whatever the model, with another guess at angle and velocity.
     """
     if segment.cutoff_hz is None:
         return np.zeros((len(segment), segment.motion.q.shape[1]))
@@ -56,9 +56,9 @@ def _doubt(segment: Segment, wider: tuple[Array, Array], effects: list[Effect]) 
     def force(of: list[Effect], **changes: Any) -> Array:
         return with_forces(np.zeros_like(segment.motion.v), of, dataclasses.replace(segment.motion, **changes))
 
-    angle, velocity = wider
+    angle, velocity = measured.wider
     by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
-    beside = 0.5 * sum(force(steep, v=v) for v in _between(velocity))
+    beside = 0.5 * sum(force(steep, v=v) for v in measured.half_a_sample_off())
     there, here = force(steep, v=velocity), force(steep)
     unknown = [there - here, beside - there]
     if segment.motion.stuck is not None:
@@ -74,16 +74,6 @@ def _doubt(segment: Segment, wider: tuple[Array, Array], effects: list[Effect]) 
         around = ndimage.uniform_filter1d(lowpass(noisy, segment.cutoff_hz, rate) ** 2, width, axis=0, mode="nearest")
         envelope = np.hypot(envelope, np.sqrt(np.maximum(around, 0.0)))  # a running sum may end below zero
     return np.asarray(envelope[:: segment.factor][segment.kept])
-
-
-def _between(x: Array) -> tuple[Array, Array]:
-    """Values (N, n) half a sample before and after, one column at a time, for splines of a long log take room."""
-    before, after = np.empty_like(x), np.empty_like(x)
-    at = np.arange(len(x))
-    for i, column in enumerate(x.T):
-        spline = interpolate.CubicSpline(at, column)
-        before[:, i], after[:, i] = spline(at - 0.5), spline(at + 0.5)
-    return before, after
 
 
 def _as_noise(off: Array, segment: Segment) -> Array:

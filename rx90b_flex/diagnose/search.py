@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family, shows_by_its
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import Array, Indices, Motion
-from rx90b_flex.identify.coloured import residual_spectrum, scatter
+from rx90b_flex.identify.coloured import residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
     BEYOND,
@@ -578,19 +578,19 @@ class Search:
 
     def _held_out(self, base: Base, b: Array, y: Array, d: Array, precision: Array) -> Array:
         """Weighted squared error of base and candidate on each block, both fitted to the others."""
-        out = np.empty(len(b))
-        for i, (theta, inverse) in enumerate(base.without):
-            bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x[i] for x in (b, y, d))
-            beta = solve_beside(dd - bb.T @ inverse @ bb, dd, yy - bb.T @ theta, precision)
-            new = theta - inverse @ (bb @ beta)
-            out[i] = (
-                base.powers[i]
-                - 2 * (base.crosses[i] @ new + y[i] @ beta)
-                + new @ base.grams[i] @ new
-                + 2 * new @ b[i] @ beta
-                + beta @ d[i] @ beta
-            )
-        return out
+        theta, inverse = base.without
+        bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x for x in (b, y, d))
+        across = inverse @ bb
+        turned = np.swapaxes(bb, 1, 2)
+        beta = solve_beside(dd - turned @ across, dd, yy - _times(turned, theta), precision)
+        new = theta - _times(across, beta)
+        return np.asarray(
+            base.powers
+            - 2 * ((base.crosses * new).sum(axis=1) + (y * beta).sum(axis=1))
+            + (new * _times(base.grams, new)).sum(axis=1)
+            + 2 * (new * _times(b, beta)).sum(axis=1)
+            + (beta * _times(d, beta)).sum(axis=1)
+        )
 
     def _evidence(
         self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array
@@ -604,7 +604,7 @@ class Search:
         k = len(beta)
         columns = beside[:, :, :k]
         together = np.concatenate([columns, self._by_shape(effect, beside[:, :, k:], beta)], axis=2)
-        own = np.einsum("j,njk,njk->k", base.weight[rows], together, together, optimize=True)
+        own = base.weight[rows] @ (together**2).sum(axis=0)
         apart = base.apart(rows, together)
         residual = base.residual - apart[:, :, :k] @ beta
         left_over = base.weight * np.einsum("jn,jn->j", residual, residual)
@@ -613,9 +613,10 @@ class Search:
         spans = self.regression.spans
         longest = self.longest_lag
         absorbed = self.model.absorbed
-        spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(residual, absorbed, strict=True)]
+        spectra = residual_spectra(residual, spans, absorbed, longest)
         meat = scatter(apart, base.weight, spectra, spans)
-        bread = np.einsum("j,njk,njl->kl", base.weight, apart, apart, optimize=True)
+        flat = (apart * np.sqrt(base.weight)[:, None]).reshape(-1, apart.shape[2])
+        bread = flat.T @ flat
         before = prior_precision([effect])
         tested = bread[:k, :k], meat[:k, :k], own[:k]
         wald, free, covariance = (
@@ -761,6 +762,11 @@ class _Refinement(Iterate):
 
     def moved(self, step: Array) -> _Refinement:
         return replace(self, x=self.after(self.x, step))
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Of each block its matrix (blocks, m, n) times its vector (blocks, n); shape (blocks, m)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:

@@ -26,6 +26,7 @@ from rx90b_flex.effects.ripple import PeriodicEffect
 
 STEEPEST = 0.25  # change of the angle's error with the angle, up to which the first order says what happens
 WIDEST_GAP = 0.1  # rad, up to which the first order says what lost motion does
+TOGETHER_BYTES = 1.5e5  # of torques at several orders that are worked out together: what a processor has close at hand
 # where it is not stated within which torque teeth change from one flank to the other:
 LOAD_SCALE = 1.0  # N m, in a simulation
 LOAD_PART = 0.03  # of the load's root mean square, in a log
@@ -50,27 +51,43 @@ class _AngleError(LogEffect, PeriodicEffect):
         """Change of the torque per change of the angle, its rate, its second rate, each (N, n), and its slope, (N,)."""
 
     def columns(self, motion: Motion) -> Array:
-        return np.stack(self._in_rows(motion, slice(None)), axis=2)
+        return self._at_orders(motion, self.known_shape())
 
     def factors(self, motion: Motion) -> None:
         return None
 
     def leading(self, motion: Motion) -> tuple[Array, Array]:
         place = self._place(motion)
-        basis = np.concatenate(self._in_rows(motion, slice(place, place + 1)), axis=1)
+        basis = self._at_orders(motion, self.known_shape(), slice(place, place + 1))[:, 0]
         return motion.coordinates.port(self.joint, "drive"), basis
 
-    def _in_rows(self, motion: Motion, rows: slice) -> tuple[Array, Array]:
-        """Torque in some rows (N, r) per unit of each coefficient.
+    def side_by_side(
+        self, effects: Sequence[Effect], motion: Motion, leading: bool = False
+    ) -> tuple[Array | None, Array]:
+        if any(type(e) is not type(self) or e.joints != self.joints for e in effects):
+            return super().side_by_side(effects, motion, leading)
+        orders = np.concatenate([e.known_shape() for e in effects])
+        if not leading:
+            return None, self._at_orders(motion, orders)
+        place = self._place(motion)
+        basis = self._at_orders(motion, orders, slice(place, place + 1))[:, 0]
+        return motion.coordinates.port(self.joint, "drive"), basis
+
+    def _at_orders(self, motion: Motion, orders: Array, rows: slice = slice(None)) -> Array:
+        """Columns of sin and cos at some orders (M,), one pair behind the other, in some rows; (N, rows, 2 M).
 
         With delta = sin(order q): delta' = order q' cos, delta'' = order q'' cos - (order q')^2 sin.
         """
-        (order,) = self.known_shape()
-        position, centripetal, ahead = (x[:, rows] for x in self._constants(motion))
-        in_phase, quarter = position - order**2 * centripetal, order * ahead
-        angle = order * motion.q[:, self._place(motion), None]
-        s, c = np.sin(angle), np.cos(angle)
-        return s * in_phase + c * quarter, c * in_phase - s * quarter
+        position, centripetal, ahead = (x[:, rows, None] for x in self._constants(motion))
+        angle = motion.q[:, self._place(motion), None]
+        out = np.empty((*position.shape[:2], len(orders), 2))
+        together = max(1, int(TOGETHER_BYTES / (8 * max(position.size, 1))))
+        for some in (slice(i, i + together) for i in range(0, len(orders), together)):
+            order = orders[some]
+            s, c = np.sin(angle * order)[:, None], np.cos(angle * order)[:, None]
+            in_phase, quarter = position - order**2 * centripetal, order * ahead
+            out[:, :, some, 0], out[:, :, some, 1] = s * in_phase + c * quarter, c * in_phase - s * quarter
+        return out.reshape(*position.shape[:2], -1)
 
     def _constants(self, motion: Motion) -> tuple[Array, ...]:
         """What of these does not depend on the order: what grows with its square, and what turns ahead with it; each (N, n)."""

@@ -50,6 +50,7 @@ LARGEST = 1.0  # rad, that a drive twists
 FASTEST = 2.5  # rad a sample: a link that swings faster on its drive follows the torque at once
 SWINGS_BEFORE, DAMPED_SWINGS, DAMPED_BEFORE = 4.0, 2.0, 0.5  # before a log and into it; damping ratio
 STEP_OF_A_SWING = 0.1  # rad, of the slowest swing of several hinges: 0.1 % of its period by the trapezoidal rule
+ALONE_BYTES = 1.5e5  # of a matrix along the motion: so many springs of a drive are stepped on side by side
 SOFTEST = 3.0  # times the stiffness of gravity and of the motion itself, that a drive has at the least
 
 
@@ -116,6 +117,34 @@ def deflected(motion: Motion, springs: Sequence[Spring], springs_of_model: Seque
         found = _first_order(motion, springs, load + beyond)
     torsion, torque = found
     return Deflection(torsion, torque, beyond)
+
+
+def each_alone(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
+    """Torque that each of several springs adds to the rigid tree's, no other drive twisting; (m, N, n), N m.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of the motors.
+    springs : sequence of Spring
+        Of drives on the rigid tree.
+    load : array, shape (N, n)
+        Torque that links and springs ask for at the motors' angles, N m.
+    """
+    together = max(1, int(np.sqrt(ALONE_BYTES / (8 * len(motion)))))
+    parts = [_alone(motion, springs[i : i + together], load) for i in range(0, len(springs), together)]
+    return np.concatenate(parts)
+
+
+def _alone(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
+    """As `each_alone`, of so many that their equations fit side by side."""
+    places, by = _places(motion, springs), motion.on_tree.derivatives()
+    apart = np.eye(len(springs))
+    at_angle, at_rate, by_a = (x * apart for x in _among(by, places))
+    torsion = _torsion(springs, load[:, places], at_angle, at_rate, by_a, motion.time)
+    if len(springs) > 1 and not torsion.any(axis=0).all():  # one that swings beyond numbers must not stop the others
+        return np.concatenate([_first_order(motion, [s], load)[1] for s in springs])
+    return np.asarray(torques(*by, places, torsion, *_rates(torsion, motion.time)))
 
 
 def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
@@ -195,7 +224,9 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     steps = _Steps.of(at_angle, at_rate, by_a, _step(time))
     torsion = steps.solve(-load)
     wide = -load[:, :, None]
-    begun = steps.begun(wide, cubic) - steps.begun(wide, 0.0 * cubic)
+    begun = np.zeros((2, *wide.shape[1:]))
+    if cubic.any():
+        begun = steps.begun(wide, cubic) - steps.begun(wide, 0.0 * cubic)
     for _ in range(CORRECTIONS):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
             return np.zeros_like(load)

@@ -60,6 +60,33 @@ class Effect(Hints):
         """The larger part of the columns as `factors` has it, enough for a first look; the same where they are factors."""
         return self.factors(motion)
 
+    def side_by_side(
+        self, effects: Sequence[Effect], motion: Motion, leading: bool = False
+    ) -> tuple[Array | None, Array]:
+        """Columns of several effects in its place, one behind the other, of which it may be the first.
+
+        A type whose effects differ in their shapes alone may work them out together.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        motion : Motion
+        leading : bool
+            Whether the larger part is enough (`leading`).
+
+        Returns
+        -------
+        port : array, shape (n,), or None
+            The one port on which all of them act.
+        columns : array, shape (N, sum of k)
+            What goes to the port; without one the columns as they are, (N, n, sum of k).
+        """
+        factors = [e.leading(motion) if leading else e.factors(motion) for e in effects]
+        known = [f for f in factors if f is not None]
+        if len(known) == len(effects) and all(np.array_equal(port, known[0][0]) for port, _ in known):
+            return known[0][0], np.concatenate([basis for _, basis in known], axis=1)
+        return None, np.concatenate([e.columns(motion) for e in effects], axis=2)
+
     def by_links(self, motion: Motion) -> Array | None:
         """Change of its force per change of the links' parameters, (N, n, 10 * bodies), where it is large; None: not worth it."""
         return None

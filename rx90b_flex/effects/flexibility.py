@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.deflection import Spring, by_links, deflected, softest
+from rx90b_flex.effects.deflection import Spring, by_links, deflected, each_alone, softest
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.hints import RestSites, RestSizes, Sites
 from rx90b_flex.effects.law import Law
@@ -280,6 +280,18 @@ class _DriveDeflection(_OnRigidTree):
         if present and present[0].joint == self.joint:
             out = out + found.beyond
         return np.asarray(out * self.stiffness)[:, :, None]
+
+    def side_by_side(
+        self, effects: Sequence[Effect], motion: Motion, leading: bool = False
+    ) -> tuple[Array | None, Array]:
+        if any(type(e) is not type(self) for e in effects) or any(
+            isinstance(e, _DriveDeflection) for e in motion.effects
+        ):
+            return super().side_by_side(effects, motion, leading)
+        springs = [e.spring for e in effects if isinstance(e, _DriveDeflection)]
+        torque = each_alone(motion, springs, _through_drives(motion))
+        stiffness = np.array([s.stiffness for s in springs])
+        return None, np.ascontiguousarray((torque * stiffness[:, None, None]).transpose(1, 2, 0))
 
     def by_links(self, motion: Motion) -> Array | None:
         present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]

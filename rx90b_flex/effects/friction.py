@@ -13,7 +13,7 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
-from rx90b_flex.effects.reversal import DryFriction, Resolution, turnover_range, turnover_shape
+from rx90b_flex.effects.reversal import DryFriction, Resolution, log_speed, turnover_range, turnover_shape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
@@ -65,6 +65,10 @@ class CoulombFriction(SidedFriction, LawEffect, DryFriction):
 
     def breakaway_torque(self) -> float:
         return float(self.known_coefficients()[0])
+
+    def basis(self, at: JointMotion) -> Array:
+        # as the law has it, without the slopes: fits ask for it most
+        return self.direction(at)[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
@@ -153,7 +157,7 @@ class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction, replaces=("vis
 
     def basis(self, at: JointMotion) -> Array:
         # as the law has it, without the slopes, which cost the most
-        return (self.direction(at.v) * np.abs(at.v) ** self.known_shape()[0])[:, None]
+        return (self.direction(at) * np.exp(self.known_shape()[0] * log_speed(at)))[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
@@ -209,7 +213,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
 
     def basis(self, at: JointMotion) -> Array:
         velocity, power, _ = self.known_shape()
-        return (self.direction(at.v) * np.exp(-((np.abs(at.v) / velocity) ** power)))[:, None]
+        return (self.direction(at) * np.exp(-np.exp(power * (log_speed(at) - np.log(velocity)))))[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:

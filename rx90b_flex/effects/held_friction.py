@@ -41,7 +41,7 @@ class HeldFriction(RememberingLaw, DryFriction):
         if not at.follows:
             return np.zeros((len(at.q), 1))
         last = last_direction(at)  # nothing before the first move, of which nobody knows what came before
-        return np.where(last == 0.0, 0.0, last - self.direction(at.v))[:, None]
+        return np.where(last == 0.0, 0.0, last - self.direction(at))[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rx90b_flex.effects.law_effect import LawEffect
+from rx90b_flex.effects.motion import Array, JointMotion
 from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
 
@@ -36,6 +37,10 @@ class LoadFriction(LawEffect, DryFriction, needs_load=True):
 
     coefficient: float | None = linear("-", lower=0.0, rank=FRICTION)
     turnover: float | None = turnover_shape()
+
+    def basis(self, at: JointMotion) -> Array:
+        # as the law has it, without the slopes
+        return (np.abs(at.load) * self.direction(at))[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:

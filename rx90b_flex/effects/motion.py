@@ -17,6 +17,10 @@ Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 STICKS = ("turn", "pause")  # where a drive sticks: as it turns, or on its way
 Held = tuple[str, str]  # a joint, and one of these
+MOST_LATEST, LATEST_BYTES = (
+    4,
+    2e6,
+)  # numbers for which a joint's motion keeps what follows from them, of a long one fewer
 
 
 @dataclass(frozen=True)
@@ -192,6 +196,17 @@ class Motion:
         stuck = None if self.stuck is None else np.ascontiguousarray(self.stuck[samples])
         return replace(self, q=q, v=v, a=a, time=time, stuck=stuck)
 
+    def piece(self, samples: slice) -> Motion:
+        """Some of the samples, for which the tree is asked at all of them, once for many pieces."""
+        out = self.part(samples)
+
+        def tree(moved: Motion) -> TreeMotion:
+            same = all(getattr(moved, x) is getattr(out, x) for x in "qva")
+            own = self.tree(moved)
+            return _PieceOfTree(self, samples, own) if same else own
+
+        return replace(out, tree=tree)
+
     def sticking(self, held: Sequence[Held]) -> Motion:
         """The same, with friction held in no other sticks than these joints' at their turns or in their pauses."""
         if self.stuck is None:
@@ -217,18 +232,22 @@ class Motion:
         return with_forces(np.array(self.on_tree.load()), self.effects, self)
 
     @cached_property
-    def _kept(self) -> dict[tuple[str, ...], tuple[Array, ...]]:
+    def _kept(self) -> dict[tuple[str, ...], tuple[NDArray[Any], ...]]:
         return {}
 
-    def once(self, key: tuple[str, ...], make: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
+    def once(self, key: tuple[str, ...], make: Callable[[], tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
         """Arrays of this motion that are worked out once: many shapes of an effect ask for them."""
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]
 
+    @cached_property
+    def _latest(self) -> dict[tuple[str, str], dict[str, dict[float, Array]]]:
+        return {}
+
     def forget(self) -> None:
         """Give back what was worked out once."""
-        for name in ("on_tree", "model_torque", "_kept"):
+        for name in ("on_tree", "model_torque", "_kept", "_latest"):
             self.__dict__.pop(name, None)
 
     def model_sensitivity(self, joint: str) -> tuple[Array, ...]:
@@ -261,10 +280,11 @@ class Motion:
         """Motion of one joint (its angle theta) or of one of its coordinates."""
         port = self.coordinates.port(name, kind)
         places = np.flatnonzero(port)
+        kept = self._latest.setdefault((name, kind), {})
         if len(places) == 1:
             i = int(places[0])
-            return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port)
-        return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port)
+            return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port, kept)
+        return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port, kept)
 
 
 def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Array:
@@ -281,6 +301,32 @@ def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Arra
     return torque
 
 
+@dataclass(frozen=True, eq=False)
+class _PieceOfTree:
+    """The tree's view of a piece of a motion: what takes long is taken from that of the whole."""
+
+    whole: Motion
+    samples: slice
+    own: TreeMotion
+
+    def load(self) -> Array:
+        return self.whole.on_tree.load()[self.samples]
+
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        by_q, by_v, by_a = self._derivatives
+        return by_q, by_v, by_a
+
+    @cached_property
+    def _derivatives(self) -> tuple[Array, ...]:
+        return tuple(np.ascontiguousarray(by[self.samples]) for by in self.whole.on_tree.derivatives())
+
+    def body_columns(self, frame: str) -> Array:
+        return self.whole.on_tree.body_columns(frame)[self.samples]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.own, name)
+
+
 @dataclass(frozen=True)
 class JointMotion:
     """Motion of one angle: position, velocity, acceleration and time, each (N,)."""
@@ -291,6 +337,24 @@ class JointMotion:
     time: Array
     motion: Motion = field(repr=False)
     port: Array = field(repr=False)
+    kept: dict[str, dict[float, Array]] = field(default_factory=dict, repr=False, compare=False)
+
+    def of_number(self, name: str, number: float, make: Callable[[], Array]) -> Array:
+        """What follows from this motion and one number, shape (N,): of the numbers asked for last it is kept.
+
+        Friction laws of one joint share their turn-over, and each asks what the others have asked.
+        """
+        most = min(MOST_LATEST, int(LATEST_BYTES / (8 * max(len(self.time), 1))))
+        known = self.kept.setdefault(name, {})
+        found = known.pop(number, None)
+        if found is None:
+            found = make()
+            found.flags.writeable = False
+            if most and len(known) >= most:
+                del known[next(iter(known))]
+        if most:
+            known[number] = found  # what was asked for last stands last
+        return found
 
     @property
     def follows(self) -> bool:

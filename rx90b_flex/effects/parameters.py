@@ -161,8 +161,9 @@ class Parametrized:
     def _with_values(self, kind: str, values: Sequence[float] | Array) -> Self:
         change: dict[str, Any] = {}
         at = 0
+        known = [None if x != x else x for x in np.asarray(values, dtype=float).tolist()]  # NaN differs from itself
         for _, p in self._named(kind):
-            part = [None if np.isnan(x) else float(x) for x in values[at : at + p.size]]
+            part = known[at : at + p.size]
             change[p.attribute] = part[0] if p.size == 1 else (None if None in part else tuple(part))
             at += p.size
         return dataclasses.replace(self, **change)

@@ -65,7 +65,7 @@ class PositionFriction(PeriodicEffect, DryFriction, LawEffect, repeats=False):
     def basis(self, at: JointMotion) -> Array:
         # as the law has it, without the slopes: a search over orders asks for it most
         angle = self.known_shape()[0] * at.q
-        return np.stack([np.sin(angle), np.cos(angle)], axis=1) * self.direction(at.v)[:, None]
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1) * self.direction(at)[:, None]
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:

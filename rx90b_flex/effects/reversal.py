@@ -22,6 +22,7 @@ FASTEST_PART = 0.05  # of a joint's speed within which dry friction turns over a
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
+SLOWEST = 1e-300  # rad/s, in place of standstill
 NOISY = 2.0  # standard deviations of an angle's noise within which nothing is known of a deflection
 MOST_HELD = 0.9999  # of the friction
 SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log's noise
@@ -40,6 +41,11 @@ def reversal(v: Array, turnover: float) -> Array:
 def reversal_slope(v: Array, turnover: float) -> Array:
     """Derivative of `reversal` by v, s/rad."""
     return (1.0 - np.tanh(v / turnover) ** 2) / turnover
+
+
+def log_speed(at: JointMotion) -> Array:
+    """Logarithm of the speed, shape (N,): at rest that of next to nothing. Powers of the speed follow from it."""
+    return at.of_number("log speed", 0.0, lambda: np.log(np.maximum(np.abs(at.v), SLOWEST)))
 
 
 @dataclass(frozen=True)
@@ -154,16 +160,16 @@ class DryFriction(JointForce):
             return at
         part = motion.stuck[:, motion.coordinates.joints.index(self.joint)]
         creeping = self.sharpness * np.arctanh(np.clip(part, -MOST_HELD, MOST_HELD))
-        return replace(at, v=np.where(np.isnan(part), at.v, creeping))
+        return replace(at, v=np.where(np.isnan(part), at.v, creeping), kept={})
 
     @property
     def sharpness(self) -> float:
         """The turn-over, rad/s; a step where it is not known."""
         return SHARP if self.turnover is None else self.turnover
 
-    def direction(self, v: Array) -> Array:
+    def direction(self, at: JointMotion) -> Array:
         """Sign of the velocity with this joint's turn-over, shape (N,)."""
-        return reversal(v, self.sharpness)
+        return at.of_number("direction", self.sharpness, lambda: reversal(at.v, self.sharpness))
 
     def direction_slope(self, v: Array) -> Array:
         """Derivative of `direction` by the velocity, s/rad."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90b_flex.effects.effect import JointEffect
 from rx90b_flex.effects.law_effect import LawEffect
@@ -15,6 +16,7 @@ from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 from rx90b_flex.effects.parameters import OTHER, derived, shape
 
 GROUP = 16  # orders of a spectrum over the angle that are worked out together
+TURNS_BYTES = 4e6  # of turns that are kept
 AT_ONCE = 20_000  # samples whose turns are worked out at a time
 
 
@@ -103,10 +105,7 @@ class PeriodicEffect(SineEffect, repeats=True):
             at = m.joint(self.joint, "drive")
             weights = self.weights(at)
             for some in (slice(i, i + AT_ONCE) for i in range(0, len(left), AT_ONCE)):
-                q, v = at.q[some], at.v[some]
-                heard = np.outer(groups + 0.5 * steps[-1], np.abs(v)) < fastest
-                turned = np.exp(-1j * np.outer(groups, q)) * heard
-                onward = np.exp(-1j * np.outer(q, steps))
+                turned, onward, heard = self._turned(at, some, groups, steps, fastest)
                 for i, w in enumerate(weights):
                     if i == len(sums):
                         sums.append(np.zeros((len(groups), len(steps)), dtype=complex))
@@ -114,6 +113,24 @@ class PeriodicEffect(SineEffect, repeats=True):
                     sums[i] = sums[i] + turned @ ((w * left)[some, None] * onward)
                     own[i] = own[i] + (heard @ w[some] ** 2)[:, None]
         return [(np.abs(s) ** 2 / o).ravel()[: len(orders)] for s, o in zip(sums, own, strict=True)]
+
+    def _turned(
+        self, at: JointMotion, some: slice, groups: Array, steps: Array, fastest: float
+    ) -> tuple[NDArray[Any], ...]:
+        """``exp(-i order q)`` at some samples for the first order of each group, where it is heard, and onward by steps; and where.
+
+        Of a short log it is worked out once: several types ask for the same.
+        """
+
+        def make() -> tuple[NDArray[Any], ...]:
+            q, v = at.q[some], at.v[some]
+            heard = np.outer(groups + 0.5 * steps[-1], np.abs(v)) < fastest
+            return np.exp(-1j * np.outer(groups, q)) * heard, np.exp(-1j * np.outer(q, steps)), heard
+
+        if 16 * len(at.q) * (len(groups) + len(steps)) > TURNS_BYTES or len(at.q) > AT_ONCE:
+            return make()
+        asked = (groups[0], groups[-1], steps[-1], fastest)
+        return at.motion.once(("turns", self.joint, *(repr(float(x)) for x in asked)), make)
 
     def shape_spread(self, motion: Motion) -> Array:
         return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])

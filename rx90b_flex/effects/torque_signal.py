@@ -14,7 +14,7 @@ from rx90b_flex.effects.effect import JointEffect
 from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.log_effect import LogEffect
-from rx90b_flex.effects.motion import Array, JointMotion, Motion, with_forces
+from rx90b_flex.effects.motion import Array, Force, JointMotion, Motion, with_forces
 from rx90b_flex.effects.parameters import derived, linear, shape
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
 
@@ -73,13 +73,17 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
         q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
         stuck = None if motion.stuck is None else _late_sticks(motion.stuck, delay / (motion.time[1] - motion.time[0]))
         ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay, stuck=stuck)
-        # links ask for smooth torques, which samples hold well enough; of effects each is asked for its own
-        smooth = with_forces(
-            np.array(motion.on_tree.load()), (e for e in motion.effects if e.traits.needs_load), motion
-        )
         own = [e for e in motion.effects if not e.traits.needs_load]
-        out = with_forces(np.zeros_like(motion.q), own, ago) - with_forces(np.zeros_like(motion.q), own, motion)
+        smooth, now = motion.once(("torque without delay",), lambda: self._without_delay(motion, own))
+        out = with_forces(np.zeros_like(motion.q), own, ago) - now
         return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
+
+    @staticmethod
+    def _without_delay(motion: Motion, own: Sequence[Force]) -> tuple[Array, Array]:
+        """Torque that links and what loads them ask for, smooth enough for samples to hold it, and that of `own` effects; (N, n)."""
+        loading = (e for e in motion.effects if e.traits.needs_load)
+        smooth = with_forces(np.array(motion.on_tree.load()), loading, motion)
+        return smooth, with_forces(np.zeros_like(motion.q), own, motion)
 
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         # a torque that changes fast shows any delay: its size in time counts, and down to some size what it explains

@@ -57,8 +57,7 @@ class Spectrum:
 
     def density(self, size: int) -> Array:
         """At the lines of a transform of so many samples, over that of white noise of variance one; (size // 2 + 1,)."""
-        white = np.maximum(fft.rfft(_symmetric(self.autocovariance, size)).real, 0.0)
-        return np.asarray(white / np.abs(fft.rfft(self.filter, size)) ** 2)
+        return np.asarray(_densities([self], size)[0])
 
 
 def _symmetric(lags: Array, size: int) -> Array:
@@ -70,7 +69,14 @@ def _symmetric(lags: Array, size: int) -> Array:
 
 
 def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, longest: int) -> Spectrum:
-    """Spectrum of the noise behind one joint's residual.
+    """As `residual_spectra`, of one joint: its residual (N,) and what the fit absorbed of it (lines,)."""
+    return residual_spectra(residual[None], spans, [absorbed], longest)[0]
+
+
+def residual_spectra(
+    residual: Array, spans: Sequence[slice], absorbed: Sequence[Array], longest: int
+) -> tuple[Spectrum, ...]:
+    """Spectra of the noise behind the joints' residuals.
 
     What the fit took out of the noise at a frequency is put back there in proportion to the noise's own spectrum, which is not known
     before: it is estimated, put back and estimated again (expectation and maximisation). Put back by a smoothed share, steep spectra
@@ -78,41 +84,61 @@ def residual_spectrum(residual: Array, spans: Sequence[slice], absorbed: Array, 
 
     Parameters
     ----------
-    residual : array, shape (N,)
+    residual : array, shape (joints, N)
     spans : sequence of slice
         Segments that do not follow each other in time.
-    absorbed : array, shape (lines,)
-        What the fit took out of the noise (`absorbed_by_fit`); zeros where nothing was fitted.
+    absorbed : sequence of array, shape (lines,)
+        What the fit took out of each joint's noise (`absorbed_by_fit`); zeros where nothing was fitted.
     longest : int
         Longest correlation to allow for, samples.
     """
     lags = _lags(spans, longest)
     sizes = _sizes(spans, lags)
     total = sum(s.stop - s.start for s in spans)
-    powers = [np.abs(fft.rfft(residual[s], size)) ** 2 for s, size in zip(spans, sizes, strict=True)]
-    missing = np.split(absorbed, np.cumsum([len(p) for p in powers])[:-1])
-    spectrum = _smoothed(powers, sizes, lags, total)
-    if not absorbed.any():
-        return spectrum
+    powers = [np.abs(fft.rfft(residual[:, s], size)) ** 2 for s, size in zip(spans, sizes, strict=True)]
+    spectra = _smoothed(powers, sizes, lags, total)
+    fitted = [j for j, a in enumerate(absorbed) if a.any()]
+    if not fitted:
+        return spectra
+    ends = np.cumsum([p.shape[1] for p in powers])[:-1]
+    missing = np.split(np.array([absorbed[j] for j in fitted]), ends, axis=1)
+    powers, found = [p[fitted] for p in powers], tuple(spectra[j] for j in fitted)
     for _ in range(ROUNDS):
-        whole = [p + m * spectrum.density(n) for p, m, n in zip(powers, missing, sizes, strict=True)]
-        spectrum = _smoothed(whole, sizes, lags, total)
-    return spectrum
+        whole = [p + m * _densities(found, n) for p, m, n in zip(powers, missing, sizes, strict=True)]
+        found = _smoothed(whole, sizes, lags, total)
+    put_back = dict(zip(fitted, found, strict=True))
+    return tuple(put_back.get(j, known) for j, known in enumerate(spectra))
 
 
-def _smoothed(powers: Sequence[Array], sizes: Sequence[int], lags: int, total: int) -> Spectrum:
-    """From the squared transforms of several segments, of `total` samples together."""
+def _smoothed(powers: Sequence[Array], sizes: Sequence[int], lags: int, total: int) -> tuple[Spectrum, ...]:
+    """From the squared transforms (joints, lines) of several segments, of `total` samples together."""
     count = lags + LARGEST_ORDER
-    raw = np.zeros(count)
+    raw = np.zeros((len(powers[0]), count))
     for power, size in zip(powers, sizes, strict=True):
-        raw += fft.irfft(power, size)[:count]
+        raw += fft.irfft(power, size)[:, :count]
     raw /= max(total, 1)
+    window = parzen(lags)
+    return tuple(_prewhitened(of_one, window, total) for of_one in raw)
+
+
+def _prewhitened(raw: Array, window: Array, total: int) -> Spectrum:
+    """From an autocovariance, its lags beyond those of the window there for the prewhitening."""
+    lags = len(window)
     whitening = prediction_error_filter(raw[: min(LARGEST_ORDER, lags - 1) + 1], total)
     # the autocovariance of the prewhitened residual follows from its own: twice through the filter
     kernel = np.correlate(whitening, whitening, mode="full")
     both = np.concatenate([raw[:0:-1], raw])
     white = np.convolve(both, kernel, mode="same")[len(raw) - 1 :][:lags]
-    return Spectrum(white * parzen(lags), whitening, 3.7 * total / lags)
+    return Spectrum(white * window, whitening, 3.7 * total / lags)
+
+
+def _densities(spectra: Sequence[Spectrum], size: int) -> Array:
+    """`Spectrum.density` of several, (joints, size // 2 + 1)."""
+    lags = np.stack([_symmetric(s.autocovariance, size) for s in spectra])
+    filters = np.zeros((len(spectra), LARGEST_ORDER + 1))
+    for row, s in zip(filters, spectra, strict=True):
+        row[: len(s.filter)] = s.filter
+    return np.asarray(np.maximum(fft.rfft(lags).real, 0.0) / np.abs(fft.rfft(filters, size)) ** 2)
 
 
 def _lags(spans: Sequence[slice], longest: int) -> int:

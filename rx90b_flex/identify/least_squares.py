@@ -12,7 +12,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices, Mask
-from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectrum, widening
+from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectra, widening
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
     RANK_TOLERANCE,
@@ -627,7 +627,7 @@ class _Fit:
                 np.add.at(with_columns, np.ix_(s, at), weight * products)
             np.add.at(own, np.ix_(s, s), weight * d.T @ d)
             np.add.at(score, s, weight * left)
-        gram = np.einsum("j,jpq->pq", sigma**-2.0, self.normal.total[0]) + self.precision
+        gram = np.tensordot(sigma**-2.0, self.normal.total[0], axes=1) + self.precision
         inverse = solve_weighted(gram, np.zeros(size), np.zeros(size))[1]
         step = self.shapes.per_step(self.shape)
         return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
@@ -646,10 +646,8 @@ class _Fit:
         precision[: len(self.precision), : len(self.precision)] = self.precision
         before = precision[np.ix_(free, free)]
         absorbed = absorbed_each(estimated, before, solution.sigma**-2.0, spans, longest)
-        spectra = tuple(
-            residual_spectrum(r, spans, a, longest)
-            for r, a in zip((residual / np.sqrt(regression.share)).T, absorbed, strict=True)
-        )
+        counted = np.ascontiguousarray((residual / np.sqrt(regression.share)).T)
+        spectra = residual_spectra(counted, spans, absorbed, longest)
         covariance = np.zeros((size, size))
         if with_covariance:
             covariance[np.ix_(free, free)] = coloured_covariance(estimated, before, solution.sigma, spectra, spans)

@@ -72,7 +72,7 @@ class NormalEquations:
     def squares(self, theta: Array) -> Array:
         """Sum of squared errors of each joint, shape (joints,)."""
         gram, cross, power = self.total
-        return np.maximum(power - 2 * cross @ theta + np.einsum("jpq,p,q->j", gram, theta, theta), 0.0)
+        return np.maximum(power - 2 * cross @ theta + (gram @ theta) @ theta, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ def fit_weighted(
 
     def weighted() -> tuple[Array, Array]:
         weight = current**-2.0
-        return np.einsum("j,jpq->pq", weight, gram) + before, np.einsum("j,jp->p", weight, cross)
+        return np.tensordot(weight, gram, axes=1) + before, weight @ cross
 
     last = weighted()
     for _ in range(0 if fixed else rounds):
@@ -197,7 +197,7 @@ def squares_left(normal: NormalEquations, prior: Array, sigma: Array, precision:
     """Sum of squares over given variances, and of the penalty by a precision (p, p), at the best coefficients."""
     gram, cross, _ = normal.total
     weight = sigma**-2.0
-    theta = _coefficients(np.einsum("j,jpq->pq", weight, gram) + precision, np.einsum("j,jp->p", weight, cross), prior)
+    theta = _coefficients(np.tensordot(weight, gram, axes=1) + precision, weight @ cross, prior)
     return float(normal.squares(theta) @ weight + theta @ precision @ theta)
 
 

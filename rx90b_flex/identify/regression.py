@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
@@ -114,6 +115,14 @@ class Segment:
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
+    def half_a_sample_off(self) -> tuple[Array, Array]:
+        """The velocity of `wider` half a working sample before and after, each (N_working, joints); rad/s."""
+        return self._half_a_sample_off if len(self.motion) <= AT_ONCE else _between(self.wider[1])
+
+    @cached_property
+    def _half_a_sample_off(self) -> tuple[Array, Array]:
+        return _between(self.wider[1])
+
     def sticking(self, held: Sequence[Held]) -> Segment:
         """The same, with friction held in no other sticks (`Motion.sticking`)."""
         return dataclasses.replace(self, motion=self.motion.sticking(held))
@@ -154,14 +163,17 @@ class Segment:
         """A part of this one from its first sample on."""
         return self._piece(slice(0, max(1, int(part * len(self)))), self._run_in)
 
-    def pieces(self, part: float) -> list[tuple[Segment, int]]:
-        """A part of this one in pieces, each with its first sample; where the motion repeats, at different phases of it."""
+    def pieces(self, part: float, of_whole: bool = False) -> list[tuple[Segment, int]]:
+        """A part of this one in pieces, each with its first sample; where the motion repeats, at different phases of it.
+
+        With `of_whole` the tree is asked once at all samples (`Motion.piece`).
+        """
         length = int(part * len(self) / PIECES)
         period = self.recording.period_s or np.inf
         repeats = max(1, int(len(self) / (period * self.rate_hz)))
         whole = min(period * self.rate_hz, len(self))
         starts = (min(int((k % repeats + k / PIECES) * whole), len(self) - length) for k in range(PIECES))
-        return [(self._piece(slice(at, at + length), self._run_in), at) for at in starts]
+        return [(self._piece(slice(at, at + length), self._run_in, of_whole), at) for at in starts]
 
     def split(self, samples: int) -> list[Segment]:
         """Pieces of so many working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
@@ -176,13 +188,14 @@ class Segment:
     def _run_in(self) -> int:
         return max(self.kept.start, int(np.ceil(RUN_IN_S * self.rate_hz)))
 
-    def _piece(self, samples: slice, beside: int) -> Segment:
+    def _piece(self, samples: slice, beside: int, of_whole: bool = False) -> Segment:
         """Some of its samples, with the motion of so many more on either side that their columns need."""
         first, last = self.kept.start + samples.start, self.kept.start + samples.stop
         begin, end = max(0, first - beside), last + beside
+        moved = slice(begin * self.factor, end * self.factor)
         return dataclasses.replace(
             self,
-            motion=self.motion.part(slice(begin * self.factor, end * self.factor)),
+            motion=self.motion.piece(moved) if of_whole else self.motion.part(moved),
             time=self.time[samples],
             torque=self.torque[samples],
             sensed=None if self.sensed is None else self.sensed[samples],
@@ -248,6 +261,16 @@ def prepare(
     samples = slice(0, _enough(recording, cutoff_hz, len(torque), 0))
     whole = Segment(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
     return whole.thinned() if thin else whole
+
+
+def _between(x: Array) -> tuple[Array, Array]:
+    """Values (N, n) half a sample before and after, one column at a time, for splines of a long log take room."""
+    before, after = np.empty_like(x), np.empty_like(x)
+    at = np.arange(len(x))
+    for i, column in enumerate(x.T):
+        spline = CubicSpline(at, column)
+        before[:, i], after[:, i] = spline(at - 0.5), spline(at + 0.5)
+    return before, after
 
 
 def _enough(recording: Recording, cutoff_hz: float | None, samples: int, edge: int) -> int:
@@ -457,12 +480,15 @@ class Regression:
     @cached_property
     def glimpse(self) -> tuple[Regression, Indices] | None:
         """Fewer and shorter ones, which tell shapes and effects apart that show all the time; None where they are no less work."""
-        return self._pieces(GLIMPSE / sum(len(s.motion) for s in self.segments))
+        # of a log that is not long some effect asks the tree at all samples anyway
+        working = sum(len(s.motion) for s in self.segments)
+        return self._pieces(GLIMPSE / working, of_whole=working <= LOOKED_AT)
 
     def forget(self, first_looks: bool = False) -> None:
         """Give back what effects worked out of the motion; also what a search's next round would ask for."""
         for segment in self.segments:
             segment.motion.forget()
+            segment.__dict__.pop("sampled", None)
         self.forget_pieces()
         if first_looks:
             self._first_looks.clear()
@@ -474,12 +500,14 @@ class Regression:
             if self.__dict__.get(name) is not None:
                 self.__dict__[name][0].forget()
 
-    def _pieces(self, part: float) -> tuple[Regression, Indices] | None:
+    def _pieces(self, part: float, of_whole: bool = False) -> tuple[Regression, Indices] | None:
         """A part of all recordings in pieces, and which samples these are; None where it is more than half."""
         if part > 0.5:
             return None
         pairs = [
-            (p, span.start + at) for s, span in zip(self.segments, self.spans, strict=True) for p, at in s.pieces(part)
+            (p, span.start + at)
+            for s, span in zip(self.segments, self.spans, strict=True)
+            for p, at in s.pieces(part, of_whole)
         ]
         samples = np.concatenate([at + np.arange(len(p)) for p, at in pairs])
         row_weights = None if self.row_weights is None else self.row_weights[samples]
@@ -594,13 +622,12 @@ class Regression:
         known[key] = found
 
     def _factored(self, segment: Segment, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        factors = [e.leading(segment.motion) if leading else e.factors(segment.motion) for e in effects]
-        if all(f is not None and np.array_equal(f[0], factors[0][0]) for f in factors):  # type: ignore[index]
-            port = self.seen(effects[0], factors[0][0][None, :, None])[0, :, 0]  # type: ignore[index]
-            rows = np.flatnonzero(port)
-            basis = segment.brought(np.concatenate([f[1] for f in factors if f is not None], axis=1))
-            return rows, port[rows][None, :, None] * basis[:, None, :]
-        columns = self.seen(effects[0], np.concatenate([e.columns(segment.motion) for e in effects], axis=2))
+        port, columns = effects[0].side_by_side(effects, segment.motion, leading)
+        if port is not None:
+            weight = self.seen(effects[0], port[None, :, None])[0, :, 0]
+            rows = np.flatnonzero(weight)
+            return rows, weight[rows][None, :, None] * segment.brought(columns)[:, None, :]
+        columns = self.seen(effects[0], columns)
         rows = np.flatnonzero(columns.any(axis=(0, 2)))
         return rows, segment.brought(columns[:, rows])
 

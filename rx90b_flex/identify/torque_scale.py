@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.coloured import residual_spectrum
+from rx90b_flex.identify.coloured import residual_spectra
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
     CORRELATION_S,
@@ -186,5 +186,5 @@ class _Bilinear:
         longest = int(CORRELATION_S * self.regression.segments[0].rate_hz)
         by_joint = ColumnsByJoint.of_dense(np.arange(columns.shape[2]), columns)
         absorbed = absorbed_each(by_joint, self.precision, solution.sigma**-2.0, spans, longest)
-        spectra = [residual_spectrum(r, spans, a, longest) for r, a in zip(rest.T, absorbed, strict=True)]
+        spectra = residual_spectra(np.ascontiguousarray(rest.T), spans, absorbed, longest)
         return coloured_covariance(by_joint, self.precision, solution.sigma, spectra, spans)
