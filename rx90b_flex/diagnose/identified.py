@@ -25,9 +25,7 @@ def with_possible_values(model: Identification) -> Identification:
     """The same model with the values that are written: of bodies that can exist, and of effects within their bounds.
 
     What the fit left over, its covariance and its columns stay those of the fitted values. Known links are kept as they
-    were given, and the effects beside them as they were fitted.
+    were given.
     """
-    if not model.links_fitted:
-        return model
     theta, _ = possible_coefficients(model)
     return with_coefficients(model, theta)

@@ -563,7 +563,8 @@ class _Runner:
         filtered.finish(out[done:])
         unfiltered = np.concatenate(raw) if raw else None
         if self.behind is not None:
-            whole[:2] = [self.behind.robots(x) for x in whole[:2]]
+            for lane in (lane for of_all in whole[:2] for lane in of_all):
+                lane[:] = self.behind.robots(lane)
         return [self._result(i, logged[..., i], whole, unfiltered) for i in range(count)]
 
     def _inputs(self, first: int, samples: int) -> Inputs:
