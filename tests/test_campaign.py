@@ -132,7 +132,7 @@ def test_memory_of_a_batch_stays_below_what_is_stated(tmp_path: Path, method: st
     robot, noise = rf.load_robot("rx90b_3dof"), Noise(0.1, 1e-6, 1e-4)
     plan = section_662(robot, load_cs8(), noise=noise, realisations=realisations, periods=periods, method=method)
     (tmp_path / "runs").mkdir()
-    simulate_batch(small_plan(method=method), small_plan().runs, tmp_path)  # what is made once, compiled code say
+    simulate_batch(plan, plan.runs, tmp_path)  # what is made once, compiled code say
     tracemalloc.start()
     results = simulate_batch(plan, plan.runs, tmp_path)
     _, peak = tracemalloc.get_traced_memory()
