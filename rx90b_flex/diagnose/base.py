@@ -25,9 +25,7 @@ class SharedColumns:
     target: Array  # (joints, N)
     weight: Array
     blocks: tuple[slice, ...]
-    precision: (
-        Array  # (p, p) inverse covariance of coefficients before the data: penalties; shapes may change by their size
-    )
+    precision: Array  # (p, p) inverse covariance of coefficients before the data: penalties, and sizes of shapes
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -238,9 +236,7 @@ def penalised_wald(bread: Array, meat: Array, own: Array, precision: Array, beta
     kept = values > DETERMINED
     basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
     bent, turned = np.linalg.eigh(basis.T @ precision @ basis)
-    some = (
-        basis @ turned[:, : max(int((bent < 1.0).sum()), 1)]
-    )  # of the data's precision, which is one in each of these
+    some = basis @ turned[:, : max(int((bent < 1.0).sum()), 1)]  # in each of these the data's precision is one
     said = some.T @ (bread + precision) @ beta
     statistic = said @ np.linalg.pinv(some.T @ meat @ some, rcond=1e-10, hermitian=True) @ said
     inverse = (basis @ turned / (1.0 + bent)) @ (basis @ turned).T
