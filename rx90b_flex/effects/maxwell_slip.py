@@ -18,7 +18,8 @@ from rx90b_flex.effects.presliding import deflection_range, lost_in_noise
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
 
 ELEMENTS = 2  # where none are stated
-BEFORE, AFTER = 0.4, 2.5  # of a smooth element's deflection, within which several that come to the same break away
+AROUND = (0.7, 1.0, 1.4)  # times a smooth element's deflection: the middle of several that come to the same
+APART = (2.5, 6.0, 15.0)  # how many times the first one's deflection the last one's is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +104,8 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding
 
     def starts_in_place_of(self, other: Parametrized) -> Array:
         """Elements that break away before and after one smooth element does."""
-        around = np.geomspace(BEFORE, AFTER, self.count) if self.count > 1 else np.ones(1)
-        return np.stack([other.shape[0] * around**wider for wider in (1.0, 1.5)])
+        steps = np.linspace(-0.5, 0.5, self.count) if self.count > 1 else np.zeros(1)
+        return np.array([other.shape[0] * middle * ratio**steps for middle in AROUND for ratio in APART])
 
     def shape_spread(self, motion: Motion) -> Array:
         return 0.5 * self.shape
