@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.effect import JointForce
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import shape
@@ -131,11 +132,17 @@ def turnover_range(at: JointMotion) -> tuple[float, float]:
 
 
 def last_direction(at: JointMotion) -> Array:
-    """Direction of the last move, kept across rests, shape (N,); zero before the first."""
+    """Direction of the last move, kept across rests, shape (N,); zero before the first.
+
+    A move is what has a velocity that the log knows, or, however slow, goes farther than noise takes a joint at rest.
+    """
     known = Resolution.of(at)
     moving = np.abs(at.v) > max(known.noise, 1e-3 * known.speed)
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(at.v)), -1))
-    return np.where(last >= 0, np.sign(at.v[np.maximum(last, 0)]), 0.0)
+    way = maxwell(at.q, max(2.0 * known.wander, 4.0 * known.angle))
+    moved = moving | (np.abs(way) >= 1.0)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(at.v)), -1))
+    direction = np.where(moving, np.sign(at.v), np.sign(way))
+    return np.where(last >= 0, direction[np.maximum(last, 0)], 0.0)
 
 
 class DryFriction(JointForce):
