@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +55,7 @@ def drawn() -> scene.Drawn:
 
 def test_the_strength_is_what_the_declared_model_leaves_over_the_noise_floor(drawn):
     """Measured again with the package, on a robot whose friction turns over as sharply as the package's."""
-    made = study.drawn_of(replace(DRAWN, form="sign"))
+    made = study.drawn_of(dataclasses.replace(DRAWN, form="sign"))
     regression = Regression.of(made.robot, made.campaign.recordings[:2], scene.CUTOFF_HZ)
     model = identify(regression, regression.robot.effects, fit_links=True, with_covariance=False)
     power = (model.residual**2).mean(axis=0) / made.scene.floor**2
@@ -81,7 +81,7 @@ def test_one_seed_is_one_run(drawn):
 
 
 def test_the_same_effect_hides_at_every_strength(drawn):
-    weak = study.drawn_of(replace(DRAWN, strength=1.0))
+    weak = study.drawn_of(dataclasses.replace(DRAWN, strength=1.0))
     assert isinstance(weak, scene.Drawn)
     assert weak.hidden[0][0].shapes == drawn.hidden[0][0].shapes
     assert weak.hidden[0][1] == pytest.approx(drawn.hidden[0][1] / np.sqrt(3.0), rel=0.05)
@@ -280,6 +280,24 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
     """What acts much in one block and little in others differs between held-out blocks without being less sure."""
     found = study.run_case(study.Case("hidden", name, 10.0, 0, "ur10", "sign"))
     assert counting.right(found), found["found"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "case",
+    [
+        # true signs: what a log does not resolve at reversals looks like a friction that fades within 1 mrad/s
+        study.Case("hidden", "stribeck_friction", 1.0, 2310, "z1", "sign", "ar"),
+        # comes to rest a little beyond where it stops
+        study.Case("hidden", "held_friction", 10.0, 2300, "z1", "tanh_30", "ar"),
+        # two elements on each joint, that break away near each other
+        study.Case("hidden", "torque_gain", 1.0, 2310, "z1", "maxwell", "ar"),
+    ],
+    ids=lambda case: case.name,
+)
+def test_an_effect_beside_other_forms_of_dry_friction_is_found(case):
+    found = study.run_case(dataclasses.replace(case, period_stated=False))
+    assert counting.right_in_effect(found), found["found"]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from rx90b_flex.effects.maxwell_slip import MaxwellSlipFriction
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.presliding import PreslidingFriction
-from rx90b_flex.effects.reversal import Resolution
+from rx90b_flex.effects.reversal import Resolution, last_direction
 from rx90b_flex.identify.regression import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
@@ -32,16 +32,18 @@ def angle(rest: str) -> Array:
 
 def motion(robot: Robot, noise: float, seed: int, rest: str = "stands") -> Motion:
     clean = angle(rest)
-    q = (clean + noise * np.random.default_rng(seed).normal(size=len(clean)))[:, None]
-    torque = np.ones((len(clean), 1))
+    return moving(robot, clean + noise * np.random.default_rng(seed).normal(size=len(clean)))
+
+
+def moving(robot: Robot, angles: Array) -> Motion:
     log = Recording(
         name="run",
         role="identification",
-        time=np.arange(len(clean)) / RATE_HZ,
+        time=np.arange(len(angles)) / RATE_HZ,
         sample_rate_hz=RATE_HZ,
         joints=("joint_1",),
-        position=q,
-        torque=torque,
+        position=angles[:, None],
+        torque=np.ones((len(angles), 1)),
     )
     return prepare(robot, log, CUTOFF_HZ).motion
 
@@ -75,3 +77,34 @@ def test_hysteresis_along_less_has_no_name_and_along_more_has_one(robot: Robot, 
         )
         why = effect.too_small(0.5, 1.0 / RATE_HZ, moved)
         assert (why == "") == named and (named or "noise" in why)
+
+
+def test_a_slow_move_counts_as_the_last_one_where_it_goes_beyond_noise(robot: Robot) -> None:
+    """A joint that comes to rest a little beyond where it stops has moved back last, however slowly."""
+    time = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    for back, last in ((2e-4, -1.0), (1e-6, 1.0)):  # further than noise takes it, and not as far
+        rise = 0.5 * (1.0 - np.cos(np.pi * np.clip(time / 4.0, 0.0, 1.0)))
+        return_ = 0.5 * (1.0 - np.cos(np.pi * np.clip((time - 4.2) / 2.0, 0.0, 1.0)))
+        q = rise - back * return_ + 1e-6 * np.random.default_rng(3).normal(size=len(time))
+        at = moving(robot, q).joint("joint_1")
+        assert (np.abs(at.v[time > 4.2]) < 1e-3 * np.abs(at.v).max()).all()
+        assert (last_direction(at)[time > 6.5] == last).all()
+
+
+@pytest.mark.parametrize("ratio", [2.0, 4.0, 15.0])
+def test_two_elements_are_searched_near_those_that_one_smooth_one_stands_for(robot: Robot, ratio: float) -> None:
+    """Whatever their ratio, a start lies near enough for steps to lead there."""
+    moved = motion(robot, 1e-6, 1)
+    pair = 1e-3 * np.array([1.0, ratio])
+    at = moved.joint("joint_1")
+    true = MaxwellSlipFriction(joint="joint_1", torques=(0.6, 0.4), deflections=tuple(pair))
+    torque = true.basis(at) @ [0.6, 0.4]
+
+    def left(effect: PreslidingFriction | MaxwellSlipFriction) -> float:
+        basis = effect.basis(at)
+        return float(np.sum((torque - basis @ np.linalg.lstsq(basis, torque, rcond=None)[0]) ** 2))
+
+    smooth = [PreslidingFriction(joint="joint_1", torque=1.0, deflection=d) for d in 1e-3 * np.geomspace(0.5, 15.0, 60)]
+    best = min(smooth, key=left)
+    starts = true.starts_in_place_of(best)
+    assert min(left(true.with_shape(start)) for start in starts) < 0.5 * left(best)
