@@ -39,7 +39,7 @@ LOST_PART = 0.005  # of its squared error, and this much: less is no reason
 REFINED = 16  # trials whose shape parameters are refined at the most
 FEWEST_REFINED = 6  # and at the least
 UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the least
-BEGINNINGS = 3  # of a refinement of several shapes; others only where what these lead to is none of its own
+BEGINNINGS = 3  # of a refinement of several shapes
 REFINEMENTS = 15  # looks of a refinement
 REFINING = Damping(rise=16.0, fall=4.0)
 SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
@@ -182,15 +182,12 @@ class Search:
 
     def _sharing(self, effect: Effect) -> Effect:
         """With the present values of the shapes that it shares with the model's effects."""
-        pairs = zip(effect.shape_keys, effect.shape, strict=True)
-        known = [own if key is None else self._shared_values.get(key, own) for key, own in pairs]
-        return effect.with_shape(known) if any(k is not None for k in effect.shape_keys) else effect
+        known = [self._shared_values.get(k, np.nan) if k is not None else np.nan for k in effect.shape_keys]
+        return effect.with_shape(np.array(known)) if not np.isnan(known).all() else effect
 
     def free(self, effect: Effect) -> Indices:
         """Places of the shape parameters that a trial is free to choose."""
-        low, high = effect.shape_range(self.longest)
-        places = enumerate(zip(effect.shape_keys, low, high, strict=True))
-        return np.array([i for i, (k, a, b) in places if k not in self._shared_values and a < b], dtype=np.intp)
+        return np.array([i for i, k in enumerate(effect.shape_keys) if k not in self._shared_values], dtype=np.intp)
 
     def _shaped(self, effect: Effect, values: Array, free: Indices | None = None) -> Effect:
         """With other values of the free shapes, or of some of them."""
@@ -264,21 +261,7 @@ class Search:
         """The trial of what was looked at, by more than a glimpse."""
         closer = self._looked(item, False) if item.glimpsed else item
         found = self.trial(closer.effect, closer.base, present, self.tests)
-        if item.effect.traits.multiplies:
-            return self._fitted(item.effect) if found.p_value < WORTH_A_FIT else found
-        return found if found.lawful else self._elsewhere(found, closer, present)
-
-    def _elsewhere(self, found: TorqueTrial, item: _Rough, present: Base) -> TorqueTrial:
-        """The best trial that is accepted of a candidate's other shapes, where its best one plays another effect's part."""
-        best = found
-        refined = BEGINNINGS - 1 if len(self.free(item.effect)) > 1 else 0
-        for gain, other in self._other_starts.get(item.effect, ())[refined:]:
-            if UNREFINED * (gain - item.lost) < max(best.sure_gain if best.accepted else 0.0, FAMILY_GAIN):
-                break  # neither this one nor those behind it can win
-            again = self.trial(other, item.base, present, self.tests)
-            if again.accepted and not (best.accepted and best.sure_gain > again.sure_gain):
-                best = again
-        return best
+        return self._fitted(item.effect) if item.effect.traits.multiplies and found.p_value < WORTH_A_FIT else found
 
     def _fitted(self, effect: Effect) -> TorqueTrial:
         """The trial of an effect that scales the model's torque, which a fit without it has bent: about the fit with it."""
@@ -422,12 +405,16 @@ class Search:
         return {}
 
     def _apart(self, looks: Sequence[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
-        """The first of effects that differ in their shapes by more than a refinement's step."""
+        """The first of effects that differ in their shapes by more than a refinement's step; one of a single shape stands for all."""
+        if len(self.free(looks[0][1])) < 2:
+            return [looks[0]]
         spread = looks[0][1].shape_spread(self.longest)
         out: list[tuple[float, Effect]] = []
         for gain, effect in looks:
             if all((np.abs(effect.shape - e.shape) > spread).any() for _, e in out):
                 out.append((gain, effect))
+            if len(out) == BEGINNINGS:
+                break
         return out
 
     def _refined(self, effect: Effect, base: Base) -> Effect:
@@ -436,11 +423,23 @@ class Search:
         if not len(free):
             return effect
         tried = [self._refined_from(effect, base, free)]
-        for gain, other in self._other_starts.get(effect, ())[: BEGINNINGS - 1 if len(free) > 1 else 0]:
+        for gain, other in self._other_starts.get(effect, ()):
             if UNREFINED * gain > AS_GOOD * max(known for known, _ in tried):  # else it cannot win
                 tried.append(self._refined_from(other, base, free))
         # one that ran into an end of its range explains a little more by playing another effect's part
-        return max(tried, key=lambda pair: pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))[1]
+        best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))[1]
+        if not self.at_bound(best):
+            return best
+        # beside what is wrong elsewhere a power may run anywhere: with its usual value it is tried, with all else it is fitted again
+        usual = {
+            i: v for i, name in enumerate(effect.shape_names()) if (v := effect.usual_shapes().get(name)) is not None
+        }
+        held = np.array([i for i in free if i in usual], dtype=np.intp)
+        if len(held) in (0, len(free)):
+            return best
+        plainer = self._shaped(effect, np.array([usual[i] for i in held]), held)
+        _, plain = self._refined_from(plainer, base, np.setdiff1d(free, held))
+        return best if self.at_bound(plain) else plain
 
     def _refined_from(self, effect: Effect, base: Base, free: Indices) -> tuple[float, Effect]:
         """Gain and some of the shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""

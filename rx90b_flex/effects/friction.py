@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -10,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rx90b_flex.effects.effect import Effect, JointEffect
-from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
@@ -200,7 +198,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     velocity: float | None = shape("rad/s", start=0.1, lower=1e-9, upper=1e3)
-    power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0)
+    power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0, usual=True)
     turnover: float | None = turnover_shape()
 
     def breakaway_torque(self) -> float:
@@ -236,35 +234,6 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
 
     def independent_shapes(self, motion: Motion) -> int:
         return 5
-
-    @classmethod
-    def over_time(cls, sites: Sites) -> list[Effect]:
-        """With any power, and with that of an exponential: beside what is wrong elsewhere a power may run anywhere."""
-        return [*cls.everywhere(sites), *(_ExponentialFading(joint=j, power=1.0) for j in sites.joints)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _ExponentialFading(StribeckFriction):
-    """Stribeck friction whose power is one (A. Tustin, Journal of the IEE 94, 1947)."""
-
-    @classmethod
-    def type_name(cls) -> str:
-        return StribeckFriction.type_name()
-
-    def own_range(self, motion: Motion) -> Array:
-        out = super().own_range(motion)
-        out[:, 1] = 1.0
-        return out
-
-    def own_starts(self, motion: Motion) -> Array:
-        starts = super().own_starts(motion)
-        return starts[starts[:, 1] == 1.0]
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 3
-
-    def in_tree(self, motion: Motion) -> Effect:
-        return StribeckFriction(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,6 +80,11 @@ class Hints(Parametrized, ABC):
         """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
         return np.array([[p.start for _, p in self._flat("shape")]])
 
+    @classmethod
+    def usual_shapes(cls) -> dict[str, float]:
+        """Shape parameters that mostly have one value, and that value."""
+        return {name: p.start for name, p in cls._flat("shape") if p.usual}
+
     def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
         """Shapes to begin from where the residual helps to find them, shape (M, s).
 

@@ -43,6 +43,8 @@ class Parameter:
         Place in the parameter vector.
     attribute : str
         Where its value stands in the effect.
+    usual : bool
+        Whether `start` is what a shape parameter mostly is: where the data lead it astray a search holds it there.
     """
 
     unit: str
@@ -53,6 +55,7 @@ class Parameter:
     size: int = 1
     rank: int = OTHER
     attribute: str = ""
+    usual: bool = False
 
 
 def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER, public: str = "") -> Any:
@@ -61,9 +64,9 @@ def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHE
     return dataclasses.field(default=None, metadata={"parameter": parameter, "public": public})
 
 
-def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1) -> Any:
+def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1, usual: bool = False) -> Any:
     """Field of an effect: a parameter that gives the force its shape."""
-    parameter = Parameter(unit, "shape", lower, upper, start, size)
+    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual)
     return dataclasses.field(default=None, metadata={"parameter": parameter})
 
 
