@@ -286,8 +286,6 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
 @pytest.mark.parametrize(
     "case",
     [
-        # true signs: what a log does not resolve at reversals looks like a friction that fades within 1 mrad/s
-        study.Case("hidden", "stribeck_friction", 1.0, 2310, "z1", "sign", "ar"),
         # comes to rest a little beyond where it stops
         study.Case("hidden", "held_friction", 10.0, 2300, "z1", "tanh_30", "ar"),
         # two elements on each joint, that break away near each other
