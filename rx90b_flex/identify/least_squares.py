@@ -567,6 +567,8 @@ class _Fit:
         other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed)
         if not any(e.traits.coefficients_follow for e in self.effects):
             other.__dict__.update(goal=self.goal, prior=self.prior)
+        if not prior_precision([e for e in self.effects if len(e.shape)]).any():
+            other.__dict__["precision"] = self.precision
         return other
 
     @cached_property
