@@ -271,10 +271,11 @@ def scatter(
 
 def _as_if_white(model: Identification) -> Identification:
     """The same fit with the covariance sigma^2 (X' X)^-1."""
-    covariance = model.covariance.copy()
+    white = dataclasses.replace(model.uncertainty)
     k = len(model.theta)
+    white.__dict__["covariance"] = covariance = model.covariance.copy()
     covariance[:k, :k] = model.solution.inverse
-    return dataclasses.replace(model, covariance=covariance)
+    return dataclasses.replace(model, uncertainty=white)
 
 
 @cache

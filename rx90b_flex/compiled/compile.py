@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from numba.core import config, event
+from numba.core import config, event, ir, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -146,12 +146,44 @@ class _LinkOnly(AnalysisPass):
         return False
 
 
+@register_pass(mutates_CFG=False, analysis_only=True)  # type: ignore[no-untyped-call]
+class _OnlyBorrows(AnalysisPass):
+    """Refuses a function that would have to count references to arrays and does not: it returns one, or calls what does."""
+
+    _name = "rx90b_flex_only_borrows"
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+
+    def run_pass(self, state: Any) -> bool:
+        def holds_arrays(kind: Any) -> bool:
+            return bool(state.targetctx.data_model_manager[kind].contains_nrt_meminfo())
+
+        calls = [(e, s) for e, s in state.calltypes.items() if isinstance(e, ir.Expr) and e.op == "call"]
+        made = [e for e, s in calls if holds_arrays(s.return_type)]
+        made = [e for e in made if not isinstance(state.typemap[e.func.name], types.NamedTupleClass)]
+        if not state.flags.nrt and (made or holds_arrays(state.return_type)):
+            raise TypeError(f"{state.func_id.func_qualname} returns arrays or calls what does: it is to be `counted`")
+        return False
+
+
+class _BorrowingCompiler(CompilerBase):
+    """numba's own compiler, with that look at references."""
+
+    def define_pipelines(self) -> Any:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
+        passes.add_pass_after(_OnlyBorrows, AnnotateTypes)
+        passes.finalize()
+        return [passes]
+
+
 class _PartCompiler(CompilerBase):
-    """numba's own compiler, with that library."""
+    """The same, with the library of what is part of others."""
 
     def define_pipelines(self) -> Any:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
         passes.add_pass_after(_LinkOnly, AnnotateTypes)
+        passes.add_pass_after(_OnlyBorrows, AnnotateTypes)
         passes.finalize()
         return [passes]
 
@@ -168,9 +200,13 @@ def _compiler(kept: bool = True, **options: Any) -> Callable[[Function], Functio
     return decorate
 
 
-# What Python calls.
-entry = _compiler()
-# Called from compiled code: large functions, which keeps the time that the compiler takes in bounds.
-called = _compiler(no_cpython_wrapper=True)
+# What Python calls. Where it is not said whether references are counted, numba does as the caller does.
+entry = _compiler(_nrt=True)
+# Called from compiled code: large functions, which keeps the time that the compiler takes in bounds. As the inlined ones, they do
+# not count references to arrays, for these are their caller's, and counting takes the compiler long to take out again.
+called = _compiler(no_cpython_wrapper=True, _nrt=False, pipeline_class=_BorrowingCompiler)
 # Put into what calls it, and compiled with it alone: a call would copy the hundreds of words that describe the arrays.
-inlined = _compiler(kept=False, no_cpython_wrapper=True, forceinline=True, pipeline_class=_PartCompiler)
+_PART: dict[str, Any] = {"no_cpython_wrapper": True, "forceinline": True, "pipeline_class": _PartCompiler}
+inlined = _compiler(kept=False, _nrt=False, **_PART)
+# The same, of what returns arrays or calls what does.
+counted = _compiler(kept=False, _nrt=True, **_PART)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, entry, inlined
+from rx90b_flex.compiled.compile import Array, counted, entry, inlined
 from rx90b_flex.compiled.controller import RUNNING, Inputs, Lanes, Logs, Loop, control
 from rx90b_flex.compiled.laws import Laws
 from rx90b_flex.compiled.packed import LAWS, Packed, unpack
@@ -96,7 +96,7 @@ class _Pack(NamedTuple):
     bend: Array  # (width,)
 
 
-@inlined
+@counted
 def _new_pack(n: int, like: Array) -> _Pack:
     width = width_of(like)
     numbers = aligned(3 * n)[: 3 * n * width]
@@ -107,7 +107,7 @@ def _new_pack(n: int, like: Array) -> _Pack:
 
 @inlined
 def _control_pack(
-    between: Wide,
+    between: Wide | None,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
@@ -121,9 +121,11 @@ def _control_pack(
     for place in range(len(torque)):
         lane = first + place
         if lanes.status[lane] == RUNNING:
-            show(between, lanes, lane, inputs.noise[k if inputs.noise.shape[0] > 1 else 0])
+            if between is not None:
+                show(between, lanes, lane, inputs.noise[k if inputs.noise.shape[0] > 1 else 0])
             control(loop, lanes, inputs, logs, lane, k, torque[place])
-            deliver(between, loop, torque[place])
+            if between is not None:
+                deliver(between, loop, torque[place])
         if lanes.status[lane] == RUNNING:
             running += 1
     return running
@@ -135,7 +137,7 @@ def _run_pack(
     memory: int,
     alone: bool | None,
     wide: Wide | None,
-    between: Wide,
+    between: Wide | None,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
@@ -150,7 +152,9 @@ def _run_pack(
     tree, laws = unpack(plant)
     n = lanes.q.shape[1]
     scratch = scratch_in(working_memory(memory, alone), n, len(laws.inertia))
-    torque, pack, rough = np.zeros((count, n)), _new_pack(n, scratch.a), np.zeros(count, dtype=np.int64)
+    # np.zeros of one kind of shape: each kind is compiled by itself
+    torque, pack = np.zeros(count * n).reshape((count, n)), _new_pack(n, scratch.a)
+    rough = np.zeros(count, dtype=np.int64)
     wide_size = 0
     if wide is not None:
         wide_size = room_size(wide, n)
@@ -194,7 +198,7 @@ def _run_pack(
 def run(
     plant: Packed,
     wide: Wide | None,
-    between: Wide,
+    between: Wide | None,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
@@ -203,7 +207,7 @@ def run(
 ) -> None:
     """Advance all running lanes by that many samples, eight at a time, or a few one by one; every effect is a compiled law.
 
-    `wide` are laws of the robot, `between` those between its motors and the controller.
+    `wide` are laws of the robot, `between` those between its motors and the controller; None where there are none.
     """
     size, count = scratch_size(lanes.q.shape[1], int(plant.integers[LAWS])), len(lanes.status)
     if count <= FEW:  # vectors are not even compiled then

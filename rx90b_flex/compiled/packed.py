@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, Integers, entry, inlined
+from rx90b_flex.compiled.compile import Array, Integers, counted, entry, inlined
 from rx90b_flex.compiled.laws import Laws, add_laws_to_system, law_forces
 from rx90b_flex.compiled.linear import factor, solve
 from rx90b_flex.compiled.scratch import scratch_in
@@ -55,7 +55,7 @@ def _places_from(integers: Integers) -> int:
     return SIZES + OF_JOINT * integers[JOINTS] + integers[BESIDE] + 2 * integers[COORDINATES]
 
 
-@inlined
+@counted
 def unpack(packed: Packed) -> tuple[Tree, Laws]:
     """Tree and laws as views of what `pack` made."""
     integers, numbers = packed

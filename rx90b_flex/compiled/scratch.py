@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rx90b_flex.compiled.compile import Array, inlined
+from rx90b_flex.compiled.compile import Array, counted
 
 
 class Scratch(NamedTuple):
@@ -46,7 +46,7 @@ def scratch_size(n: int, laws: int) -> int:
     return (9 * MATRICES + 3 * VECTORS + NUMBERS) * n + n * n + OF_LAWS * laws
 
 
-@inlined
+@counted
 def scratch_in(memory: Array, n: int, m: int) -> Scratch:
     """Working memory for n coordinates and m laws in a flat array of `scratch_size` numbers."""
     vectors_from = 9 * MATRICES * n

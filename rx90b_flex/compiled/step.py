@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from rx90b_flex.compiled.compile import Array, Integers, inlined
+from rx90b_flex.compiled.compile import Array, Integers, counted, inlined
 from rx90b_flex.compiled.laws import Laws, add_laws_to_system, combine, law_forces, scatter
 from rx90b_flex.compiled.linear import add_dense, factor, factor_general, solve, solve_general
 from rx90b_flex.compiled.scratch import Scratch
@@ -64,7 +64,7 @@ def begin(s: Scratch, q: Array, v: Array) -> None:
         s.q[i], s.v[i], s.a[i] = q[i], v[i], 0.0
 
 
-@inlined
+@counted
 def evaluate(tree: Tree, laws: Laws, s: Scratch, wide: Wide | None, room: Array) -> Any:
     """Forces of links and laws at the scratch's point; each law's torque and slopes to the `late` arrays.
 
@@ -77,7 +77,7 @@ def evaluate(tree: Tree, laws: Laws, s: Scratch, wide: Wide | None, room: Array)
     return law_forces(laws, s, s.q, s.v, s.a, s.late_torques, s.late_by_x, s.late_by_rate, s.generalised)
 
 
-@inlined
+@counted
 def first_stage(
     tree: Tree,
     laws: Laws,
@@ -171,7 +171,7 @@ def _bend(laws: Laws, partner: Integers, s: Scratch, h: float) -> Any:
     return h * h * most
 
 
-@inlined
+@counted
 def second_stage(
     tree: Tree,
     laws: Laws,

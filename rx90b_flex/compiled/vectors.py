@@ -24,7 +24,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import box, intrinsic, lower_builtin, lower_cast, overload, register_model
 from numba.np.arrayobj import make_array, populate_array
 
-from rx90b_flex.compiled.compile import Array, inlined
+from rx90b_flex.compiled.compile import Array, counted
 
 WIDTH = 8  # doubles in the widest registers there are; the compiler splits it where they are narrower
 
@@ -216,7 +216,7 @@ def _larger_size(a, b):  # type: ignore[no-untyped-def]
     return numbers
 
 
-@inlined
+@counted
 def aligned(count: int) -> Array:
     """Zeros for that many vectors, each in one line of the processor's cache."""
     room = np.zeros(WIDTH * (count + 1))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, Integers, called, inlined
+from rx90b_flex.compiled.compile import Array, Integers, called, counted, inlined
 from rx90b_flex.compiled.controller import Lanes, Loop
 from rx90b_flex.compiled.laws import call_law
 from rx90b_flex.compiled.linear import factor, solve
@@ -73,7 +73,7 @@ def room_size(wide: Wide, n: int) -> int:
     return 3 * wide.memory.shape[1] + (2 * m + 4) * n + 5 * m + EXCHANGE
 
 
-@inlined
+@counted
 def view(wide: Wide, room: Array, like: Array) -> WideView:
     """The laws with working memory in `room` (numbers of `room_size` vectors, or of as many numbers), of what `like` (n,) is of."""
     m, w, n = wide.integers[0], wide.integers[1], len(like)
@@ -108,25 +108,28 @@ def _ask(wide: Wide, room: Array, side: int, n: int, m: int, lanes: int, time: f
     """
     integers, numbers = wide.integers, wide.numbers
     count, width, length, remembered = integers[0], integers[1], integers[2], integers[3]
-    own = integers[SIZES : SIZES + ROWS * count].reshape((ROWS, count))
+    address, slot, remembers = (
+        integers[SIZES + ADDRESS * count + m],
+        integers[SIZES + SLOT * count + m],
+        integers[SIZES + REMEMBERS * count + m],
+    )
     row_from = 1 + 2 * count * width + m * length
     parameters, out = numbers[row_from : row_from + length], numbers[1 + count * (2 * width + length) :]
     exchange = room[side * (room_size(wide, n) - EXCHANGE) :]
     kept = room[side * (stage * wide.memory.shape[1] + m * remembered) :]
     onward = room[side * ((stage + 1) * wide.memory.shape[1] + m * remembered) :]
-    slot = own[SLOT, m]
     parameters[slot] = time
     out[3] = 0.0
     for lane in range(lanes):
         x = exchange[side * X + lane]
         parameters[slot + 1] = exchange[side * LOAD + lane]
-        for i in range(1 + own[REMEMBERS, m]):
+        for i in range(1 + remembers):
             parameters[slot + 2 + i] = kept[side * i + lane]
-        call_law(own[ADDRESS, m], x, exchange[side * RATE + lane], parameters, out)
+        call_law(address, x, exchange[side * RATE + lane], parameters, out)
         for i in range(4):
             exchange[side * (ASKED + i) + lane] = out[i]
         onward[lane] = x
-        for i in range(own[REMEMBERS, m]):
+        for i in range(remembers):
             onward[side * (1 + i) + lane] = out[4 + i]
 
 

@@ -235,12 +235,15 @@ def boosted_trees(
         return model.fit(x, y)
 
     here, elsewhere = signals
-    held_out = np.empty((TREES, len(residual)))
+    held_out, left = np.empty((TREES, len(residual))), np.zeros(TREES)
     with threadpool_limits(limits=1):  # threads wait for each other longer than they work on so few samples
         for part in np.unique(parts):
             out = parts == part
             for i, said in enumerate(grown(here[~out], residual[~out], TREES).staged_predict(here[out])):
                 held_out[i, out] = said
+            left += ((residual[out] - held_out[:, out]) ** 2).sum(axis=1)
+            if left.min() >= error:
+                return None  # whatever they do on the other parts
         squares = (residual - held_out) ** 2
         best = int(squares.sum(axis=1).argmin())
         if squares[best].sum() >= error or sure_gain(residual**2, squares[best]) <= LEAST_GAIN * (residual**2).sum():

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from scipy.ndimage import convolve1d, minimum_filter1d
+from scipy import fft
+from scipy.ndimage import minimum_filter1d
 
 from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
 from rx90b_flex.effects.hints import Sites
@@ -412,15 +413,20 @@ def _between_crossings(load: Array, time: Array) -> Array:
     step = time[1] - time[0] if len(time) > 1 else 0.0
     if step <= 0:
         return load
-    lags = np.arange(-round(4.0 * KICK_S / step), round(4.0 * KICK_S / step) + 1) * step / KICK_S
-    window = np.exp(-0.5 * lags**2)
+    reach = round(4.0 * KICK_S / step)
+    lags = np.arange(-reach, reach + 1) * step / KICK_S
+    powers = np.exp(-0.5 * lags**2) * lags ** np.arange(5)[:, None]
+    size = fft.next_fast_len(len(load) + 2 * reach, real=True)
+    windows = fft.rfft(powers, size).conj()
     crossing = CROSSING * max(float(np.sqrt(np.mean(load**2))), 1e-9)
     weight, smooth = np.ones_like(load), load
     for _ in range(1 + CLEARED):
-        moments = [convolve1d(weight, (window * lags**k)[::-1], mode="nearest") for k in range(5)]
-        right = [convolve1d(weight * load, (window * lags**k)[::-1], mode="nearest") for k in range(3)]
-        left = np.stack([np.stack(moments[k : k + 3], axis=-1) for k in range(3)], axis=-1)
-        smooth = np.linalg.solve(left, np.stack(right, axis=-1)[:, :, None])[:, 0, 0]
+        parts = fft.rfft(np.pad([weight, weight * load], ((0, 0), (reach, reach)), mode="edge"), size)
+        spectra = np.concatenate([parts[0] * windows, parts[1] * windows[:3]])
+        m0, m1, m2, m3, m4, r0, r1, r2 = fft.irfft(spectra, size)[:, : len(load)]
+        # the parabola's value in the middle, by Cramer's rule
+        c0, c1, c2 = m2 * m4 - m3**2, m2 * m3 - m1 * m4, m1 * m3 - m2**2
+        smooth = (r0 * c0 + r1 * c1 + r2 * c2) / (m0 * c0 + m1 * c1 + m2 * c2)
         clear = np.tanh(smooth / crossing) ** 2
         weight = LEFT_OF_IT + minimum_filter1d(clear, 2 * round(BESIDE_S / step) + 1)
     return np.asarray(smooth)

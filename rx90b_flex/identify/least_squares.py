@@ -12,13 +12,11 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices, Mask
-from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectra, widening
+from rx90b_flex.identify.coloured import Spectrum
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
-    RANK_TOLERANCE,
     NormalEquations,
     Solution,
-    column_scale,
     fit_weighted,
     solve_weighted,
     squares_held_out,
@@ -27,6 +25,7 @@ from rx90b_flex.identify.normal_equations import (
 from rx90b_flex.identify.penalty import prior_precision, smoothed
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
+from rx90b_flex.identify.uncertainty import Uncertainty, absorbed_each
 from rx90b_flex.levenberg import Iterate, lowest
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
@@ -65,13 +64,11 @@ class Identification:
         Identified, or the known ones.
     theta : array, shape (p,)
         Coefficients in the order of the columns: links (if fitted), then effects.
-    covariance : array, shape (p + s, p + s)
-        Of theta and the shape parameters, allowing for coloured residuals.
+    uncertainty : Uncertainty
+        Of theta and the shape parameters.
     solution : Solution
     residual : array, shape (N, rows)
         Torque left over on the data of the fit, N m.
-    spectra : tuple of Spectrum
-        Of the residual, one a row: motors, then torque sensors.
     regression : Regression
         The data of the fit, seen by the identified links.
     derivatives : ColumnsByJoint
@@ -84,10 +81,9 @@ class Identification:
     effects: tuple[Effect, ...]
     link_parameters: Array
     theta: Array
-    covariance: Array
+    uncertainty: Uncertainty
     solution: Solution
     residual: Array
-    spectra: tuple[Spectrum, ...]
     regression: Regression
     derivatives: ColumnsByJoint
     links_fitted: bool
@@ -99,9 +95,21 @@ class Identification:
         size = len(self.theta)
         return self.derivatives.kept(np.arange(size), size + len(self.shapes)).dense(size)
 
+    @property
+    def covariance(self) -> Array:
+        """Of theta and the shape parameters, allowing for coloured residuals, shape (p + s, p + s)."""
+        return self.uncertainty.covariance
+
+    @property
+    def spectra(self) -> tuple[Spectrum, ...]:
+        """Of the residual, one a row: motors, then torque sensors."""
+        return self.uncertainty.spectra
+
     @cached_property
     def absorbed(self) -> list[Array]:
         """What the fit took out of each joint's noise (`absorbed_by_fit`)."""
+        if len(self.uncertainty.free) == self.uncertainty.size:
+            return self.uncertainty.absorbed
         regression, weight = self.regression, self.solution.sigma**-2.0
         longest = int(CORRELATION_S * regression.segments[0].rate_hz)
         return absorbed_each(self.derivatives, self.precision, weight, regression.spans, longest)
@@ -154,9 +162,10 @@ class Identification:
         out = []
         for i, effect in enumerate(self.effects):
             if len(effect.coefficients) == 1:
-                at = self.first_column(i)
-                spread = BEYOND * np.sqrt(max(self.covariance[at, at], 0.0))
-                if self.solution.determined[at] and self.theta[at] < effect.coefficient_bounds[0] - spread:
+                at, low = self.first_column(i), effect.coefficient_bounds[0]
+                if not (self.solution.determined[at] and self.theta[at] < low):
+                    continue  # before its covariance is asked for, which takes long to work out
+                if self.theta[at] < low - BEYOND * np.sqrt(max(self.covariance[at, at], 0.0)):
                     out.append(effect)
         return tuple(out)
 
@@ -567,6 +576,8 @@ class _Fit:
         other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed)
         if not any(e.traits.coefficients_follow for e in self.effects):
             other.__dict__.update(goal=self.goal, prior=self.prior)
+        if not prior_precision([e for e in self.effects if len(e.shape)]).any():
+            other.__dict__["precision"] = self.precision
         return other
 
     @cached_property
@@ -644,29 +655,30 @@ class _Fit:
         longest = int(CORRELATION_S * regression.segments[0].rate_hz)
         precision = np.zeros((size, size))
         precision[: len(self.precision), : len(self.precision)] = self.precision
-        before = precision[np.ix_(free, free)]
-        absorbed = absorbed_each(estimated, before, solution.sigma**-2.0, spans, longest)
         counted = np.ascontiguousarray((residual / np.sqrt(regression.share)).T)
-        spectra = residual_spectra(counted, spans, absorbed, longest)
-        covariance = np.zeros((size, size))
-        if with_covariance:
-            covariance[np.ix_(free, free)] = coloured_covariance(estimated, before, solution.sigma, spectra, spans)
-        found = Identification(
+        uncertainty = Uncertainty(
+            estimated,
+            free,
+            size,
+            precision[np.ix_(free, free)],
+            solution.sigma,
+            counted,
+            spans,
+            longest,
+            with_covariance,
+        )
+        return Identification(
             self.valued,
             self.link_parameters,
             solution.theta,
-            covariance,
+            uncertainty,
             solution,
             residual,
-            spectra,
             regression,
             derivatives,
             self.fit_links,
             self.shapes,
         )
-        if not self.follows.any():
-            found.__dict__["absorbed"] = absorbed
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -700,34 +712,3 @@ class _Shaped(Iterate):
 def _beside_links(precision: Array, links: int) -> Array:
     """A precision of the effects' coefficients with the links' before them, of which nothing is known."""
     return np.pad(precision, ((links, 0), (links, 0)))
-
-
-def absorbed_each(
-    columns: ColumnsByJoint, precision: Array, weight: Array, spans: Sequence[slice], longest: int
-) -> list[Array]:
-    """`absorbed_by_fit` of each joint, for columns fitted with inverse variances `weight` and a precision (p, p) before the data."""
-    gram = columns.gram(weight, len(precision)) + precision
-    scale = column_scale(np.diag(gram))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
-    to_basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
-    pairs = zip(weight, columns.places, columns.columns, strict=True)
-    return [absorbed_by_fit(np.sqrt(w) * (x @ to_basis[at]), spans, longest) for w, at, x in pairs]
-
-
-def coloured_covariance(
-    columns: ColumnsByJoint, precision: Array, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]
-) -> Array:
-    """Covariance of weighted least-squares estimates of columns under coloured noise: (A + P)^-1 (S + P) (A + P)^-1.
-
-    A is the weighted Gram matrix, S the covariance of the weighted score, P the precision (p, p) before the data: with it the bias of
-    penalised coefficients counts (D. Nychka, Journal of the American Statistical Association 83, 1988). Undetermined directions count
-    as zero.
-    """
-    weight, count = sigma**-2.0, len(precision)
-    _, inverse, _, _ = solve_weighted(columns.gram(weight, count) + precision, np.zeros(count), np.zeros(count))
-    score = np.array(precision)
-    for w, at, x, spectrum in zip(weight, columns.places, columns.columns, spectra, strict=True):
-        for span in spans:
-            score[np.ix_(at, at)] += w**2 * spectrum.product(x[span])
-    return widening(spectra) * inverse @ score @ inverse

@@ -11,16 +11,11 @@ import numpy as np
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.coloured import residual_spectra
 from rx90b_flex.identify.columns import ColumnsByJoint
-from rx90b_flex.identify.least_squares import (
-    CORRELATION_S,
-    Identification,
-    absorbed_each,
-    coloured_covariance,
-    identify,
-)
+from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, identify
 from rx90b_flex.identify.normal_equations import NormalEquations, Solution, fit_weighted
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_sensors import sensor_gain, sensors_to_use
+from rx90b_flex.identify.uncertainty import absorbed_each, coloured_covariance
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign
 

@@ -267,7 +267,7 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray, before: int = 0) ->
     """A column's numbers; `before`: rows of the file before its first."""
     kind = column.type
     if pa.types.is_floating(kind) or pa.types.is_integer(kind):
-        return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+        return np.concatenate([np.zeros(0), *(_floats(chunk) for chunk in column.chunks)])
     if pa.types.is_null(kind):
         return np.full(len(column), np.nan)
     numbers = np.empty(len(column))
@@ -278,6 +278,14 @@ def _numbers(path: Path, name: str, column: pa.ChunkedArray, before: int = 0) ->
             raise ValueError(f"{path}: column {name!r}, row {before + row + 1}: {found[:40]!r} is not a number")
         numbers[row] = number
     return numbers
+
+
+def _floats(chunk: pa.Array) -> NDArray[np.float64]:
+    """Numbers of one chunk of a column, NaN where a cell is empty."""
+    if chunk.null_count:
+        return np.asarray(chunk.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+    # pyarrow's own way to NumPy first loads pandas, which takes longer than most logs
+    return np.from_dlpack(chunk).astype(np.float64)
 
 
 def number_of(cell: object) -> float | None:

@@ -478,7 +478,7 @@ class _Runner:
         of_robot = [law for law in laws if law.at in ("force", "links")]
         of_motors = [law for law in laws if law.at in ("measured", "motor")]
         self.wide = wide_of(of_robot, self.plant, self.lanes.q) if of_robot else None
-        self.between = wide_of(of_motors, self.plant, self.lanes.q)
+        self.between = wide_of(of_motors, self.plant, self.lanes.q) if of_motors else None
 
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}

@@ -163,7 +163,7 @@ class Sample:
         for track, more in zip(self.tracks, reading.recording_shift_s, strict=True):
             at = track.rows[:, None] + np.round((shift + more) * track.rate_hz).astype(int)
             inside.append(((at >= 0) & (at < len(track.torque))).all(axis=1))
-            out.append(np.take_along_axis(track.torque, np.clip(at, 0, len(track.torque) - 1), axis=0))
+            out.append(track.torque[np.clip(at, 0, len(track.torque) - 1), np.arange(len(shift))])
         return np.concatenate(out), np.concatenate(inside)
 
     def torque_seen(self, reading: Reading) -> Array:

@@ -16,6 +16,7 @@ SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds
 LARGEST_S = 3.0
 PART = 0.25  # of the shortest recording: the largest shift that leaves enough in common
 STEPS_A_PERIOD = 6.0  # of the cutoff
+TOGETHER = 64  # times that are worked out at once
 
 
 def shifted(look: Look) -> Iterator[Hypothesis]:
@@ -40,14 +41,16 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     n, tracks = len(sample.joints), len(sample.tracks)
     x = np.ascontiguousarray(look.columns(reading).transpose(1, 0, 2))
 
-    def at(lag: float) -> tuple[Array, Array]:
-        """Products with the columns (tracks, joints, p), and squares (tracks, joints), of torques so much later."""
-        moved = dataclasses.replace(reading, shift_s=tuple(s + lag for s in reading.shift_s))
-        y = sample.torque_seen(moved).T
-        cross = [(y[:, None, span] @ x[:, span])[:, 0] for span in sample.spans]
-        return np.array(cross), np.array([(y[:, span] ** 2).sum(axis=1) for span in sample.spans])
+    def at(lags: Array) -> tuple[Array, Array]:
+        """Products with the columns (tracks, joints, lags, p), and squares (tracks, joints, lags), of torques so much later."""
+        moved = (dataclasses.replace(reading, shift_s=tuple(s + lag for s in reading.shift_s)) for lag in lags.tolist())
+        y = np.stack([sample.torque_seen(m).T for m in moved], axis=1)
+        spans = sample.spans
+        return np.array([y[..., span] @ x[:, span] for span in spans]), np.array(
+            [(y[..., span] ** 2).sum(axis=2) for span in spans]
+        )
 
-    still = at(0.0)
+    still = at(np.zeros(1))
     torque = sample.torque_seen(reading)
     variance = torque.var(axis=0) * len(torque) + 1e-300
     weight = 1.0 / (variance * (look.fit().error + FLOOR))
@@ -60,14 +63,15 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     for move, (name, chosen) in zip(moves, groups, strict=True):
         (move.T if name == "shift_s" else move)[list(chosen)] = True
     out = np.empty((len(groups), len(lags)))
-    for i, lag in enumerate(lags):
-        late = at(float(lag))
-        cross = np.where(moves[..., None], late[0], still[0]).sum(axis=1)
-        power = np.where(moves, late[1], still[1]).sum(axis=1)
-        theta = np.tensordot(cross, weight, axes=(1, 0)) @ inverse
-        seen = (gram[None] @ theta[:, None, :, None])[..., 0]
-        left = power + ((seen - 2 * cross) * theta[:, None, :]).sum(axis=2)
-        out[:, i] = np.log(np.maximum(left / variance, 0.0) + FLOOR).sum(axis=1)
+    for begin in range(0, len(lags), TOGETHER):
+        some = slice(begin, begin + TOGETHER)
+        late = at(lags[some])
+        for move, row in zip(moves, out, strict=True):
+            cross = np.where(move[..., None, None], late[0], still[0]).sum(axis=0)
+            power = np.where(move[..., None], late[1], still[1]).sum(axis=0)
+            theta = np.tensordot(weight, cross, axes=1) @ inverse
+            left = power + ((theta @ gram - 2 * cross) * theta).sum(axis=2)
+            row[some] = np.log(np.maximum(left / variance[:, None], 0.0) + FLOOR).sum(axis=0)
     return out
 
 
