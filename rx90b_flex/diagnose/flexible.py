@@ -182,7 +182,11 @@ class Structure:
             values = by_effect.get(i, {})
             if i >= len(self.robot.effects) and not any(values.values()):
                 continue
-            effects.append(effect.rescaled_to(values) if values else effect)
+            if values:
+                own = effect.coefficients
+                own[list(values)] = list(values.values())
+                effect = effect.with_coefficients(own)
+            effects.append(effect)
         return self.robot.with_effects(effects)
 
 
@@ -190,7 +194,13 @@ def _additions(robot: Robot, joints: Sequence[str], pose: Array) -> list[Effect]
     """What could be there and is not declared, with values to be scaled."""
     declared = frozenset((e.type_name(), e.place) for e in robot.effects)
     angles = dict(zip(robot.joints, (float(q) for q in pose), strict=True))
-    sites = RestSites(robot.joints, robot.tip_frame, tuple(j for j in robot.joints if j in joints), angles, declared)
+    sites = RestSites(
+        robot.joints,
+        robot.tip_frame,
+        moving=tuple(j for j in robot.joints if j in joints),
+        angles=angles,
+        declared=declared,
+    )
     possible = (effect for cls in catalogue().values() for effect in cls.at_rest(sites))
     return [e for e in possible if (e.type_name(), e.place) not in declared]
 
@@ -261,23 +271,28 @@ def _addition(
     robot: Robot, effect: Effect, groups: tuple[tuple[int, ...], ...], sizes: RestSizes, std: float
 ) -> Change:
     single = len(groups) == 1
-    names = tuple(effect.parameters())[:1] if single else effect.coefficient_names[: len(groups)]
+    coefficients, units = tuple(effect.coefficient_parameters), _units(effect)
+    names = tuple(effect.parameters())[:1] if single else coefficients[: len(groups)]
     coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.traits.virtual)
     starts = np.log(effect.starts_at_rest(sizes))
     alike = Change(
-        effect.type_name(), _place(effect), True, names, effect.coefficient_units[: len(groups)],
+        effect.type_name(), _place(effect), True, names, units[: len(groups)],
         starts, _usual(robot, effect.type_name(), starts), std, groups, coordinates,
     )  # fmt: skip
     if not single or len(effect.traits.virtual) != 2:
         return alike
     first = min(groups[0])
-    return _unlike(alike, effect.coefficient_names[:2], ((first, first + 2), (first + 1, first + 3)))
+    return _unlike(alike, coefficients[:2], ((first, first + 2), (first + 1, first + 3)))
+
+
+def _units(effect: Effect) -> tuple[str, ...]:
+    return tuple(p.unit for p in effect.coefficient_parameters.values())
 
 
 def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
     starts = np.log(np.array([[0.6], [1.6]]))
     alike = Change(
-        effect.type_name(), place, False, (effect.traits.rescaled,), effect.coefficient_units[:1],
+        effect.type_name(), place, False, (effect.traits.rescaled,), _units(effect)[:1],
         starts, np.zeros(1), FACTOR_STD, (moved,),
     )  # fmt: skip
     if len(effect.traits.virtual) != 2 or len(moved) != 2:
