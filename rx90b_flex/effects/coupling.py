@@ -8,9 +8,10 @@ from typing import Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import PairEffect
 from rx90b_flex.effects.friction import CoulombFriction
-from rx90b_flex.effects.hints import LeftOver, RestSites, RestSizes, ShapeSearch
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
@@ -19,7 +20,7 @@ from rx90b_flex.effects.reversal import turnover_range, turnover_shape, turnover
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCoupling(SumOfLaws, PairEffect, adds_inertia=True, scaled=((0,),), rescaled="coupling_inertia"):
+class JointCoupling(SumOfLaws, PairEffect, ShownAtRest, adds_inertia=True, scaled=((0,),), rescaled="coupling_inertia"):
     """Motor b also turns with joint a, as in a wrist whose last motor sits behind the joint before.
 
     The motor's angle is q_a + q_b (joint side of b), so its rotor's inertia, its viscous and its dry friction

@@ -10,9 +10,10 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.deflection import Spring, by_links, deflected, each_alone, softest
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.hints import LeftOver, RestSites, RestSizes, ShapeSearch, Sites
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, Motion
@@ -30,7 +31,7 @@ ABOVE = 6.0  # times the cutoff: where links swing on the stiffest of them
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Flexibility(Effect, part="flexibility"):
+class _Flexibility(ShownAtRest, part="flexibility"):
     """Hinges with a spring and a damper each: ``stiffness_i * eps_i + damping_i * d(eps_i)/dt`` on coordinate i.
 
     A subclass states the hinges in `virtual` and declares stiffnesses, then dampings, one of each a hinge.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from rx90b_flex.effects.motion import Array, Coordinates, Motion
+from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import Parametrized
 
 SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
@@ -31,47 +31,6 @@ class Sites:
     joints: tuple[str, ...]
     tip_frame: str
     motion: Motion | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class RestSites(Sites):
-    """Places of a robot at rest in a pose, where data over frequency may show an effect.
-
-    Attributes
-    ----------
-    moving : tuple of str
-        Joints whose drives move; the others are held.
-    angles : mapping of joint to angle, rad
-        The pose.
-    declared : frozenset of (type name, place)
-        Effects that the robot has.
-    """
-
-    moving: tuple[str, ...]
-    angles: Mapping[str, float]
-    declared: frozenset[tuple[str, tuple[str, ...]]]
-
-
-@dataclass(frozen=True, eq=False)
-class RestSizes:
-    """How heavy a robot is at rest, and where data over frequency look: what a new value can be sized by.
-
-    Attributes
-    ----------
-    coordinates : Coordinates
-    mass_matrix : array, shape (n, n)
-    total_mass : float, of the links, kg
-    band_hz : (low, high)
-    """
-
-    coordinates: Coordinates
-    mass_matrix: Array
-    total_mass: float
-    band_hz: tuple[float, float]
-
-    def inertia(self, port: Array) -> float:
-        """Along a port (n,), kg m^2."""
-        return float(port @ self.mass_matrix @ port)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,12 +137,3 @@ class Hints(Parametrized, ABC):
     def penalised(self, strength: float) -> Self:
         """With that strength of its penalty."""
         return self
-
-    @classmethod
-    def at_rest(cls, sites: RestSites) -> list[Self]:
-        """This effect, with values to be multiplied, wherever frequency responses and modes may show it; empty: nowhere."""
-        return []
-
-    def starts_at_rest(self, sizes: RestSizes) -> Array:
-        """Values of the first coefficient of each group of `scaled` from which a search over frequency begins, (S, groups)."""
-        raise TypeError(f"{self.type_name()} is not tried against data over frequency")

@@ -8,9 +8,10 @@ from typing import Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import FrameEffect
 from rx90b_flex.effects.elements import PointMass
-from rx90b_flex.effects.hints import LeftOver, RestSites, RestSizes, ShapeSearch
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import INERTIA, linear, shape
 
@@ -18,7 +19,7 @@ REACH = 0.1  # m; how far from the tip a search first looks for the mass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Payload(FrameEffect, behind_gear=True, adds_inertia=True, part="links", scaled=((0,),)):
+class Payload(FrameEffect, ShownAtRest, behind_gear=True, adds_inertia=True, part="links", scaled=((0,),)):
     """A point mass fixed to a frame.
 
     The force is linear in the mass. About the frame a point mass at c has the first moment ``mass * c`` and the

@@ -9,8 +9,8 @@ from typing import Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import JointEffect
-from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
@@ -18,7 +18,7 @@ from rx90b_flex.effects.parameters import SPRING, Parameter, derived, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpring(SumOfLaws, JointEffect, behind_gear=True, part="spring", scaled=((0, 1),)):
+class JointSpring(SumOfLaws, JointEffect, ShownAtRest, behind_gear=True, part="spring", scaled=((0, 1),)):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
