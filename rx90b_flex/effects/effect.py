@@ -119,10 +119,6 @@ class Effect(Hints):
         """What stands for it where the tree is rigid and motors alone are measured; None: nothing, it is left out."""
         return None if self.traits.virtual else self
 
-    def in_tree(self, motion: Motion) -> Effect:
-        """The inverse of `on_rigid_tree`: the effect as a robot file has it, on the tree of any sample of motion."""
-        return self
-
 
 @dataclass(frozen=True, kw_only=True)
 class JointEffect(Effect):

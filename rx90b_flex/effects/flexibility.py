@@ -18,6 +18,7 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, Motion
 from rx90b_flex.effects.parameters import DAMPING, STIFFNESS, Parameter, derived, linear
+from rx90b_flex.effects.stand_in import StandIn
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
@@ -136,19 +137,14 @@ class DriveFlexibility(
 
 @dataclass(frozen=True, kw_only=True)
 class _OnRigidTree(
-    Effect, behind_gear=True, needs_load=True, needs_model=True, coefficients_follow=True, part="flexibility"
+    StandIn, behind_gear=True, needs_load=True, needs_model=True, coefficients_follow=True, part="flexibility"
 ):
     """What motors feel of a drive on a rigid tree: one coefficient, which follows from the shape in a fit."""
 
-    in_files: ClassVar[type[Effect]]  # what it stands for
     coefficient: ClassVar[Mapping[str, Parameter]]
     shapes: ClassVar[Mapping[str, Parameter]] = {}
 
     joint: str
-
-    @classmethod
-    def type_name(cls) -> str:
-        return cls.in_files.type_name()
 
     @property
     def joints(self) -> tuple[str, ...]:

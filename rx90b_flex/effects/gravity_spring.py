@@ -15,6 +15,7 @@ from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import SPRING, given, linear, shape
+from rx90b_flex.effects.stand_in import StandIn
 
 FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
 HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
@@ -115,12 +116,10 @@ class GravitySpring(LawEffect, behind_gear=True, part="spring"):
         return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in sites.joints]
 
 
-class _SpringOfTwoLevers(JointEffect, behind_gear=True):
+class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True):
     """A `GravitySpring` of unknown geometry: levers a and b from the axis to its ends, ``l^2 = a^2 + b^2 - 2 a b cos(q - angle)``."""
 
-    @classmethod
-    def type_name(cls) -> str:
-        return GravitySpring.type_name()
+    in_files: ClassVar[type[Effect]] = GravitySpring
 
     @abstractmethod
     def geometry(self) -> tuple[float, float]:

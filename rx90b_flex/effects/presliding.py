@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, Parameter, derived, linear
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
+from rx90b_flex.effects.stand_in import StandIn
 
 DEFLECTION = Parameter("rad", "shape", 1e-9, 1e3)  # torque over stiffness: the shape that a fit works with
 LARGEST_DEFLECTION = 0.3  # of a joint's travel: what takes longer to turn over is a spring
@@ -114,12 +115,10 @@ class PreslidingFriction(RememberingLaw, breaks_away=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _InPlaceOfASign(PreslidingFriction, replaces=("coulomb_friction",), needs=("coulomb_friction",)):
+class _InPlaceOfASign(StandIn, PreslidingFriction, replaces=("coulomb_friction",), needs=("coulomb_friction",)):
     """All of a joint's dry friction, which then holds at rest what it last overcame; no parameter more than a sign has."""
 
-    @classmethod
-    def type_name(cls) -> str:
-        return PreslidingFriction.type_name()
+    in_files: ClassVar[type[Effect]] = PreslidingFriction
 
     def in_tree(self, motion: Motion) -> Effect:
         return PreslidingFriction(

@@ -13,6 +13,7 @@ import numpy as np
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Mask
+from rx90b_flex.effects.stand_in import as_in_files
 from rx90b_flex.identify.coloured import Spectrum, absorbed_by_fit, residual_spectra, widening
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
@@ -123,8 +124,7 @@ class Identification:
     @property
     def in_tree(self) -> tuple[Effect, ...]:
         """The effects as a robot file has them."""
-        motion = self.regression.segments[0].motion
-        return tuple(e.in_tree(motion) for e in self.effects)
+        return as_in_files(self.effects, self.regression.segments[0].motion)
 
     @property
     def precision(self) -> Array:
