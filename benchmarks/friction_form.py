@@ -41,7 +41,8 @@ def reshaped(robot: Robot, kind: str, factors: tuple[float, ...]) -> Robot:
     return robot.with_effects(
         [
             dataclasses.replace(
-                e, **{name: factor * getattr(e, name) for name, factor in zip(e.shape_names(), factors, strict=False)}
+                e,
+                **{name: factor * getattr(e, name) for name, factor in zip(e.shape_parameters, factors, strict=False)},
             )
             if e.type_name() == kind
             else e

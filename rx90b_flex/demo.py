@@ -116,7 +116,7 @@ def _can_hide(cls: type[Effect], sites: Sites) -> bool:
     )
     stated = any(p.kind == "given" for p in cls.parameters().values())
     plain = cls.traits.in_dynamics and not (more or stated or cls.traits.virtual or cls.traits.last_resort)
-    return plain and cls.traits.on in ("joint", "joints") and bool(cls.over_time(sites))
+    return plain and cls.traits.on in ("joint", "joints") and bool(cls.everywhere(sites))
 
 
 def check_hidden(hidden: str | None) -> None:
@@ -181,10 +181,10 @@ def _with_values(
     if effect.type_name() in shapes:
         own = shapes[effect.type_name()]()
         # a turn-over, declared last, is the joint's: as sharp as that of its other friction
-        effect = effect.with_shape([*own, *[np.nan] * (len(effect.shape_names()) - len(own))])
+        effect = effect.with_shape([*own, *[np.nan] * (len(effect.shape) - len(own))])
     elif effect.type_name() not in HIDDEN and len(effect.shape):
-        starts = effect.placed(motion).shape_starts(motion)
-        shared = np.array([key is not None for key in effect.shape_keys])
+        starts = effect.shape_search(motion).starts
+        shared = np.array([p.shared for p in effect.shape_parameters.values()])
         effect = effect.with_shape(np.where(shared, np.nan, starts[rng.integers(len(starts))]))
     mix: dict[str, Callable[[], Array]] = {
         "gear_ripple": lambda: rng.normal(size=2),
@@ -194,7 +194,8 @@ def _with_values(
     count = len(effect.coefficients)
     coefficients = mix[effect.type_name()]() if effect.type_name() in mix else np.ones(1)
     if len(coefficients) != count:
-        signs = np.where(np.isfinite(effect.coefficient_bounds), 1.0, rng.choice([-1.0, 1.0], count))
+        bounded = np.isfinite([p.lower for p in effect.coefficient_parameters.values()])
+        signs = np.where(bounded, 1.0, rng.choice([-1.0, 1.0], count))
         coefficients = signs * rng.uniform(0.5, 1.0, count)
     force = effect.columns(motion) @ coefficients
     rows = np.flatnonzero(force.any(axis=0))

@@ -17,6 +17,7 @@ from rx90b_flex.compiled.tree import Tree
 from rx90b_flex.compiled.vectors import WIDTH
 from rx90b_flex.compiled.wide import FORCE, LINKS, MEASURED, MOTOR, ROWS, Wide, pack_wide
 from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.elements import GravityChange, PointMass
 from rx90b_flex.effects.law import BY_LOAD, LOAD, ONWARD, REMEMBERED, Law
 from rx90b_flex.effects.motion import Array, Motion
 
@@ -355,18 +356,17 @@ def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives
     in_tree: list[Effect] = []
     loaded = model.copy()
     # masses first: where there are some, gravity stays as it is, since tilts turn that of the links alone
-    for effect in sorted(effects, key=lambda effect: effect.gravity_change() is not None):
-        own, mass, tilt = effect.laws(motion), effect.point_mass(), effect.gravity_change()
+    for effect in sorted(effects, key=lambda effect: isinstance(effect.element(), GravityChange)):
+        own, element = effect.laws(motion), effect.element()
         if own is not None and not any(law.wide for law in own):
             laws += own
-        elif mass is not None:
-            frame, weight, centre = mass
-            place = model.frames[model.getFrameId(frame)]
-            body = pin.Inertia(weight, centre, np.zeros((3, 3)))
+        elif isinstance(element, PointMass):
+            place = model.frames[model.getFrameId(element.frame)]
+            body = pin.Inertia(element.mass, element.centre, np.zeros((3, 3)))
             loaded.appendBodyToJoint(place.parentJoint, body, place.placement)
             in_tree.append(effect)
-        elif tilt is not None and not any(e.point_mass() is not None for e in in_tree):
-            loaded.gravity.linear += np.linalg.norm(model.gravity.linear) * tilt
+        elif isinstance(element, GravityChange) and not any(isinstance(e.element(), PointMass) for e in in_tree):
+            loaded.gravity.linear += np.linalg.norm(model.gravity.linear) * element.direction
             in_tree.append(effect)
         else:
             others.append(effect)

@@ -164,9 +164,8 @@ class Robot:
             seen = labels[effect.label] = labels.get(effect.label, 0) + 1
             label = effect.label if seen == 1 else f"{effect.label}_{seen}"
             at = order.get(effect.joints[-1], -1) if effect.joints else -1
-            of_each = zip(effect.coefficient_names, effect.coefficient_units, effect.coefficient_ranks, strict=True)
-            for c, (name, unit, rank) in enumerate(of_each):
-                keyed.append(((rank, at, e, c), ParameterEntry(f"{label}.{name}", unit, e, c)))
+            for c, (name, p) in enumerate(effect.coefficient_parameters.items()):
+                keyed.append(((p.rank, at, e, c), ParameterEntry(f"{label}.{name}", p.unit, e, c)))
         return tuple(entry for _, entry in sorted(keyed, key=lambda pair: pair[0]))
 
     @property
@@ -184,7 +183,7 @@ class Robot:
     @cached_property
     def _effect_places(self) -> list[list[int]]:
         """Columns of each effect's coefficients in the regressor."""
-        places: list[list[int]] = [[0] * len(effect.coefficient_names) for effect in self.forces]
+        places: list[list[int]] = [[0] * len(effect.coefficient_parameters) for effect in self.forces]
         for i, entry in enumerate(self.parameter_entries):
             if entry.source >= 0:
                 places[entry.source][entry.column] = i

@@ -28,10 +28,11 @@ def draw_effect(kind: str, robot: Robot, rng: np.random.Generator) -> tuple[Effe
     cls = catalogue()[kind]
     sites = Sites(robot.joints, robot.tip_frame)
     # a type that no search can try has no places of its own: then any joint
-    places = cls.everywhere(sites) or [cls(joint=j) for j in robot.joints]  # type: ignore[call-arg]
+    places = [e for e in cls.everywhere(sites) if type(e) is cls]
+    if not places:
+        places = [cls()] if cls.traits.on == "robot" else [cls(joint=j) for j in robot.joints]  # type: ignore[call-arg]
     effect = places[rng.integers(len(places))]
-    others = [e for name in cls.traits.needs for e in catalogue()[name].everywhere(sites)]
-    needed = [e for e in others if e.place == effect.place]
+    needed = [catalogue()[name](joint=effect.joints[0]) for name in cls.traits.needs]  # type: ignore[call-arg]
     return (*(_with_values(e, rng) for e in needed), _with_values(effect, rng))
 
 
@@ -43,8 +44,8 @@ def _with_values(effect: Effect, rng: np.random.Generator) -> Effect:
     }
     effect = dataclasses.replace(effect, **given)
     starts = np.repeat([p.start for p in effect.parameters().values() if p.kind == "shape"], _shape_sizes(effect))
-    if len(starts) < len(effect.shape_names()):  # a shape of the type's own making
-        starts = np.sqrt(effect.shape_bounds().prod(axis=0))
+    if len(starts) < len(effect.shape):  # a shape of the type's own making
+        starts = np.array([np.sqrt(p.lower * p.upper) for p in effect.shape_parameters.values()])
     if len(starts):
         effect = effect.with_shape(starts * rng.uniform(0.6, 1.5, len(starts)))
     return effect.with_coefficients(rng.uniform(0.5, 2.0, len(effect.coefficients)))

@@ -13,6 +13,7 @@ import twisting
 
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility, StiffnessHardening
+from rx90b_flex.effects.stand_in import as_in_files
 from rx90b_flex.robot import Robot, load_robot
 
 LAG = 5e-3  # s, damping over stiffness
@@ -96,7 +97,7 @@ def test_a_declared_drive_stands_on_the_rigid_tree_and_goes_back_into_the_flexib
     standing: tuple[Effect, ...] = over_time.effects
     rest = over_time.motion(*np.zeros((3, over_time.model.nv)))
     assert [e.type_name() for e in standing] == ["drive_flexibility", "stiffness_hardening", "joint_flexibility"]
-    assert [e.in_tree(rest) for e in standing] == [drive, harder, bending]
+    assert as_in_files(standing, rest) == (drive, harder, bending)
     assert over_time.model.nv == robot.tree.nv
 
 

@@ -199,7 +199,7 @@ def test_identification_chooses_the_strength_of_a_declared_curve(tmp_path):
 def test_a_penalty_is_the_integral_of_the_bend_and_none_for_a_straight_line():
     knots = np.array([-1.0, -0.7, -0.65, 0.1, 0.3, 1.2])
     torques = np.array([0.3, -1.0, 2.0, 0.5, 0.1, -0.4])
-    rough = FrictionCurve(joint=ELBOW, velocities=tuple(knots)).roughness
+    rough = FrictionCurve(joint=ELBOW, velocities=tuple(knots)).penalty.roughness
     spline = CubicSpline(knots, torques, bc_type="natural")
     integral = 0.0
     for a, b in pairwise(knots):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rx90b_flex.effects.hints import LeftOver
 from rx90b_flex.effects.maxwell_slip import MaxwellSlipFriction
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.presliding import PreslidingFriction
@@ -106,5 +107,5 @@ def test_two_elements_are_searched_near_those_that_one_smooth_one_stands_for(rob
 
     smooth = [PreslidingFriction(joint="joint_1", torque=1.0, deflection=d) for d in 1e-3 * np.geomspace(0.5, 15.0, 60)]
     best = min(smooth, key=left)
-    starts = true.starts_in_place_of(best)
+    starts = true.shape_search(moved, LeftOver((), instead_of=best)).starts
     assert min(left(true.with_shape(start)) for start in starts) < 0.5 * left(best)

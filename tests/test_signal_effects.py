@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, optimize
 
 from rx90b_flex.compiled.signals import dahl as hysteresis
-from rx90b_flex.effects import Effect, Motion, catalogue
+from rx90b_flex.effects import Effect, LeftOver, Motion, catalogue
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import lowpass
 from rx90b_flex.simulate import Trajectory, load_cs8, perturb_lanes
@@ -84,7 +84,8 @@ def test_interference_is_looked_for_where_the_residuals_of_all_recordings_peak_t
     left = [
         (robot.motion(np.zeros((len(t), len(rest))), rest, rest, t), np.sin(2 * np.pi * 33.2 * t + 1.0)) for t in times
     ]
-    starts = effect.starts_beside(moved(robot), [(m, x + rng.normal(size=len(x))) for m, x in left], None)
+    noisy = LeftOver([(m, x + rng.normal(size=len(x))) for m, x in left])
+    starts = effect.shape_search(moved(robot), noisy).starts
     assert np.abs(starts[0, 0] - 33.2) < 0.1
 
 
@@ -132,7 +133,7 @@ def test_the_first_look_at_an_angle_error_is_its_own_joints_row(robot):
     motion = moved(robot)
     for kind in ("resolver_error", "transmission_error"):
         effect = effect_of(robot, kind, order=9.0, amplitude=1.0, phase=0.0)
-        port, basis = effect.leading(motion)
+        port, basis = effect.factors(motion, leading=True)
         assert np.flatnonzero(port).tolist() == [AT]
         np.testing.assert_allclose(basis, effect.columns(motion)[:, AT], rtol=1e-12, atol=1e-12)
 

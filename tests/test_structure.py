@@ -10,6 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import rx90b_flex
+from rx90b_flex.effects import Effect
 
 ROOT = Path(rx90b_flex.__file__).parent
 SOURCES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(ROOT.rglob("*.py"))}
@@ -75,6 +76,11 @@ def test_the_files_that_the_architecture_page_names_are_there() -> None:
     assert len(named) > 50
     missing = [name for name in named if not ((ROOT.parent if name.startswith("tests") else ROOT) / name).exists()]
     assert missing == []
+
+
+def test_an_effect_is_small() -> None:
+    """What a robot needs of one; what others ask stands in bases and objects of its own."""
+    assert len([name for name in vars(Effect) if not name.startswith("_")]) <= 15
 
 
 LONGEST_FILE, LONGEST_FUNCTION = 800, 60  # lines; a function is counted from its first decorator, without its docstring

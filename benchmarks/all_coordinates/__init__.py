@@ -332,7 +332,7 @@ class CoordinatesFit:
         confidence region of 95 %, so that no body that can exist agrees with the data.
         """
         robot = self.equations.robot
-        bounds = [effect.coefficient_bounds for effect in robot.effects]
+        bounds = [[p.lower for p in e.coefficient_parameters.values()] for e in robot.effects]
         lower = np.array([bounds[e.source][e.column] for e in robot.parameter_entries if e.source >= 0])
         found = consistent_parameters(self.parameters, self.information, self.start, lower=lower, pull=pull)
         return with_parameters(robot, found.parameters), found

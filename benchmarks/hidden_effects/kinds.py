@@ -158,7 +158,7 @@ def by_its_own_law(cls: type[Effect]) -> Kind | None:
         or not cls.traits.in_dynamics
         or stated
         or more
-        or not cls.over_time(Sites(("joint",), "tip"))
+        or not cls.everywhere(Sites(("joint",), "tip"))
     ):
         return None
     named = {kind: [n for n, p in cls.parameters().items() if p.kind == kind] for kind in ("linear", "shape")}

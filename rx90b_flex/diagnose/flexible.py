@@ -26,6 +26,7 @@ from rx90b_flex.diagnose.likelihood import (
     SearchResult,
 )
 from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
+from rx90b_flex.effects.at_rest import ShownAtRest, undeclared_at_rest
 from rx90b_flex.effects.friction import friction_port
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
@@ -105,13 +106,14 @@ class Structure:
                 raise ValueError(
                     f"a pose has shape {np.shape(pose)}; expected {len(robot.joints)} angles of {robot.name}"
                 )
-        full = robot.with_effects([*robot.effects, *_additions(robot, joints, poses[0])])
+        additions = _additions(robot, joints, poses[0])
+        full = robot.with_effects([*robot.effects, *additions])
         coefficients = _coefficients(full, len(robot.effects))
         first = len(coefficients)
         coefficients += [Coefficient(-1, k, 30.0) for k in range(len(joints))]
         linear = [_pose(full, joints, np.asarray(q, dtype=float), coefficients) for q in poses]
         structure = Structure(robot, full, tuple(joints), tuple(coefficients), tuple(linear), ())
-        return dataclasses.replace(structure, changes=tuple(_changes(structure, first, band_hz, new_std)))
+        return dataclasses.replace(structure, changes=tuple(_changes(structure, additions, first, band_hz, new_std)))
 
     def restricted(self, only: Sequence[str]) -> Structure:
         """With some of the changes, by their labels."""
@@ -182,17 +184,20 @@ class Structure:
             values = by_effect.get(i, {})
             if i >= len(self.robot.effects) and not any(values.values()):
                 continue
-            effects.append(effect.rescaled_to(values) if values else effect)
+            if values:
+                own = effect.coefficients
+                own[list(values)] = list(values.values())
+                effect = effect.with_coefficients(own)
+            effects.append(effect)
         return self.robot.with_effects(effects)
 
 
-def _additions(robot: Robot, joints: Sequence[str], pose: Array) -> list[Effect]:
+def _additions(robot: Robot, joints: Sequence[str], pose: Array) -> list[ShownAtRest]:
     """What could be there and is not declared, with values to be scaled."""
     declared = frozenset((e.type_name(), e.place) for e in robot.effects)
     angles = dict(zip(robot.joints, (float(q) for q in pose), strict=True))
-    sites = RestSites(robot.joints, robot.tip_frame, tuple(j for j in robot.joints if j in joints), angles, declared)
-    possible = (effect for cls in catalogue().values() for effect in cls.at_rest(sites))
-    return [e for e in possible if (e.type_name(), e.place) not in declared]
+    moving = tuple(j for j in robot.joints if j in joints)
+    return undeclared_at_rest(catalogue().values(), RestSites(robot.joints, robot.tip_frame, moving, angles, declared))
 
 
 def _coefficients(full: Robot, declared: int) -> list[Coefficient]:
@@ -229,7 +234,13 @@ def _pose(full: Robot, joints: Sequence[str], angles: Array, coefficients: Seque
     return Pose(constant, patterns)
 
 
-def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float], new_std: float) -> list[Change]:
+def _changes(
+    structure: Structure,
+    additions: Sequence[ShownAtRest],
+    first_slope: int,
+    band_hz: tuple[float, float],
+    new_std: float,
+) -> list[Change]:
     """Every change that data over frequency can speak of."""
     full, declared = structure.full, len(structure.robot.effects)
     numbers = {(c.effect, c.column): i for i, c in enumerate(structure.coefficients[:first_slope])}
@@ -242,7 +253,7 @@ def _changes(structure: Structure, first_slope: int, band_hz: tuple[float, float
         groups = tuple(tuple(numbers[e, k] for k in group) for group in effect.traits.scaled)
         at = tuple(sorted(itertools.chain(*groups)))
         if e >= declared:
-            out.append(_addition(structure.robot, effect, groups, sizes, new_std))
+            out.append(_addition(structure.robot, additions[e - declared], groups, sizes, new_std))
         elif effect.traits.virtual or set(effect.joints) <= set(structure.joints):
             out.append(_factor(effect, _place(effect), tuple(i for i in at if structure.stiffens(i))))
             if effect.traits.virtual:
@@ -258,26 +269,31 @@ def _place(effect: Effect) -> str:
 
 
 def _addition(
-    robot: Robot, effect: Effect, groups: tuple[tuple[int, ...], ...], sizes: RestSizes, std: float
+    robot: Robot, effect: ShownAtRest, groups: tuple[tuple[int, ...], ...], sizes: RestSizes, std: float
 ) -> Change:
     single = len(groups) == 1
-    names = tuple(effect.parameters())[:1] if single else effect.coefficient_names[: len(groups)]
+    coefficients, units = tuple(effect.coefficient_parameters), _units(effect)
+    names = tuple(effect.parameters())[:1] if single else coefficients[: len(groups)]
     coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.traits.virtual)
     starts = np.log(effect.starts_at_rest(sizes))
     alike = Change(
-        effect.type_name(), _place(effect), True, names, effect.coefficient_units[: len(groups)],
+        effect.type_name(), _place(effect), True, names, units[: len(groups)],
         starts, _usual(robot, effect.type_name(), starts), std, groups, coordinates,
     )  # fmt: skip
     if not single or len(effect.traits.virtual) != 2:
         return alike
     first = min(groups[0])
-    return _unlike(alike, effect.coefficient_names[:2], ((first, first + 2), (first + 1, first + 3)))
+    return _unlike(alike, coefficients[:2], ((first, first + 2), (first + 1, first + 3)))
+
+
+def _units(effect: Effect) -> tuple[str, ...]:
+    return tuple(p.unit for p in effect.coefficient_parameters.values())
 
 
 def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
     starts = np.log(np.array([[0.6], [1.6]]))
     alike = Change(
-        effect.type_name(), place, False, (effect.traits.rescaled,), effect.coefficient_units[:1],
+        effect.type_name(), place, False, (effect.traits.rescaled,), _units(effect)[:1],
         starts, np.zeros(1), FACTOR_STD, (moved,),
     )  # fmt: skip
     if len(effect.traits.virtual) != 2 or len(moved) != 2:

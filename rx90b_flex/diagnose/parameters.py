@@ -54,12 +54,12 @@ def statuses(look: Look, robot: Robot, moving: Mask) -> tuple[ParameterStatus, .
     for effect in robot.effects:
         if effect.type_name() in BASICS and effect.joints[0] in joints:
             k = joints.index(effect.joints[0])
-            names.append(f"{effect.label}.{effect.coefficient_names[0]}")
+            names.append(f"{effect.label}.{next(iter(effect.coefficient_parameters))}")
             places.append(links + PER_JOINT * k + BASICS.index(effect.type_name()))
             still.append(effect.type_name() != "torque_offset" and not moving[k])
     at = links + PER_JOINT * len(joints)
     for effect in other_effects(robot):
-        for name in effect.coefficient_names:
+        for name in effect.coefficient_parameters:
             names.append(f"{effect.label}.{name}")
             places.append(at)
             still.append(False)

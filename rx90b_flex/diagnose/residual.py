@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.log_effect import between
 from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.regression import Segment, period_noise
 from rx90b_flex.robot import Robot
@@ -92,9 +93,8 @@ class ReplayedTorques:
         loaded = self.segment.loaded(link_parameters)
         seen = self.robot.on_links(self.segment.motion, loaded, effects)
         force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.traits.in_dynamics), seen)
-        for effect in effects:
-            if not effect.traits.in_dynamics:
-                force = effect.logged(seen, force)
+        for effect in between(effects):
+            force = effect.logged(seen, force)
         return self._filtered(force[:, self._rows])
 
 

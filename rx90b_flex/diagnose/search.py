@@ -13,8 +13,8 @@ from scipy import linalg, stats
 
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, penalised_wald, solve_beside
 from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family, shows_by_itself
-from rx90b_flex.effects import Effect, Sites, catalogue
-from rx90b_flex.effects.effect import of_motion_alone
+from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
+from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.identify.coloured import residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
@@ -163,8 +163,7 @@ class Search:
         for cls in catalogue().values():
             if not self.kinds(cls):
                 continue
-            for site in cls.over_time(self.sites):
-                effect = site.placed(self.longest)
+            for effect in cls.everywhere(dataclasses.replace(self.sites, motion=self.longest)):
                 if not len(effect.coefficients):
                     continue  # this motion leaves nothing to place
                 here = [e for e in self.model.effects if e.place == effect.place]
@@ -182,12 +181,12 @@ class Search:
 
     def _sharing(self, effect: Effect) -> Effect:
         """With the present values of the shapes that it shares with the model's effects."""
-        known = [self._shared_values.get(k, np.nan) if k is not None else np.nan for k in effect.shape_keys]
+        known = [self._shared_values.get(k, np.nan) if k is not None else np.nan for k in shared_shapes(effect)]
         return effect.with_shape(np.array(known)) if not np.isnan(known).all() else effect
 
     def free(self, effect: Effect) -> Indices:
         """Places of the shape parameters that a trial is free to choose."""
-        return np.array([i for i, k in enumerate(effect.shape_keys) if k not in self._shared_values], dtype=np.intp)
+        return np.array([i for i, k in enumerate(shared_shapes(effect)) if k not in self._shared_values], dtype=np.intp)
 
     def _shaped(self, effect: Effect, values: Array, free: Indices | None = None) -> Effect:
         """With other values of the free shapes, or of some of them."""
@@ -308,7 +307,8 @@ class Search:
         if not (effect.joints and effect.traits.stands_for):
             return []
         kind = catalogue()[effect.traits.stands_for[0]]
-        here = [e for e in kind.everywhere(self.sites) if e.place == effect.place and e not in self.model.effects]
+        own = [e for e in kind.everywhere(self.sites) if type(e) is kind and e.place == effect.place]
+        here = [e for e in own if e not in self.model.effects]
         base = self.base(effect)
         return [self._best(e, base) if len(self.free(e)) else e for e in map(self._sharing, here)]
 
@@ -342,21 +342,17 @@ class Search:
     @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
-        return sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates)
+        return sum(effect.shape_search(self.longest).independent for effect, _ in self.candidates)
 
     def _starts(self, effect: Effect, replaced: Effect | None = None) -> Array:
         free = self.free(effect)
         if not len(free):
             return np.zeros((1, 0))
         joint = self.regression.joints.index(effect.joints[0]) if effect.joints else 0
-        left = self.present.residual[joint]
+        residual = self.present.residual[joint]
         segments = self.regression.segments
-        beside = [(s.sampled, left[span]) for s, span in zip(segments, self.regression.spans, strict=True)]
-        starts = effect.starts_beside(self.longest, beside, segments[0].cutoff_hz)
-        if replaced is not None:
-            low, high = effect.shape_range(self.longest)
-            starts = np.concatenate([starts, np.clip(effect.starts_in_place_of(replaced), low, high)])
-        return starts[:, free]
+        each = [(s.sampled, residual[span]) for s, span in zip(segments, self.regression.spans, strict=True)]
+        return effect.shape_search(self.longest, LeftOver(each, segments[0].cutoff_hz, replaced)).starts[:, free]
 
     def _over_shapes(
         self, effect: Effect, starts: Array, base: Base, glimpsed: bool = False
@@ -408,7 +404,7 @@ class Search:
         """The first of effects that differ in their shapes by more than a refinement's step; one of a single shape stands for all."""
         if len(self.free(looks[0][1])) < 2:
             return [looks[0]]
-        spread = looks[0][1].shape_spread(self.longest)
+        spread = self._reach(looks[0][1])
         out: list[tuple[float, Effect]] = []
         for gain, effect in looks:
             if all((np.abs(effect.shape - e.shape) > spread).any() for _, e in out):
@@ -431,9 +427,7 @@ class Search:
         if not self.at_bound(best):
             return best
         # beside what is wrong elsewhere a power may run anywhere: with its usual value it is tried, with all else it is fitted again
-        usual = {
-            i: v for i, name in enumerate(effect.shape_names()) if (v := effect.usual_shapes().get(name)) is not None
-        }
+        usual = {i: p.start for i, p in enumerate(effect.shape_parameters.values()) if p.usual}
         held = np.array([i for i in free if i in usual], dtype=np.intp)
         if len(held) in (0, len(free)):
             return best
@@ -441,13 +435,17 @@ class Search:
         _, plain = self._refined_from(plainer, base, np.setdiff1d(free, held))
         return best if self.at_bound(plain) else plain
 
+    def _reach(self, effect: Effect) -> Array:
+        """How far the best shape may lie from an effect's, shape (s,)."""
+        return effect.shape_search(self.longest).reach(effect.shape)
+
     def _refined_from(self, effect: Effect, base: Base, free: Indices) -> tuple[float, Effect]:
         """Gain and some of the shapes by Gauss-Newton steps with everything linear projected out (variable projection)."""
         low, high = effect.shape_range(self.longest)[:, free]
         logs = bool((low > 0).all())
         to, back = (np.log, np.exp) if logs else (np.asarray, np.asarray)
         start = np.clip(effect.shape[free], low, high)
-        spread = effect.shape_spread(self.longest)[free]
+        spread = self._reach(effect)[free]
         farthest = spread / start if logs else spread
 
         def looked_at(x: Array) -> _Look:
@@ -474,7 +472,7 @@ class Search:
         b, y, d = (np.array(part) for part in zip(*per_block, strict=True))
         theta, inverse = base.whole
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
-        if effect.roughness is not None:
+        if effect.penalty is not None:
             effect = smoothed(
                 effect, d.sum(axis=0), lambda e: float(self._held_out(base, b, y, d, prior_precision([e])).sum())
             )
@@ -630,14 +628,13 @@ class Search:
         # what the base explains wholly is left at zero, up to rounding
         size = np.sqrt(np.maximum(own[:k], 1e-300))
         rounding = ROUNDING * np.linalg.norm(beta * size) / size
-        wrong = np.flatnonzero(beta < effect.coefficient_bounds - BEYOND * std - rounding)
+        named = list(effect.coefficient_parameters.items())
+        wrong = np.flatnonzero(beta < np.array([p.lower for _, p in named]) - BEYOND * std - rounding)
         if len(wrong):
             i = wrong[0]
-            unit = effect.coefficient_units[i]
+            name, parameter = named[i]
             far = abs(beta[i]) / max(std[i], 1e-300)
-            objection = (
-                f"its {effect.coefficient_names[i]} would be {beta[i]:.3g} {unit}, {far:.0f} std of the wrong sign"
-            )
+            objection = f"its {name} would be {beta[i]:.3g} {parameter.unit}, {far:.0f} std of the wrong sign"
         elif len(shapes) and not effect.traits.coefficients_follow:
             _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
@@ -652,10 +649,9 @@ class Search:
         shapes = self.free(effect)
         low, high = effect.shape_range(self.longest)[:, shapes]
         at = effect.shape[shapes]
-        names = [effect.shape_names()[i] for i in shapes]
-        keys = [effect.shape_keys[i] for i in shapes]
-        for name, key, x, a, b in zip(names, keys, at, low, high, strict=True):
-            if x <= 1.01 * a and key is None:  # what effects share may be as sharp as can be
+        named = list(effect.shape_parameters.items())
+        for (name, p), x, a, b in zip((named[i] for i in shapes), at, low, high, strict=True):
+            if x <= 1.01 * a and not p.shared:  # what effects share may be as sharp as can be
                 return f"at its bound: this log does not resolve a {name} below {a:.3g}"
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"

@@ -12,6 +12,7 @@ from pathlib import Path
 import effect_pictures
 
 from rx90b_flex.effects import Effect, Parameter, Sites, catalogue
+from rx90b_flex.effects.tables import choices
 
 SECTIONS = ("Signature", "Neighbours", "Source")
 HEADINGS = ("Signature in the residual", "Told from its neighbours", "Source")
@@ -84,7 +85,7 @@ def page(cls: type[Effect], picture: bool = False) -> str:
     for name, p in cls.parameters().items():
         size = f" [{p.size}]" if p.size > 1 else ""
         lines.append(f"| `{name}`{size} | {p.unit} | {_bounds(p)} | {KINDS[p.kind]} |")
-    for name, words in cls.choices().items():
+    for name, words in choices(cls).items():
         said = ", ".join(f'`"{word}"`' for word in words)
         lines.append(f"| `{name}` | | {said} | stated; left out: {words[0]} |")
     lines += ["", EXAMPLE, "", "```toml", *_table(cls), "```", ""]
@@ -150,7 +151,7 @@ def _place(cls: type[Effect]) -> str:
         said.append("beside " + " and ".join(f"`{name}`" for name in cls.traits.needs))
     if cls.traits.repeats:
         said.append("may stand there more than once")
-    searched = cls.over_time(ANYWHERE)
+    searched = cls.everywhere(ANYWHERE)
     said.append("closing the loop tries it" if searched else "closing the loop on torques does not try it")
     return "; ".join(said)
 

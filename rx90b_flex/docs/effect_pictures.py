@@ -37,7 +37,7 @@ def draw(cls: type[Effect]) -> Figure | None:
     """The picture of an effect type; None where it shows in neither way."""
     robot, motion = _scene()
     sites = Sites(robot.joints, robot.tip_frame)
-    places = [] if cls.traits.needs else cls.over_time(sites)  # what refines another effect is nothing without it
+    places = [] if cls.traits.needs else cls.everywhere(sites)  # what refines another effect is nothing without it
     return _over_time(places[len(places) // 2], robot, motion) if places else _over_frequency(cls)
 
 
@@ -105,10 +105,10 @@ def _with_shape(effect: Effect, motion: Motion) -> Effect:
             signal = motion.v if name == "velocities" else motion.q
             of = signal[:, motion.coordinates.index(effect.joints[0])]
             effect = dataclasses.replace(effect, **{p.attribute: tuple(np.linspace(of.min(), of.max(), NODES))})
-    starts = effect.shape_starts(motion)
+    starts = effect.shape_search(motion).starts
     if not starts.shape[1]:
         return effect
-    names = effect.shape_names()
+    names = list(effect.shape_parameters)
     if "order" in names:  # few enough to be seen one by one
         return effect.with_shape(starts[np.argmin(np.abs(starts[:, names.index("order")] - ORDER))])
     return effect.with_shape(starts[len(starts) // 2])

@@ -11,14 +11,14 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import minimum_filter1d
 
 from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
-from rx90b_flex.effects.hints import Sites
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law import Law, Where
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
@@ -54,12 +54,13 @@ class _AngleError(LogEffect, PeriodicEffect):
     def columns(self, motion: Motion) -> Array:
         return self._at_orders(motion, self.known_shape())
 
-    def factors(self, motion: Motion) -> None:
-        return None
+    def factors(self, motion: Motion, leading: bool = False) -> tuple[Array, Array] | None:
+        return self._own_row(motion, self.known_shape()) if leading else None
 
-    def leading(self, motion: Motion) -> tuple[Array, Array]:
+    def _own_row(self, motion: Motion, orders: Array) -> tuple[Array, Array]:
+        """What its own joint feels of it at some orders (M,), the larger part: the port (n,) and (N, 2 M)."""
         place = self._place(motion)
-        basis = self._at_orders(motion, self.known_shape(), slice(place, place + 1))[:, 0]
+        basis = self._at_orders(motion, orders, slice(place, place + 1))[:, 0]
         return motion.coordinates.port(self.joint, "drive"), basis
 
     def side_by_side(
@@ -68,11 +69,7 @@ class _AngleError(LogEffect, PeriodicEffect):
         if any(type(e) is not type(self) or e.joints != self.joints for e in effects):
             return super().side_by_side(effects, motion, leading)
         orders = np.concatenate([e.known_shape() for e in effects])
-        if not leading:
-            return None, self._at_orders(motion, orders)
-        place = self._place(motion)
-        basis = self._at_orders(motion, orders, slice(place, place + 1))[:, 0]
-        return motion.coordinates.port(self.joint, "drive"), basis
+        return self._own_row(motion, orders) if leading else (None, self._at_orders(motion, orders))
 
     def _at_orders(self, motion: Motion, orders: Array, rows: slice = slice(None)) -> Array:
         """Columns of sin and cos at some orders (M,), one pair behind the other, in some rows; (N, rows, 2 M).
@@ -130,7 +127,7 @@ class _AngleError(LogEffect, PeriodicEffect):
         return tuple(part[:, place] for part in self._constants(at.motion))
 
     def basis(self, at: JointMotion) -> Array:
-        return self.leading(at.motion)[1]
+        return self._own_row(at.motion, self.known_shape())[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,9 +216,6 @@ class _VaryingRatio(Effect, adds_inertia=True, part="links"):
     def laws(self, motion: Motion) -> tuple[Law, ...]:
         return self.error._law_at(motion, "links")
 
-    def links_at(self, motion: Motion) -> Array:
-        return self._moved(motion)[0].q
-
     def columns(self, motion: Motion) -> Array:
         moved, ratio = self._moved(motion)
         return np.asarray(ratio * moved.on_tree.load() - motion.on_tree.load())[:, :, None]
@@ -239,10 +233,6 @@ class _VaryingRatio(Effect, adds_inertia=True, part="links"):
         down = np.array([0.0, 0.0, -1.0])
         moved, _ = self._moved(motion)
         return moved.on_tree.gravity_potential(down) - motion.on_tree.gravity_potential(down)
-
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,23 +258,14 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
     """
 
     gap: float | None = linear("rad", lower=0.0)
-    contact: float | None = shape("N m", start=LOAD_SCALE, lower=1e-9, upper=1e9)
-
-    @property
-    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
-        return ((self.joint, "contact"),)  # as sharp as can be: then a log tells no more than that
-
-    def known_shape(self) -> Array:
-        return np.array([LOAD_SCALE if self.contact is None else self.contact])
+    # shared: it may be as sharp as can be, then a log tells no more than that
+    contact: float | None = shape("N m", start=LOAD_SCALE, lower=1e-9, upper=1e9, shared=True)
 
     def shape_range(self, motion: Motion) -> Array:
         return self._link_load(motion)[1] * np.array([[HARDEST_PART], [SOFTEST_PART]])
 
-    def shape_starts(self, motion: Motion) -> Array:
-        return self._link_load(motion)[1] * np.array([[0.01], [LOAD_PART], [0.1]])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 3
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        return ShapeSearch(self._link_load(motion)[1] * np.array([[0.01], [LOAD_PART], [0.1]]), independent=3)
 
     def possible(self) -> bool:
         return bool(self.known_coefficients()[0] <= WIDEST_GAP)
@@ -310,10 +291,7 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
         out = sum(slope[:, :, place] * delta[:, None] for slope, delta in zip(by, deltas, strict=True))
         return np.asarray(out)[:, :, None]
 
-    def factors(self, motion: Motion) -> None:
-        return None
-
-    def leading(self, motion: Motion) -> None:
+    def factors(self, motion: Motion, leading: bool = False) -> None:
         return None
 
     def basis(self, at: JointMotion) -> Array:
@@ -392,10 +370,6 @@ class _LostMotion(JointForce, part="flexibility"):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
         return self._asked(at)[1][:, None], zero, zero
-
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return []
 
 
 def _rate(x: Array, time: Array) -> Array:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
 from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.elements import GravityChange
 from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import OTHER, linear
@@ -55,9 +56,9 @@ class BaseTilt(Effect, behind_gear=True, on="robot", part="links", needs_model=T
     def potential(self, motion: Motion) -> Array:
         return np.stack([motion.on_tree.gravity_potential(d) for d in _DIRECTIONS], axis=1) @ self.known_coefficients()
 
-    def gravity_change(self) -> Array:
-        return np.asarray(self.known_coefficients() @ _DIRECTIONS)
+    def element(self) -> GravityChange:
+        return GravityChange(self.known_coefficients() @ _DIRECTIONS)
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls()]

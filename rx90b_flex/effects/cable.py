@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from rx90b_flex.effects.effect import PairEffect
+from rx90b_flex.effects.effect import Effect, PairEffect
 from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import SumOfLaws
@@ -51,5 +52,5 @@ class CableTorque(SumOfLaws, PairEffect, behind_gear=True):
         out[2] = 0.0
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(joint_pair=pair) for pair in itertools.permutations(sites.joints, 2)]

@@ -8,18 +8,19 @@ from typing import Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import PairEffect
 from rx90b_flex.effects.friction import CoulombFriction
-from rx90b_flex.effects.hints import RestSites, RestSizes
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import FRICTION, INERTIA, linear
-from rx90b_flex.effects.reversal import SHARP, turnover_range, turnover_shape
+from rx90b_flex.effects.reversal import turnover_range, turnover_shape, turnover_start
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointCoupling(SumOfLaws, PairEffect, adds_inertia=True, scaled=((0,),), rescaled="coupling_inertia"):
+class JointCoupling(SumOfLaws, PairEffect, ShownAtRest, adds_inertia=True, scaled=((0,),), rescaled="coupling_inertia"):
     """Motor b also turns with joint a, as in a wrist whose last motor sits behind the joint before.
 
     The motor's angle is q_a + q_b (joint side of b), so its rotor's inertia, its viscous and its dry friction
@@ -44,29 +45,17 @@ class JointCoupling(SumOfLaws, PairEffect, adds_inertia=True, scaled=((0,),), re
     inertia: float | None = linear("kg m^2", rank=INERTIA)
     viscous: float | None = linear("N m s/rad", rank=FRICTION)
     coulomb: float | None = linear("N m", rank=FRICTION)
-    turnover: float | None = turnover_shape()
-
-    @property
-    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
-        return ((self.joint_pair[1], "turnover"),)  # motor b's gear
+    turnover: float | None = turnover_shape()  # of motor b's gear
 
     def shape_range(self, motion: Motion) -> Array:
         return np.array(turnover_range(motion.joint(self.joint_pair[1])))[:, None]
 
-    def shape_starts(self, motion: Motion) -> Array:
-        low, high = turnover_range(motion.joint(self.joint_pair[1]))
-        return np.array([[np.exp(0.7 * np.log(low) + 0.3 * np.log(high))]])
-
-    @property
-    def _sharpness(self) -> float:
-        return SHARP if self.turnover is None else self.turnover
-
-    def known_shape(self) -> Array:
-        return np.array([self._sharpness])
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        return ShapeSearch(np.array([[turnover_start(motion.joint(self.joint_pair[1]))]]))
 
     def unit_laws(self, motion: Motion) -> tuple[Law, ...]:
         a, b = (motion.coordinates.port(joint, "drive") for joint in self.joint_pair)
-        dry = Law(a + b, function=CoulombFriction.law, parameters=np.array([1.0, self._sharpness]))
+        dry = Law(a + b, function=CoulombFriction.law, parameters=np.r_[1.0, self.known_shape()])
         return Law(a + b, inertia=1.0), Law(a + b, damping=1.0), dry
 
     @classmethod

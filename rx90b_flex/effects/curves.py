@@ -11,10 +11,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rx90b_flex.effects.effect import JointForce
+from rx90b_flex.effects.effect import Effect, JointForce
+from rx90b_flex.effects.hints import Penalty, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.parameters import FRICTION, SPRING, given, linear
+from rx90b_flex.effects.parameters import FRICTION, SPRING, Parameter, given, linear
 
 KNOTS = 24  # of a curve that a search places: more than it has bends, so that the penalty says how smooth it is
 NEAREST = 0.5 / KNOTS  # of their range: knots lie no nearer to each other, where samples crowd
@@ -32,20 +33,8 @@ class ManyCoefficients(JointForce):
         """How many coefficients it has."""
 
     @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return tuple(f"torques_{i + 1}" for i in range(self.count))
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return (self.parameters()["torques"].unit,) * self.count
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (self.parameters()["torques"].rank,) * self.count
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.full(self.count, self.parameters()["torques"].lower)
+    def coefficient_parameters(self) -> dict[str, Parameter]:
+        return {f"torques_{i + 1}": self.parameters()["torques"] for i in range(self.count)}
 
     @property
     def coefficients(self) -> Array:
@@ -110,9 +99,10 @@ class _Curve(ManyCoefficients, last_resort=True):
         return len(self.knots)
 
     @property
-    def roughness(self) -> Array | None:
-        if not self.count:
-            return None
+    def penalty(self) -> Penalty | None:
+        return Penalty(self._roughness(), self.strength) if self.count else None
+
+    def _roughness(self) -> Array:
         bent = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")(self.knots, 2)
         # a second derivative goes straight from knot to knot: the integral of its square by Simpson's rule
         begin, end = bent[:-1], bent[1:]
@@ -124,6 +114,11 @@ class _Curve(ManyCoefficients, last_resort=True):
     def penalised(self, strength: float) -> Self:
         change: dict[str, Any] = {"strength": strength}
         return dataclasses.replace(self, **change)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        every = [cls(joint=j) for j in sites.joints]
+        return every if sites.motion is None else [e.placed(sites.motion) for e in every]
 
     def placed(self, motion: Motion) -> Self:
         """With knots over what this motion covers, half of them evenly and half where it has its samples; without any where it

@@ -7,8 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import JointEffect
-from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
@@ -16,7 +16,9 @@ from rx90b_flex.effects.parameters import FRICTION, INERTIA, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveInertia(SumOfLaws, JointEffect, adds_inertia=True, part="drives", scaled=((0,),), rescaled="drive_inertia"):
+class DriveInertia(
+    SumOfLaws, JointEffect, ShownAtRest, adds_inertia=True, part="drives", scaled=((0,),), rescaled="drive_inertia"
+):
     """Rotor and gear, ``inertia * a``, joint side; one scalar a joint (section 3.3.2, after Spong).
 
     Signature

@@ -5,10 +5,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
+from rx90b_flex.effects.elements import Element
 from rx90b_flex.effects.hints import Hints, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
@@ -44,8 +45,11 @@ class Effect(Hints):
     def columns(self, motion: Motion) -> Array:
         """Generalised force per unit of each coefficient; shape (N, n, k)."""
 
-    def factors(self, motion: Motion) -> tuple[Array, Array] | None:
-        """Columns as the outer product of a constant port (n,) and a basis (N, k), where they are one."""
+    def factors(self, motion: Motion, leading: bool = False) -> tuple[Array, Array] | None:
+        """Columns as the outer product of a constant port (n,) and a basis (N, k), where they are one.
+
+        With `leading` also where their larger part is one, which is enough for a first look: then that.
+        """
         return None
 
     def force(self, motion: Motion) -> Array:
@@ -55,10 +59,6 @@ class Effect(Hints):
             return self.columns(motion) @ coefficients
         port, basis = factors
         return np.outer(basis @ coefficients, port)
-
-    def leading(self, motion: Motion) -> tuple[Array, Array] | None:
-        """The larger part of the columns as `factors` has it, enough for a first look; the same where they are factors."""
-        return self.factors(motion)
 
     def side_by_side(
         self, effects: Sequence[Effect], motion: Motion, leading: bool = False
@@ -72,7 +72,7 @@ class Effect(Hints):
         effects : sequence of Effect
         motion : Motion
         leading : bool
-            Whether the larger part is enough (`leading`).
+            Whether the larger part is enough (`factors`).
 
         Returns
         -------
@@ -81,7 +81,7 @@ class Effect(Hints):
         columns : array, shape (N, sum of k)
             What goes to the port; without one the columns as they are, (N, n, sum of k).
         """
-        factors = [e.leading(motion) if leading else e.factors(motion) for e in effects]
+        factors = [e.factors(motion, leading) for e in effects]
         known = [f for f in factors if f is not None]
         if len(known) == len(effects) and all(np.array_equal(port, known[0][0]) for port, _ in known):
             return known[0][0], np.concatenate([basis for _, basis in known], axis=1)
@@ -91,29 +91,13 @@ class Effect(Hints):
         """Change of its force per change of the links' parameters, (N, n, 10 * bodies), where it is large; None: not worth it."""
         return None
 
-    def logged(self, motion: Motion, torque: Array) -> Array:
-        """Torque in the log (N, n) where the model's torque is `torque` (N, n); for effects that are not in the dynamics."""
-        return torque + self.force(motion)
-
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Derivatives of the force by q, v and a; each (N, n, n)."""
         raise TypeError(f"{self.type_name()} has no derivatives")
 
-    def simulated(self, beside: Sequence[Effect]) -> Effect | None:
-        """The force that it is in a simulation, beside the robot's other effects; None where it is none."""
-        return self if self.traits.in_dynamics else None
-
-    def links_at(self, motion: Motion) -> Array:
-        """Coordinates (N, n) that put the links where they are, where the robot's own do not."""
-        return motion.q
-
     def potential(self, motion: Motion) -> Array:
         """Potential energy whose gradient is the force at rest, shape (N,), J; zero for what only dissipates."""
         return np.zeros(len(motion))
-
-    def breakaway_torque(self) -> float:
-        """Dry friction of its joint just before it slides, N m."""
-        return 0.0
 
     def laws(self, motion: Motion) -> tuple[Law, ...] | None:
         """The force as scalar laws, for a compiled simulation; None: that asks for `force` and `derivatives` at each step.
@@ -122,40 +106,18 @@ class Effect(Hints):
         """
         return None
 
-    def point_mass(self) -> tuple[str, float, Array] | None:
-        """Frame, mass (kg) and centre (3,) (m) of a point mass that is the whole effect, for a compiled simulation.
-
-        Optional, like `laws`.
-        """
-        return None
-
-    def gravity_change(self) -> Array | None:
-        """What the effect adds to the direction of gravity on the links, (3,), where that is all it does.
-
-        For a compiled simulation; optional, like `laws`.
-        """
-        return None
-
-    def line_spring(self) -> tuple[Array, Array, float, float] | None:
-        """Anchors (3,) on the link before the joint and on the one behind it, stiffness (N/m) and prestress (N).
-
-        Of a spring between two points that is the whole effect, both in the joint's own frame at zero angle, m, its prestress the
-        pull at zero angle. For simulators; optional, like `laws`.
-        """
+    def element(self) -> Element | None:
+        """The mechanical element that is the whole effect, for simulations and simulators; optional, like `laws`."""
         return None
 
     @classmethod
-    def over_time(cls, sites: Sites) -> list[Effect]:
-        """What a search over time tries, without values: of an effect that adds coordinates, what acts on the rigid tree."""
-        return [] if cls.traits.virtual else [*cls.everywhere(sites)]
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        """What a search over time tries, without values, in every place; of what adds coordinates, what acts on the rigid tree."""
+        return ()
 
     def on_rigid_tree(self) -> Effect | None:
         """What stands for it where the tree is rigid and motors alone are measured; None: nothing, it is left out."""
         return None if self.traits.virtual else self
-
-    def in_tree(self, motion: Motion) -> Effect:
-        """The inverse of `on_rigid_tree`: the effect as a robot file has it, on the tree of any sample of motion."""
-        return self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +144,7 @@ class JointEffect(Effect):
         """The motion that it depends on."""
         return motion.joint(self.joint, self.port_kind)
 
-    def factors(self, motion: Motion) -> tuple[Array, Array] | None:
+    def factors(self, motion: Motion, leading: bool = False) -> tuple[Array, Array] | None:
         at = self.at(motion)
         return at.port, self.basis(at)
 
@@ -191,7 +153,7 @@ class JointEffect(Effect):
         return at.port[None, :, None] * self.basis(at)[:, None, :]
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(joint=j) for j in sites.joints]
 
 
@@ -220,7 +182,7 @@ class PairEffect(Effect, on="joints"):
         return self.joint_pair
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(joint_pair=(a, b)) for i, a in enumerate(sites.joints) for b in sites.joints[i + 1 :]]
 
 
@@ -239,8 +201,17 @@ class FrameEffect(Effect, on="frame"):
         return f"{self.frame}.{self.type_name()}"
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(frame=sites.tip_frame)]
+
+
+def shared_shapes(effect: Effect) -> tuple[tuple[str, ...] | None, ...]:
+    """What names the one value that effects of a joint share, for each shape parameter; None: it is this effect's own.
+
+    Of two joints it is the second one, whose motor both turn.
+    """
+    named = effect.shape_parameters.items()
+    return tuple((effect.joints[-1], name) if p.shared else None for name, p in named)
 
 
 def of_motion_alone(effect: Effect) -> bool:

@@ -10,13 +10,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.deflection import Spring, by_links, deflected, each_alone, softest
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.hints import RestSites, RestSizes, Sites
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, Motion
-from rx90b_flex.effects.parameters import DAMPING, STIFFNESS, derived, linear
+from rx90b_flex.effects.parameters import DAMPING, STIFFNESS, Parameter, derived, linear
+from rx90b_flex.effects.stand_in import StandIn
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
@@ -30,7 +32,7 @@ ABOVE = 6.0  # times the cutoff: where links swing on the stiffest of them
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Flexibility(Effect, part="flexibility"):
+class _Flexibility(ShownAtRest, part="flexibility"):
     """Hinges with a spring and a damper each: ``stiffness_i * eps_i + damping_i * d(eps_i)/dt`` on coordinate i.
 
     A subclass states the hinges in `virtual` and declares stiffnesses, then dampings, one of each a hinge.
@@ -89,10 +91,6 @@ class _FlexibilityOfJoint(_Flexibility):
     def _site(self) -> str:
         return self.joint
 
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return [cls(joint=j) for j in sites.joints]
-
 
 @dataclass(frozen=True, kw_only=True)
 class DriveFlexibility(
@@ -126,7 +124,7 @@ class DriveFlexibility(
         return [cls(joint=j, stiffness=1.0, damping=DAMPING_TIME) for j in heavy]
 
     @classmethod
-    def over_time(cls, sites: Sites) -> list[Effect]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [_DriveDeflection(joint=j) for j in sites.joints]
 
     def on_rigid_tree(self) -> Effect:
@@ -139,57 +137,32 @@ class DriveFlexibility(
 
 @dataclass(frozen=True, kw_only=True)
 class _OnRigidTree(
-    Effect, behind_gear=True, needs_load=True, needs_model=True, coefficients_follow=True, part="flexibility"
+    StandIn, behind_gear=True, needs_load=True, needs_model=True, coefficients_follow=True, part="flexibility"
 ):
     """What motors feel of a drive on a rigid tree: one coefficient, which follows from the shape in a fit."""
 
-    in_files: ClassVar[type[Effect]]  # what it stands for
-    coefficient: ClassVar[tuple[str, str]]  # name and unit
-    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {}  # and bounds
+    coefficient: ClassVar[Mapping[str, Parameter]]
+    shapes: ClassVar[Mapping[str, Parameter]] = {}
 
     joint: str
-
-    @classmethod
-    def type_name(cls) -> str:
-        return cls.in_files.type_name()
 
     @property
     def joints(self) -> tuple[str, ...]:
         return (self.joint,)
 
     @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return self.coefficient[:1]
+    def coefficient_parameters(self) -> Mapping[str, Parameter]:
+        return self.coefficient
 
     @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return self.coefficient[1:]
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (STIFFNESS,)
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.zeros(1)
-
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return tuple(cls.shapes)
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.array(list(cls.shapes.values())).reshape(-1, 2).T
-
-    @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return []
+    def shape_parameters(self) -> Mapping[str, Parameter]:
+        return self.shapes
 
 
 class _Stated(_OnRigidTree):
     """One whose value is stated: it is taken as it is."""
 
-    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {}
+    shapes: ClassVar[Mapping[str, Parameter]] = {}
 
     @property
     def shape(self) -> Array:
@@ -208,8 +181,13 @@ class _DriveDeflection(_OnRigidTree):
     """
 
     in_files: ClassVar[type[Effect]] = DriveFlexibility
-    coefficient: ClassVar[tuple[str, str]] = ("compliance", "rad/(N m)")
-    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {"stiffness": (1e-6, 1e15), "lag": LAGS}
+    coefficient: ClassVar[Mapping[str, Parameter]] = {
+        "compliance": Parameter("rad/(N m)", "linear", 0.0, rank=STIFFNESS)
+    }
+    shapes: ClassVar[Mapping[str, Parameter]] = {
+        "stiffness": Parameter("N m/rad", "shape", 1e-6, 1e15),
+        "lag": Parameter("s", "shape", *LAGS),
+    }
 
     stiffness: float | None = derived("N m/rad", lower=0.0)
     damping: float | None = derived("N m s/rad", lower=0.0)
@@ -240,27 +218,20 @@ class _DriveDeflection(_OnRigidTree):
         stiffness, lag = (float(x) for x in values)
         return dataclasses.replace(self, stiffness=stiffness, damping=max(lag, NO_LAG) * stiffness)
 
-    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
-        """Stiffnesses on which the link swings at frequencies of the band and above, from the softest that carries it."""
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        """From stiffnesses on which the link swings at frequencies of the band and above, from the softest that carries it."""
         place = motion.coordinates.index(self.joint)
         by_q, _, by_a = (by[:, place, place] for by in motion.on_tree.derivatives())
         inertia = float(np.median(by_a))
         step = float(motion.time[1] - motion.time[0]) if len(motion) > 1 else 0.0
-        if inertia <= 0 or step <= 0:
-            return np.zeros((0, 2))
-        slowest = max(softest(by_q, inertia), 10.0 / float(np.ptp(motion.time)))
-        fastest = max(2 * np.pi * ABOVE * (cutoff_hz or 0.1 / step), 2.0 * slowest)
-        frequencies = np.geomspace(slowest, fastest, STARTS)
-        return np.stack([inertia * frequencies**2, 2.0 * LOSSY / frequencies], axis=1)
-
-    def shape_starts(self, motion: Motion) -> Array:
-        return self.starts_beside(motion, (), None)
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.array([0.4, 0.8]) * self.shape
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return STARTS
+        starts = np.zeros((0, 2))
+        if inertia > 0 and step > 0:
+            slowest = max(softest(by_q, inertia), 10.0 / float(np.ptp(motion.time)))
+            cutoff_hz = None if left is None else left.cutoff_hz
+            fastest = max(2 * np.pi * ABOVE * (cutoff_hz or 0.1 / step), 2.0 * slowest)
+            frequencies = np.geomspace(slowest, fastest, STARTS)
+            starts = np.stack([inertia * frequencies**2, 2.0 * LOSSY / frequencies], axis=1)
+        return ShapeSearch(starts, STARTS, part=np.array([0.4, 0.8]))
 
     def possible(self) -> bool:
         return self.stiffness is not None and self.stiffness > 0
@@ -399,10 +370,6 @@ class BaseFlexibility(
         return "base"
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return [cls()]
-
-    @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:
         return [cls(stiffness=(1.0, 1.0), damping=(DAMPING_TIME,) * 2)]
 
@@ -420,7 +387,7 @@ class _StatedBending(_Stated):
     """
 
     in_files: ClassVar[type[Effect]] = JointFlexibility
-    coefficient: ClassVar[tuple[str, str]] = ("bending", "1")
+    coefficient: ClassVar[Mapping[str, Parameter]] = {"bending": Parameter("1", "linear", 0.0, rank=STIFFNESS)}
 
     hinges: Any  # the effect that it stands for
 
@@ -507,7 +474,7 @@ class StiffnessHardening(LawEffect, behind_gear=True, needs=("drive_flexibility"
     cubic: float | None = linear("N m/rad^3", lower=0.0, rank=STIFFNESS)
 
     @classmethod
-    def over_time(cls, sites: Sites) -> list[Effect]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [_HardeningDeflection(joint=j) for j in sites.joints]
 
     def on_rigid_tree(self) -> Effect:
@@ -533,8 +500,8 @@ class _HardeningDeflection(_OnRigidTree, needs=StiffnessHardening.traits.needs):
     """
 
     in_files: ClassVar[type[Effect]] = StiffnessHardening
-    coefficient: ClassVar[tuple[str, str]] = ("cubic", "N m/rad^3")
-    shapes: ClassVar[Mapping[str, tuple[float, float]]] = {"cubic": (1e-6, 1e24)}
+    coefficient: ClassVar[Mapping[str, Parameter]] = {"cubic": Parameter("N m/rad^3", "linear", 0.0, rank=STIFFNESS)}
+    shapes: ClassVar[Mapping[str, Parameter]] = {"cubic": Parameter("N m/rad^3", "shape", 1e-6, 1e24)}
 
     cubic: float | None = derived("N m/rad^3", lower=0.0)
 
@@ -557,19 +524,14 @@ class _HardeningDeflection(_OnRigidTree, needs=StiffnessHardening.traits.needs):
         springs = [e.spring for e in motion.effects if isinstance(e, _DriveDeflection)]
         return springs, next((i for i, s in enumerate(springs) if s.joint == self.joint), -1)
 
-    def shape_starts(self, motion: Motion) -> Array:
-        """Cubic stiffnesses that take a part of the torque which the drive has at its largest twist."""
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        """From cubic stiffnesses that take a part of the torque which the drive has at its largest twist."""
         springs, own = self._drives(motion)
-        if own < 0:
-            return np.zeros((0, 1))
-        largest = np.abs(deflected(motion, springs, springs, _through_drives(motion)).torsion[:, own]).max()
-        return springs[own].stiffness / max(float(largest), 1e-9) ** 2 * np.array(HARDER)[:, None]
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return self.shape
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return len(HARDER)
+        starts = np.zeros((0, 1))
+        if own >= 0:
+            largest = np.abs(deflected(motion, springs, springs, _through_drives(motion)).torsion[:, own]).max()
+            starts = springs[own].stiffness / max(float(largest), 1e-9) ** 2 * np.array(HARDER)[:, None]
+        return ShapeSearch(starts, len(HARDER), part=1.0)
 
     def possible(self) -> bool:
         return self.cubic is not None and self.cubic > 0

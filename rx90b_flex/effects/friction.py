@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rx90b_flex.effects.effect import Effect, JointEffect
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
@@ -40,7 +41,7 @@ class SidedFriction(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoulombFriction(SidedFriction, LawEffect, DryFriction):
+class CoulombFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
     """Dry friction, ``torque * sign(v)``, its sign ``tanh(v / turnover)`` at reversal.
 
     Signature
@@ -62,9 +63,6 @@ class CoulombFriction(SidedFriction, LawEffect, DryFriction):
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     turnover: float | None = turnover_shape()
-
-    def breakaway_torque(self) -> float:
-        return float(self.known_coefficients()[0])
 
     def basis(self, at: JointMotion) -> Array:
         # as the law has it, without the slopes: fits ask for it most
@@ -170,15 +168,12 @@ class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction, replaces=("vis
         out[1] = 0.0
         out[2] = grown * (slope + power * (sign / np.maximum(size, TINY)))
 
-    def own_starts(self, motion: Motion) -> Array:
-        return np.array([[0.2], [0.4], [0.6], [0.8], [1.3], [1.8], [2.4]])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 3
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        return self.with_turnover(motion, np.array([[0.2], [0.4], [0.6], [0.8], [1.3], [1.8], [2.4]]), independent=3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class StribeckFriction(SidedFriction, LawEffect, DryFriction):
+class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
     """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed.
 
     Signature
@@ -201,13 +196,10 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
     power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0, usual=True)
     turnover: float | None = turnover_shape()
 
-    def breakaway_torque(self) -> float:
-        return float(self.known_coefficients()[0])
-
     def own_range(self, motion: Motion) -> Array:
         at = motion.joint(self.joint, self.port_kind)
         low, _ = turnover_range(at)
-        out = self.shape_bounds()
+        out = super().own_range(motion)
         out[:, 0] = FADES * low, max(FADED * Resolution.of(at).speed, 8.0 * FADES * low)
         return out
 
@@ -227,13 +219,11 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction):
         out[1] = 0.0
         out[2] = left * (slope - power * faded * (sign / np.maximum(size, TINY)))
 
-    def own_starts(self, motion: Motion) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         low, high = self.own_range(motion)[:, 0]
         velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
-        return np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 5
+        own = np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
+        return self.with_turnover(motion, own, independent=5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,17 +260,14 @@ class FrictionDrift(SidedFriction, LawEffect, repeats_with_motion=False):
         out[1] = 0.0
         out[2] = slope
 
-    def shape_starts(self, motion: Motion) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         low, high = self.shape_range(motion)[:, 0]
-        return np.geomspace(1.2 * low, min(30.0 * low, 0.5 * high), 6)[:, None]
+        return ShapeSearch(np.geomspace(1.2 * low, min(30.0 * low, 0.5 * high), 6)[:, None], independent=3)
 
     def shape_range(self, motion: Motion) -> Array:
-        low, high = self.shape_bounds()
+        low, high = super().shape_range(motion)
         # what is over within a tenth of the recording is an event at its start, no warming up
         return np.stack([np.maximum(low, SHORTEST_DRIFT * float(np.ptp(motion.time))), high])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 3
 
 
 def friction_side(effects: Iterable[Effect], joint: str) -> str:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rx90b_flex.effects.effect import Effect, JointEffect
-from rx90b_flex.effects.hints import Sites
+from rx90b_flex.effects.elements import AnchoredSpring
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import SPRING, given, linear, shape
+from rx90b_flex.effects.stand_in import StandIn
 
 FAR = 0.4  # m from the axis, the farther anchor of a spring that was searched for: its torque does not tell the scale
 HALF = 0.5  # of that, the nearer one where the torque does not tell their ratio either
@@ -103,26 +106,20 @@ class GravitySpring(LawEffect, behind_gear=True, part="spring"):
         out[1] = force * curvature + stiffness * slope * slope
         out[2] = 0.0
 
-    def line_spring(self) -> tuple[Array, Array, float, float]:
-        fixed, moving = self._ends()
+    def element(self) -> AnchoredSpring:
         stiffness, prestress = (float(x) for x in self.known_coefficients())
-        return fixed, moving, stiffness, prestress
+        fixed, moving = self._ends()
+        return AnchoredSpring(fixed, moving, stiffness, prestress)
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        return []
-
-    @classmethod
-    def over_time(cls, sites: Sites) -> list[Effect]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in sites.joints]
 
 
-class _SpringOfTwoLevers(JointEffect, behind_gear=True):
+class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True):
     """A `GravitySpring` of unknown geometry: levers a and b from the axis to its ends, ``l^2 = a^2 + b^2 - 2 a b cos(q - angle)``."""
 
-    @classmethod
-    def type_name(cls) -> str:
-        return GravitySpring.type_name()
+    in_files: ClassVar[type[Effect]] = GravitySpring
 
     @abstractmethod
     def geometry(self) -> tuple[float, float]:
@@ -169,15 +166,11 @@ class _SearchedSpring(_SpringOfTwoLevers, part="spring", replaces=("gravity_spri
         square = np.maximum(1.0 - ratio * np.cos(at.q - angle), 1.0 - LARGEST_RATIO)
         return np.stack([sine, sine / np.sqrt(square)], axis=1)
 
-    def shape_starts(self, motion: Motion) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         angles = np.pi * (2.0 * np.arange(ANGLES) / ANGLES - 1.0)
-        return np.stack(np.meshgrid(angles, RATIOS), axis=-1).reshape(-1, 2)
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.array([0.4, 0.15])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return ANGLES // 2  # neighbouring ones are much alike
+        starts = np.stack(np.meshgrid(angles, RATIOS), axis=-1).reshape(-1, 2)
+        # neighbouring angles are much alike
+        return ShapeSearch(starts, independent=ANGLES // 2, spread=np.array([0.4, 0.15]))
 
     def geometry(self) -> tuple[float, float]:
         angle, ratio = self.shape

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from abc import ABC
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from rx90b_flex.effects.motion import Array, Coordinates, Motion
+from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import Parametrized
 
 SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
@@ -17,99 +17,97 @@ SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off
 
 @dataclass(frozen=True)
 class Sites:
-    """Places of a robot where a search may try an effect: its joints in tree order and its tip frame."""
+    """Places of a robot where a search may try an effect.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        In tree order.
+    tip_frame : str
+    motion : Motion or None
+        On which it is tried, where one is known: what suggests the geometry that a curve needs.
+    """
 
     joints: tuple[str, ...]
     tip_frame: str
-
-
-@dataclass(frozen=True)
-class RestSites(Sites):
-    """Places of a robot at rest in a pose, where data over frequency may show an effect.
-
-    Attributes
-    ----------
-    moving : tuple of str
-        Joints whose drives move; the others are held.
-    angles : mapping of joint to angle, rad
-        The pose.
-    declared : frozenset of (type name, place)
-        Effects that the robot has.
-    """
-
-    moving: tuple[str, ...]
-    angles: Mapping[str, float]
-    declared: frozenset[tuple[str, tuple[str, ...]]]
+    motion: Motion | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class RestSizes:
-    """How heavy a robot is at rest, and where data over frequency look: what a new value can be sized by.
+class LeftOver:
+    """What a model leaves over, beside which an effect is tried.
 
     Attributes
     ----------
-    coordinates : Coordinates
-    mass_matrix : array, shape (n, n)
-    total_mass : float, of the links, kg
-    band_hz : (low, high)
+    residual : one (motion, torque left over) a recording, N samples each
+        Of the first joint that the effect sits on; uniform in time.
+    cutoff_hz : float or None
+        Of the low-pass that the residual went through.
+    instead_of : effect or None
+        One of the model, with values, in whose place the new one is tried.
     """
 
-    coordinates: Coordinates
-    mass_matrix: Array
-    total_mass: float
-    band_hz: tuple[float, float]
+    residual: Sequence[tuple[Motion, Array]]
+    cutoff_hz: float | None = None
+    instead_of: Parametrized | None = None
 
-    def inertia(self, port: Array) -> float:
-        """Along a port (n,), kg m^2."""
-        return float(port @ self.mass_matrix @ port)
+
+@dataclass(frozen=True, eq=False)
+class ShapeSearch:
+    """Where a search for the shape of an effect begins, and how far it goes from there.
+
+    Attributes
+    ----------
+    starts : array, shape (M, s)
+        Dense enough for one to lie in the best valley.
+    independent : int
+        How many independent shapes it tries, for the correction of its significance.
+    part : float or array, shape (s,)
+        Of the best start, how far the best shape may lie from it.
+    spread : array, shape (s,), or None
+        The same as it is, where it does not grow with the start.
+    """
+
+    starts: Array
+    independent: int = 1
+    part: float | Array = 0.3
+    spread: Array | None = None
+
+    def reach(self, start: Array) -> Array:
+        """How far the best shape may lie from a start (s,), shape (s,)."""
+        return np.asarray(self.part * start if self.spread is None else self.spread)
+
+
+@dataclass(frozen=True, eq=False)
+class Penalty:
+    """What a fit keeps small beside the squared error, ``strength * c @ roughness @ c`` of coefficients c.
+
+    Attributes
+    ----------
+    roughness : array, shape (k, k)
+    strength : float or None
+        None: not chosen yet, which a fit or a trial does by its data.
+    """
+
+    roughness: Array
+    strength: float | None
+
+    @property
+    def precision(self) -> Array:
+        """Inverse covariance that the coefficients have before the data, (k, k); zero while the strength is not chosen."""
+        return (0.0 if self.strength is None else self.strength) * self.roughness
 
 
 class Hints(Parametrized, ABC):
-    """What fits and searches ask of an effect; all but `everywhere` has an answer that serves most types."""
+    """What fits and searches ask of an effect; all of it has an answer that serves most types."""
 
     def shape_range(self, motion: Motion) -> Array:
         """Lower and upper ends, (2, s), between which this motion can tell the shape parameters, within their bounds."""
-        return self.shape_bounds()
+        return np.array([[p.lower, p.upper] for p in self.shape_parameters.values()]).reshape(-1, 2).T
 
-    @property
-    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
-        """What names the one value that several effects share, for each shape parameter; None: it is this effect's own."""
-        return (None,) * len(self.shape_names())
-
-    def shape_starts(self, motion: Motion) -> Array:
-        """Shapes from which a search begins, shape (M, s). Dense enough for one to lie in the best valley."""
-        return np.array([[p.start for _, p in self._flat("shape")]])
-
-    @classmethod
-    def usual_shapes(cls) -> dict[str, float]:
-        """Shape parameters that mostly have one value, and that value."""
-        return {name: p.start for name, p in cls._flat("shape") if p.usual}
-
-    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
-        """Shapes to begin from where the residual helps to find them, shape (M, s).
-
-        Parameters
-        ----------
-        motion : Motion
-            Of the longest recording.
-        residual : one (motion, torque left over) a recording, N samples each
-            Of the first joint that it sits on; uniform in time.
-        cutoff_hz : float or None
-            Of the low-pass that the residual went through.
-        """
-        return self.shape_starts(motion)
-
-    def starts_in_place_of(self, other: Parametrized) -> Array:
-        """Shapes to begin from where it is tried in the place of another effect that is known, shape (M, s)."""
-        return np.zeros((0, len(self.shape)))
-
-    def shape_spread(self, motion: Motion) -> Array:
-        """How far the best shape may lie from the best start, shape (s,)."""
-        return 0.3 * self.shape
-
-    def independent_shapes(self, motion: Motion) -> int:
-        """How many independent shapes a search tries, for the correction of its significance."""
-        return 1
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        """How its shape is searched for on a motion, by what a model leaves over there if that helps to find it."""
+        return ShapeSearch(np.array([[p.start for p in self.shape_parameters.values()]]))
 
     def possible(self) -> bool:
         """Whether its values go together, and with what its force assumes; bounds of single values are no part of it."""
@@ -132,43 +130,10 @@ class Hints(Parametrized, ABC):
         )
 
     @property
-    def roughness(self) -> Array | None:
-        """What a fit keeps small beside the squared error: a quadratic form of the coefficients, (k, k); None: nothing.
-
-        The penalty is its `strength` times this, as if the coefficients had that inverse covariance before the data.
-        """
-        return None
-
-    @property
-    def strength(self) -> float | None:
-        """Of the penalty; None: not chosen yet, which a fit or a trial does by its data."""
+    def penalty(self) -> Penalty | None:
+        """What a fit keeps small of its coefficients; None: nothing."""
         return None
 
     def penalised(self, strength: float) -> Self:
         """With that strength of its penalty."""
         return self
-
-    def placed(self, motion: Motion) -> Self:
-        """Prepared for a search on a motion: with what of its geometry this motion suggests."""
-        return self
-
-    @classmethod
-    @abstractmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
-        """This effect, without values, in every place where a search may try it."""
-
-    @classmethod
-    def at_rest(cls, sites: RestSites) -> list[Self]:
-        """This effect, with values to be multiplied, wherever frequency responses and modes may show it; empty: nowhere."""
-        return []
-
-    def starts_at_rest(self, sizes: RestSizes) -> Array:
-        """Values of the first coefficient of each group of `scaled` from which a search over frequency begins, (S, groups)."""
-        raise TypeError(f"{self.type_name()} is not tried against data over frequency")
-
-    def rescaled_to(self, values: Mapping[int, float]) -> Self:
-        """With other values of some coefficients, by their numbers."""
-        own = self.coefficients
-        for number, value in values.items():
-            own[number] = value
-        return self.with_coefficients(own)

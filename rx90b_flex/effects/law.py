@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -96,6 +96,16 @@ class Law:
     def wide(self) -> bool:
         """Whether it is more than a torque by one combination of the coordinates, on which it acts."""
         return self.reads is not None or self.timed or self.loaded or self.remembers > 0 or self.at != "force"
+
+
+def links_ahead(laws: Iterable[Law], q: Array) -> Array:
+    """Coordinates (N, n) that put the links where they are, for coordinates q (N, n) and the laws at ``links`` among these."""
+    for law in laws:
+        if law.at == "links" and law.function is not None:
+            out = np.zeros((3, len(q)))
+            law.function(q @ law.port, 0.0, law.parameters, out)
+            q = q + np.outer(out[0], law.port)
+    return q
 
 
 def constant(x: float, rate: float, parameters: Any, out: Any) -> None:

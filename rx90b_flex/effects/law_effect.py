@@ -35,7 +35,7 @@ class SumOfLaws(Effect):
             found.append(Law(scaled[0].port, **total))
         return tuple(found)
 
-    def factors(self, motion: Motion) -> tuple[Array, Array]:
+    def factors(self, motion: Motion, leading: bool = False) -> tuple[Array, Array]:
         units = self.unit_laws(motion)
         basis = np.empty((len(motion), len(units)))
         for column, law in zip(basis.T, units, strict=True):
@@ -141,7 +141,7 @@ class LawEffect(JointForce):
 
     def _by_law(self, at: JointMotion) -> Array:
         """Torque and its slopes by angle, rate and load, per unit of each coefficient, (4, k, N): the law of all units at once."""
-        units = np.eye(len(self.coefficient_names))
+        units = np.eye(len(self.coefficients))
         out = np.zeros((4, len(units), len(at.q)))
         load = at.load if self.traits.needs_load else 0.0
         self.law(at.q, at.v, [*units[:, :, None], *self.law_shape(at.motion), at.time, load], out)

@@ -18,6 +18,14 @@ class LogEffect(Effect, in_dynamics=False):
         asked = of.measurement_error is not LogEffect.measurement_error or of.motor_torque is not LogEffect.motor_torque
         return None if asked else ()
 
+    def logged(self, motion: Motion, torque: Array) -> Array:
+        """Torque in the log (N, n) where the model's torque is `torque` (N, n)."""
+        return torque + self.force(motion)
+
+    def simulated(self, beside: Sequence[Effect]) -> Effect | None:
+        """The force that it is in a simulation, beside the robot's other effects; None where it is none."""
+        return None
+
     def measurement_error(self, motion: Motion) -> tuple[Array, Array] | None:
         """What controller and log are shown beyond the angles and their rates, each (N, n); None: nothing."""
         return None
@@ -43,3 +51,15 @@ class LogEffect(Effect, in_dynamics=False):
 def between(effects: Sequence[Effect]) -> tuple[LogEffect, ...]:
     """Those that stand between a robot and its log."""
     return tuple(e for e in effects if isinstance(e, LogEffect))
+
+
+def in_simulation(effects: Sequence[Effect]) -> list[Effect]:
+    """A robot's effects as the forces that they are in a simulation.
+
+    Raises
+    ------
+    ValueError
+        One that cannot be simulated beside the others.
+    """
+    forces = (e.simulated(effects) if isinstance(e, LogEffect) else e for e in effects)
+    return [force for force in forces if force is not None]

@@ -11,10 +11,11 @@ import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.parameters import FRICTION, Parametrized, derived, linear
-from rx90b_flex.effects.presliding import deflection_range, lost_in_noise
+from rx90b_flex.effects.parameters import FRICTION, Parameter, derived, linear
+from rx90b_flex.effects.presliding import DEFLECTION, deflection_range, lost_in_noise
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
 
 ELEMENTS = 2  # where none are stated
@@ -23,7 +24,7 @@ APART = (2.5, 6.0, 15.0)  # how many times the first one's deflection the last o
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding_friction",)):
+class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, breaks_away=True, refines=("presliding_friction",)):
     """Several elastic elements side by side: each follows the angle with its stiffness and slips at its torque.
 
     An element's torque over its limit is ``w = clip(w + dq / deflection, -1, 1)``, deflection its torque over its
@@ -46,7 +47,7 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding
 
     torques: tuple[float, ...] | None = linear("N m", lower=0.0, rank=FRICTION, size=0)
     stiffnesses: tuple[float, ...] | None = derived("N m/rad", lower=0.0, size=0)
-    deflections: tuple[float, ...] | None = None  # torques over stiffnesses, rad: the shapes that a fit works with
+    deflections: tuple[float, ...] | None = None  # rad
 
     def __post_init__(self) -> None:
         if self.deflections is None and self.torques is not None and self.stiffnesses is not None:
@@ -57,19 +58,14 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding
             parts = zip(self.torques, self.stiffnesses, strict=True)
             object.__setattr__(self, "deflections", tuple(t / max(k, 1e-300) for t, k in parts))
 
-    def breakaway_torque(self) -> float:
-        return float(self.known_coefficients().sum())
-
     @property
     def count(self) -> int:
         known = [x for x in (self.deflections, self.torques, self.stiffnesses) if x is not None]
         return len(known[0]) if known else ELEMENTS
 
-    def shape_names(self) -> tuple[str, ...]:  # type: ignore[override]  # as many as there are elements
-        return tuple(f"deflections_{i + 1}" for i in range(self.count))
-
-    def shape_bounds(self) -> Array:  # type: ignore[override]
-        return np.tile([[1e-9], [1e3]], self.count)
+    @property
+    def shape_parameters(self) -> dict[str, Parameter]:
+        return {f"deflections_{i + 1}": DEFLECTION for i in range(self.count)}
 
     @property
     def shape(self) -> Array:
@@ -96,22 +92,18 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, refines=("presliding
     def shape_range(self, motion: Motion) -> Array:
         return np.tile(np.array(deflection_range(motion.joint(self.joint)))[:, None], self.count)
 
-    def shape_starts(self, motion: Motion) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         low, high = deflection_range(motion.joint(self.joint))
         grid = np.geomspace(1.5 * low, 0.5 * high, 6)
         step = max(1, len(grid) // (self.count + 1))
-        return np.array([grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))])
-
-    def starts_in_place_of(self, other: Parametrized) -> Array:
-        """Elements that break away before and after one smooth element does."""
-        steps = np.linspace(-0.5, 0.5, self.count) if self.count > 1 else np.zeros(1)
-        return np.array([other.shape[0] * middle * ratio**steps for middle in AROUND for ratio in APART])
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return 0.5 * self.shape
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 4
+        starts = [grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))]
+        if left is not None and left.instead_of is not None:
+            # elements that break away before and after one smooth element does
+            steps = np.linspace(-0.5, 0.5, self.count) if self.count > 1 else np.zeros(1)
+            smooth = left.instead_of.shape[0]
+            pairs = [smooth * middle * ratio**steps for middle in AROUND for ratio in APART]
+            starts += [np.clip(pair, low, high) for pair in pairs]
+        return ShapeSearch(np.array(starts), independent=4, part=0.5)
 
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NoReturn, Self
 
 import numpy as np
 
@@ -45,6 +45,8 @@ class Parameter:
         Where its value stands in the effect.
     usual : bool
         Whether `start` is what a shape parameter mostly is: where the data lead it astray a search holds it there.
+    shared : bool
+        Whether all effects of a joint have one value of that name; `start` where it is not known.
     """
 
     unit: str
@@ -56,6 +58,7 @@ class Parameter:
     rank: int = OTHER
     attribute: str = ""
     usual: bool = False
+    shared: bool = False
 
 
 def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER, public: str = "") -> Any:
@@ -64,9 +67,11 @@ def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHE
     return dataclasses.field(default=None, metadata={"parameter": parameter, "public": public})
 
 
-def shape(unit: str, *, start: float, lower: float, upper: float, size: int = 1, usual: bool = False) -> Any:
+def shape(
+    unit: str, *, start: float, lower: float, upper: float, size: int = 1, usual: bool = False, shared: bool = False
+) -> Any:
     """Field of an effect: a parameter that gives the force its shape."""
-    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual)
+    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual, shared=shared)
     return dataclasses.field(default=None, metadata={"parameter": parameter})
 
 
@@ -124,29 +129,16 @@ class Parametrized:
 
     @classmethod
     @cache
-    def choices(cls) -> Mapping[str, tuple[str, ...]]:
-        """Words that it may be given, by name, the usual one first."""
-        return MappingProxyType(
-            {f.name: f.metadata["choice"] for f in dataclasses.fields(cls) if "choice" in f.metadata}
-        )
-
-    @classmethod
-    @cache
     def _named(cls, kind: str) -> tuple[tuple[str, Parameter], ...]:
         return tuple((n, p) for n, p in cls.parameters().items() if p.kind == kind)
 
     @classmethod
     @cache
-    def _flat(cls, kind: str) -> tuple[tuple[str, Parameter], ...]:
-        flat: list[tuple[str, Parameter]] = []
+    def _flat(cls, kind: str) -> Mapping[str, Parameter]:
+        flat: dict[str, Parameter] = {}
         for name, p in cls._named(kind):
-            flat += [(name, p)] if p.size == 1 else [(f"{name}_{i + 1}", p) for i in range(p.size)]
-        return tuple(flat)
-
-    @classmethod
-    @cache
-    def _flat_names(cls, kind: str) -> tuple[str, ...]:
-        return tuple(name for name, _ in cls._flat(kind))
+            flat |= {name: p} if p.size == 1 else {f"{name}_{i + 1}": p for i in range(p.size)}
+        return MappingProxyType(flat)
 
     def _values(self, kind: str) -> Array:
         out: list[float] = []
@@ -169,24 +161,9 @@ class Parametrized:
         return dataclasses.replace(self, **change)
 
     @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        """Names of the coefficients that the force is linear in."""
-        return self._flat_names("linear")
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        """Unit of each coefficient."""
-        return tuple(p.unit for _, p in self._flat("linear"))
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        """Rank of each coefficient in a robot's parameter vector."""
-        return tuple(p.rank for _, p in self._flat("linear"))
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        """Smallest physical value of each coefficient, shape (k,)."""
-        return np.array([p.lower for _, p in self._flat("linear")])
+    def coefficient_parameters(self) -> Mapping[str, Parameter]:
+        """What the force is linear in, by name, one number each: unit, smallest physical value, rank."""
+        return self._flat("linear")
 
     @property
     def coefficients(self) -> Array:
@@ -197,15 +174,10 @@ class Parametrized:
         """The same effect with other coefficients; NaN becomes unknown."""
         return self._with_values("linear", values)
 
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        """Names of the shape parameters."""
-        return cls._flat_names("shape")
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        """Lower and upper bounds of the shape parameters; (2, s)."""
-        return np.array([[p.lower, p.upper] for _, p in cls._flat("shape")]).reshape(-1, 2).T
+    @property
+    def shape_parameters(self) -> Mapping[str, Parameter]:
+        """Shape parameters by name, one number each."""
+        return self._flat("shape")
 
     @property
     def shape(self) -> Array:
@@ -233,20 +205,20 @@ class Parametrized:
         """Coefficients, with an error that names the first one without a value."""
         values = self.coefficients
         if np.isnan(values).any():
-            name = self.coefficient_names[int(np.isnan(values).argmax())]
-            raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
+            self._missing(list(self.coefficient_parameters)[int(np.isnan(values).argmax())])
         return values
 
     def known_shape(self) -> Array:
-        """Shape parameters, with an error that names the first one without a value."""
-        return self.checked_shape(self.shape)
-
-    def checked_shape(self, values: Array) -> Array:
-        """Values of the shape parameters (s,), with an error that names the first one that is not known."""
+        """Shape parameters, with an error that names the first one without a value; what effects share has its start then."""
+        values = self.shape
         if np.isnan(values).any():
-            name = self.shape_names()[int(np.isnan(values).argmax())]
-            raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
+            for i, (name, p) in enumerate(self.shape_parameters.items()):
+                if np.isnan(values[i]):
+                    values[i] = p.start if p.shared else self._missing(name)
         return values
+
+    def _missing(self, name: str) -> NoReturn:
+        raise ValueError(f"{self.label}: {name} has no value; give it in the robot file or identify it")
 
     @property
     def known(self) -> bool:

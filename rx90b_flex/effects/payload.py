@@ -8,8 +8,10 @@ from typing import Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import FrameEffect
-from rx90b_flex.effects.hints import RestSites, RestSizes
+from rx90b_flex.effects.elements import PointMass
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import INERTIA, linear, shape
 
@@ -17,7 +19,7 @@ REACH = 0.1  # m; how far from the tip a search first looks for the mass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Payload(FrameEffect, behind_gear=True, adds_inertia=True, part="links", scaled=((0,),)):
+class Payload(FrameEffect, ShownAtRest, behind_gear=True, adds_inertia=True, part="links", scaled=((0,),)):
     """A point mass fixed to a frame.
 
     The force is linear in the mass. About the frame a point mass at c has the first moment ``mass * c`` and the
@@ -58,17 +60,12 @@ class Payload(FrameEffect, behind_gear=True, adds_inertia=True, part="links", sc
     def potential(self, motion: Motion) -> Array:
         return self.known_coefficients()[0] * motion.on_tree.body_potential(self.frame, self._unit_body())
 
-    def point_mass(self) -> tuple[str, float, Array]:
-        return self.frame, float(self.known_coefficients()[0]), self.known_shape()
+    def element(self) -> PointMass:
+        return PointMass(self.frame, float(self.known_coefficients()[0]), self.known_shape())
 
-    def shape_starts(self, motion: Motion) -> Array:
-        return np.array(list(itertools.product((-REACH, REACH), repeat=3)))
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.full(3, REACH)
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 4
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        corners = np.array(list(itertools.product((-REACH, REACH), repeat=3)))
+        return ShapeSearch(corners, independent=4, spread=np.full(3, REACH))
 
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import derived, shape
@@ -42,25 +43,19 @@ class PositionFriction(PeriodicEffect, DryFriction, LawEffect, repeats=False):
 
     def own_range(self, motion: Motion) -> Array:
         """From one cycle over the joint's travel: less is a slope, which other joints' angles may have as well."""
-        out = self.shape_bounds()
+        out = super().own_range(motion)
         out[0, 0] = max(out[0, 0], 2.0 * np.pi / max(self._range(motion), 1e-2))
         out[1, 0] = max(out[1, 0], 2.0 * out[0, 0])
         return out
 
-    def shape_starts(self, motion: Motion) -> Array:
-        orders = PeriodicEffect.shape_starts(self, motion)
-        low, high = turnover_range(motion.joint(self.joint))
-        return np.concatenate([orders, np.full((len(orders), 1), np.sqrt(low * high))], axis=1)
-
-    def starts_beside(self, motion: Motion, residual: Any, cutoff_hz: float | None) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """As of a ripple, for a residual that changes sign with the direction."""
-        turned = [(m, left * np.sign(m.joint(self.joint).v)) for m, left in residual]
-        orders = PeriodicEffect.starts_beside(self, motion, turned, cutoff_hz)
-        starts = self.shape_starts(motion)
-        return np.concatenate([orders, np.full((len(orders), 1), starts[0, 1] if len(starts) else 1.0)], axis=1)
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.r_[PeriodicEffect.shape_spread(self, motion), 0.3 * self.sharpness]
+        if left is not None:
+            left = replace(left, residual=[(m, x * np.sign(m.joint(self.joint).v)) for m, x in left.residual])
+        found = PeriodicEffect.shape_search(self, motion, left)
+        low, high = turnover_range(motion.joint(self.joint))
+        starts = np.concatenate([found.starts, np.full((len(found.starts), 1), np.sqrt(low * high))], axis=1)
+        return replace(found, starts=starts, spread=np.r_[found.spread, 0.3 * self.sharpness])
 
     def basis(self, at: JointMotion) -> Array:
         # as the law has it, without the slopes: a search over orders asks for it most

@@ -5,23 +5,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.hints import Sites
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.parameters import FRICTION, derived, linear
+from rx90b_flex.effects.parameters import FRICTION, Parameter, derived, linear
 from rx90b_flex.effects.reversal import SHARP, Resolution, reversal, reversal_slope
+from rx90b_flex.effects.stand_in import StandIn
 
+DEFLECTION = Parameter("rad", "shape", 1e-9, 1e3)  # torque over stiffness: the shape that a fit works with
 LARGEST_DEFLECTION = 0.3  # of a joint's travel: what takes longer to turn over is a spring
 
 
 @dataclass(frozen=True, kw_only=True)
-class PreslidingFriction(RememberingLaw):
+class PreslidingFriction(RememberingLaw, breaks_away=True):
     """Dahl's friction: at reversal the torque turns over with `stiffness`, then approaches `torque`.
 
     ``dF/dq = stiffness * (1 - F / torque * sign(v))``. Where samples do not follow each other in time there is no memory, and it
@@ -48,22 +50,15 @@ class PreslidingFriction(RememberingLaw):
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
     stiffness: float | None = derived("N m/rad", lower=0.0)
-    deflection: float | None = None  # torque over stiffness, rad: the shape that a fit works with
+    deflection: float | None = None  # rad
 
     def __post_init__(self) -> None:
         if self.deflection is None and self.torque and self.stiffness:
             object.__setattr__(self, "deflection", self.torque / self.stiffness)
 
-    def breakaway_torque(self) -> float:
-        return float(self.known_coefficients()[0])
-
-    @classmethod
-    def shape_names(cls) -> tuple[str, ...]:
-        return ("deflection",)
-
-    @classmethod
-    def shape_bounds(cls) -> Array:
-        return np.array([[1e-9], [1e3]])
+    @property
+    def shape_parameters(self) -> dict[str, Parameter]:
+        return {"deflection": DEFLECTION}
 
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         return super().too_small(part, sample_s, motion) or lost_in_noise(self.shape[0], motion.joint(self.joint))
@@ -109,29 +104,21 @@ class PreslidingFriction(RememberingLaw):
         out[2] = 0.0
         out[4] = part
 
-    def shape_starts(self, motion: Motion) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         low, high = self.shape_range(motion)[:, 0]
-        return np.geomspace(1.5 * low, 0.5 * high, 8)[:, None]
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return 0.5 * self.shape
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return 3
+        return ShapeSearch(np.geomspace(1.5 * low, 0.5 * high, 8)[:, None], independent=3, part=0.5)
 
     @classmethod
-    def over_time(cls, sites: Sites) -> list[Effect]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         """Beside dry friction, and in its place."""
         return [form(joint=j) for form in (PreslidingFriction, _InPlaceOfASign) for j in sites.joints]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _InPlaceOfASign(PreslidingFriction, replaces=("coulomb_friction",), needs=("coulomb_friction",)):
+class _InPlaceOfASign(StandIn, PreslidingFriction, replaces=("coulomb_friction",), needs=("coulomb_friction",)):
     """All of a joint's dry friction, which then holds at rest what it last overcame; no parameter more than a sign has."""
 
-    @classmethod
-    def type_name(cls) -> str:
-        return PreslidingFriction.type_name()
+    in_files: ClassVar[type[Effect]] = PreslidingFriction
 
     def in_tree(self, motion: Motion) -> Effect:
         return PreslidingFriction(

@@ -14,6 +14,7 @@ from scipy.ndimage import maximum_filter1d
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.effect import JointForce
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import shape
 
@@ -31,7 +32,7 @@ SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log
 
 def turnover_shape() -> Any:
     """Field of a dry friction: velocity within which it turns over, one value a joint."""
-    return shape("rad/s", start=SHARP, lower=1e-9, upper=1e3)
+    return shape("rad/s", start=SHARP, lower=1e-9, upper=1e3, shared=True)
 
 
 def reversal(v: Array, turnover: float) -> Array:
@@ -131,6 +132,12 @@ def turnover_range(at: JointMotion) -> tuple[float, float]:
     return low, max(FASTEST_PART * known.speed, 4.0 * low)
 
 
+def turnover_start(at: JointMotion) -> float:
+    """In the lower part of that range, rad/s: where a search begins."""
+    low, high = turnover_range(at)
+    return float(np.exp(0.7 * np.log(low) + 0.3 * np.log(high)))
+
+
 def last_direction(at: JointMotion) -> Array:
     """Direction of the last move, kept across rests, shape (N,); zero before the first.
 
@@ -149,16 +156,6 @@ class DryFriction(JointForce):
     """Friction of one joint that changes sign with its velocity. Its `turnover`, declared last, is the joint's."""
 
     turnover: float | None
-
-    @property
-    def shape_keys(self) -> tuple[tuple[str, ...] | None, ...]:
-        return tuple((self.joint, name) if name == "turnover" else None for name in self.shape_names())
-
-    def known_shape(self) -> Array:
-        sharp = [
-            SHARP if n == "turnover" and np.isnan(x) else x for n, x in zip(self.shape_names(), self.shape, strict=True)
-        ]
-        return self.checked_shape(np.array(sharp))
 
     def at(self, motion: Motion) -> JointMotion:
         """With a velocity that gives the part of the friction which a drive that sticks is taken to hold."""
@@ -190,14 +187,12 @@ class DryFriction(JointForce):
 
     def own_range(self, motion: Motion) -> Array:
         """Range of the shapes before the turn-over, which this motion can tell; (2, s), its last column not used."""
-        return self.shape_bounds()
+        return super().shape_range(motion)
 
-    def shape_starts(self, motion: Motion) -> Array:
-        """The shapes of `own_starts`, each with a turn-over in the lower part of its range."""
-        low, high = turnover_range(motion.joint(self.joint, self.port_kind))
-        own = self.own_starts(motion)
-        return np.concatenate([own, np.full((len(own), 1), np.exp(0.7 * np.log(low) + 0.3 * np.log(high)))], axis=1)
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        return self.with_turnover(motion, super().shape_search(motion, left).starts[:, :-1])
 
-    def own_starts(self, motion: Motion) -> Array:
-        """Starts of the shapes before the turn-over, (M, s - 1)."""
-        return np.zeros((1, 0))
+    def with_turnover(self, motion: Motion, own: Array, independent: int = 1) -> ShapeSearch:
+        """Starts of the shapes before the turn-over, (M, s - 1), each with one in the lower part of its range."""
+        start = turnover_start(motion.joint(self.joint, self.port_kind))
+        return ShapeSearch(np.concatenate([own, np.full((len(own), 1), start)], axis=1), independent)

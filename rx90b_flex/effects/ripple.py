@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.effect import JointEffect
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
-from rx90b_flex.effects.parameters import OTHER, derived, shape
+from rx90b_flex.effects.parameters import Parameter, derived, shape
 
 GROUP = 16  # orders of a spectrum over the angle that are worked out together
 TURNS_BYTES = 4e6  # of turns that are kept
@@ -34,21 +35,9 @@ class SineEffect(JointEffect):
     phase: float | None
 
     @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return ("sine", "cosine")
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        unit = type(self).parameters()["amplitude"].unit
-        return (unit, unit)
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (OTHER, OTHER)
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.full(2, -np.inf)
+    def coefficient_parameters(self) -> dict[str, Parameter]:
+        either = Parameter(self.parameters()["amplitude"].unit, "linear")
+        return {"sine": either, "cosine": either}
 
     @property
     def coefficients(self) -> Array:
@@ -74,43 +63,43 @@ class PeriodicEffect(SineEffect, repeats=True):
     amplitude: float | None = derived("N m", lower=0.0)
     phase: float | None = derived("rad")
 
-    def shape_starts(self, motion: Motion) -> Array:
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        """From the highest peaks of the residual's spectrum over the joint's angle, for each weight of the samples."""
         # two starts a lobe of the periodogram over the range that the joint covers
-        low, high = self.shape_bounds()[:, 0]
+        order = self.parameters()["order"]
         step = np.pi / max(self._range(motion), 1e-2)
-        return np.arange(max(low, 2 * step), high, max(step, (high - low) / 600))[:, None]
-
-    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
-        """The highest peaks of the residual's spectrum over the joint's angle, for each weight of the samples."""
-        orders = self.shape_starts(motion)[:, 0]
-        best = [highest_peaks(power, self.PEAKS) for power in self._spectra(orders, residual, cutoff_hz)]
-        if not best:  # a joint that never moves shows no order
-            return np.empty((0, 1))
-        return orders[np.unique(np.concatenate(best))][:, None]
+        every = np.arange(max(order.lower, 2 * step), order.upper, max(step, (order.upper - order.lower) / 600))
+        orders = every
+        if left is not None:
+            best = [highest_peaks(power, self.PEAKS) for power in self._spectra(every, left)]
+            orders = (
+                every[np.unique(np.concatenate(best))] if best else every[:0]
+            )  # a joint that never moves shows none
+        return ShapeSearch(orders[:, None], max(1, len(every) // 2), spread=np.array([0.5 * step]))
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
         """How its torque may grow and shrink along a motion, each (N,): the weights of the spectra that a search looks at."""
         return (np.ones_like(at.q),)
 
-    def _spectra(self, orders: Array, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> list[Array]:
+    def _spectra(self, orders: Array, left: LeftOver) -> list[Array]:
         """For each weight w: |sum w r exp(-i order q)|^2 over the sum of w^2, where the low-pass lets the order through."""
         if len(orders) == 0:
             return []
-        fastest = np.inf if cutoff_hz is None else 2.0 * np.pi * cutoff_hz
+        fastest = np.inf if left.cutoff_hz is None else 2.0 * np.pi * left.cutoff_hz
         # orders are evenly spaced: those of a group turn on from its first by the same few steps, and are heard alike
         groups, steps = orders[::GROUP], orders[:GROUP] - orders[0]
         sums: list[Array] = []
         own: list[Array] = []
-        for m, left in residual:
+        for m, torque in left.residual:
             at = m.joint(self.joint, "drive")
             weights = self.weights(at)
-            for some in (slice(i, i + AT_ONCE) for i in range(0, len(left), AT_ONCE)):
+            for some in (slice(i, i + AT_ONCE) for i in range(0, len(torque), AT_ONCE)):
                 turned, onward, heard = self._turned(at, some, groups, steps, fastest)
                 for i, w in enumerate(weights):
                     if i == len(sums):
                         sums.append(np.zeros((len(groups), len(steps)), dtype=complex))
                         own.append(np.full((len(groups), 1), 1e-300))
-                    sums[i] = sums[i] + turned @ ((w * left)[some, None] * onward)
+                    sums[i] = sums[i] + turned @ ((w * torque)[some, None] * onward)
                     own[i] = own[i] + (heard @ w[some] ** 2)[:, None]
         return [(np.abs(s) ** 2 / o).ravel()[: len(orders)] for s, o in zip(sums, own, strict=True)]
 
@@ -131,12 +120,6 @@ class PeriodicEffect(SineEffect, repeats=True):
             return make()
         asked = (groups[0], groups[-1], steps[-1], fastest)
         return at.motion.once(("turns", self.joint, *(repr(float(x)) for x in asked)), make)
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.array([0.5 * np.pi / max(self._range(motion), 1e-2)])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return max(1, len(self.shape_starts(motion)) // 2)
 
     def _range(self, motion: Motion) -> float:
         return float(np.ptp(motion.joint(self.joint).q))

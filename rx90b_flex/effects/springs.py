@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
+from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import JointEffect
-from rx90b_flex.effects.hints import RestSites, RestSizes
 from rx90b_flex.effects.law import Law, constant
 from rx90b_flex.effects.law_effect import SumOfLaws
 from rx90b_flex.effects.motion import Array, Motion
-from rx90b_flex.effects.parameters import SPRING, derived, linear
+from rx90b_flex.effects.parameters import SPRING, Parameter, derived, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpring(SumOfLaws, JointEffect, behind_gear=True, part="spring", scaled=((0,),)):
+class JointSpring(SumOfLaws, JointEffect, ShownAtRest, behind_gear=True, part="spring", scaled=((0, 1),)):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on
@@ -42,20 +42,8 @@ class JointSpring(SumOfLaws, JointEffect, behind_gear=True, part="spring", scale
     rest_angle: float | None = derived("rad")
 
     @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return ("stiffness", "preload")
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return ("N m/rad", "N m")
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (SPRING, SPRING)
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.array([0.0, -np.inf])
+    def coefficient_parameters(self) -> dict[str, Parameter]:
+        return {"stiffness": self.parameters()["stiffness"], "preload": Parameter("N m", "linear", rank=SPRING)}
 
     @property
     def coefficients(self) -> Array:
@@ -87,6 +75,3 @@ class JointSpring(SumOfLaws, JointEffect, behind_gear=True, part="spring", scale
     def starts_at_rest(self, sizes: RestSizes) -> Array:
         inertia = sizes.inertia(sizes.coordinates.port(self.joint, "drive"))
         return inertia * (2 * np.pi * np.array([[0.1], [0.5]]) * sizes.band_hz[0]) ** 2
-
-    def rescaled_to(self, values: Mapping[int, float]) -> Self:
-        return dataclasses.replace(self, stiffness=values[0])  # the rest angle stays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -36,6 +37,11 @@ def _why_no_type(found: Any) -> str:
     return wrong
 
 
+def choices(cls: type[Effect]) -> dict[str, tuple[str, ...]]:
+    """Words that an effect type may be given in a robot file, by name, the usual one first."""
+    return {f.name: f.metadata["choice"] for f in dataclasses.fields(cls) if "choice" in f.metadata}
+
+
 def effect_from_table(
     table: Mapping[str, Any], where: str, joints: Sequence[str], frames: Sequence[str] = ()
 ) -> Effect:
@@ -65,7 +71,7 @@ def effect_from_table(
     cls = types[table["type"]]
     where = f"{where} ({cls.type_name()})"
     key = {"robot": "", "robot or joint": "joint"}.get(cls.traits.on, cls.traits.on)
-    check_keys(table, ["type", *filter(None, [key]), *cls.parameters(), *cls.choices()], where)
+    check_keys(table, ["type", *filter(None, [key]), *cls.parameters(), *choices(cls)], where)
     values: dict[str, Any] = {}
     if key in table:
         values |= _read_place(key, table[key], where, joints, frames)
@@ -76,7 +82,7 @@ def effect_from_table(
             values[parameter.attribute] = _read_value(table[name], parameter, f"{where}: {name}")
         elif parameter.kind == "given":
             raise ValueError(f"{where}: key {name!r} is missing; it cannot be identified")
-    for name, words in cls.choices().items():
+    for name, words in choices(cls).items():
         if name in table:
             if table[name] not in words:
                 raise ValueError(f"{where}: {name} is {table[name]!r}; {close_match(str(table[name]), words)}")
@@ -132,7 +138,5 @@ def effect_to_table(effect: Effect) -> dict[str, Any]:
         value = getattr(effect, parameter.attribute)
         if value is not None:
             table[name] = list(value) if isinstance(value, tuple) else float(value)
-    table |= {
-        name: getattr(effect, name) for name, words in effect.choices().items() if getattr(effect, name) != words[0]
-    }
-    return table
+    said = {name: (getattr(effect, name), usual) for name, (usual, *_) in choices(type(effect)).items()}
+    return table | {name: word for name, (word, usual) in said.items() if word != usual}

@@ -12,7 +12,7 @@ import numpy as np
 from rx90b_flex.effects.effect import JointEffect
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
-from rx90b_flex.effects.parameters import OTHER, derived
+from rx90b_flex.effects.parameters import Parameter, derived
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,20 +43,8 @@ class TorqueGain(LogEffect, JointEffect, needs_model=True, multiplies=True):
     gain: float | None = derived("-", lower=0.0)
 
     @property
-    def coefficient_names(self) -> tuple[str, ...]:
-        return ("excess",)
-
-    @property
-    def coefficient_units(self) -> tuple[str, ...]:
-        return ("-",)
-
-    @property
-    def coefficient_ranks(self) -> tuple[int, ...]:
-        return (OTHER,)
-
-    @property
-    def coefficient_bounds(self) -> Array:
-        return np.array([-1.0])
+    def coefficient_parameters(self) -> dict[str, Parameter]:
+        return {"excess": Parameter("-", "linear", -1.0)}
 
     @property
     def coefficients(self) -> Array:

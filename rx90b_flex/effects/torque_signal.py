@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import interpolate
 
-from rx90b_flex.effects.effect import JointEffect
-from rx90b_flex.effects.hints import Sites
+from rx90b_flex.effects.effect import Effect, JointEffect
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, Force, JointMotion, Motion, with_forces
@@ -115,7 +115,7 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
         return change * motion.coordinates.port(self.joint, "drive")
 
     @classmethod
-    def everywhere(cls, sites: Sites) -> list[Self]:
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(), *(cls(joint=j) for j in sites.joints)]
 
 
@@ -244,9 +244,15 @@ class LineInterference(LogEffect, SineEffect, by_clock=True, repeats_with_motion
         own = np.array([joint == self.joint for joint in joints])
         return np.asarray(torque + np.multiply.outer(sine * np.sin(angle) + cosine * np.cos(angle), own)[:, :, None])
 
-    def starts_beside(self, motion: Motion, residual: Sequence[tuple[Motion, Array]], cutoff_hz: float | None) -> Array:
-        """The highest peaks of the residual's spectrum, recordings added with the phases of their clock."""
-        low, high = self.shape_bounds()[:, 0]
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        """From the highest peaks of the residual's spectrum."""
+        starts = super().shape_search(motion).starts if left is None else self._peaks(left.residual)
+        spread = np.array([0.25 / max(float(np.ptp(motion.time)), 1e-3)])
+        return ShapeSearch(starts, max(1, len(motion) // 2), spread=spread)
+
+    def _peaks(self, residual: Sequence[tuple[Motion, Array]]) -> Array:
+        """Of recordings added with the phases of their clock, (M, 1), Hz."""
+        allowed = self.parameters()["frequency_hz"]
         step = min(m.time[1] - m.time[0] for m, _ in residual)
         # one grid for all recordings, fine enough for phases that turn between recordings far apart
         size = int(2 ** np.ceil(np.log2(4 * max(len(m) for m, _ in residual))))
@@ -254,11 +260,6 @@ class LineInterference(LogEffect, SineEffect, by_clock=True, repeats_with_motion
         total = np.zeros(len(hz), dtype=complex)
         for m, left in residual:
             total += np.fft.rfft(left, size) * np.exp(-2j * np.pi * hz * m.time[0])
-        best = highest_peaks(np.where((hz > low) & (hz < high), np.abs(total), 0.0), self.PEAKS)
+        heard = (hz > allowed.lower) & (hz < allowed.upper)
+        best = highest_peaks(np.where(heard, np.abs(total), 0.0), self.PEAKS)
         return hz[best][:, None]
-
-    def shape_spread(self, motion: Motion) -> Array:
-        return np.array([0.25 / max(float(np.ptp(motion.time)), 1e-3)])
-
-    def independent_shapes(self, motion: Motion) -> int:
-        return max(1, len(motion) // 2)

@@ -31,6 +31,8 @@ class Traits:
         Its columns depend on the torque of the model as a whole.
     remembers : bool
         Its force depends on the motion before, which a simulation step does not know.
+    breaks_away : bool
+        Its coefficients add up to a dry friction of its joint just before it slides.
     behind_gear : bool
         A torque sensor behind the gear feels it; what may be on either side is the motor's.
     multiplies : bool
@@ -65,6 +67,7 @@ class Traits:
     needs_load: bool = False
     needs_model: bool = False
     remembers: bool = False
+    breaks_away: bool = False
     behind_gear: bool = False
     multiplies: bool = False
     coefficients_follow: bool = False

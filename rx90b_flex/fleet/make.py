@@ -160,7 +160,7 @@ def _of_effect(told: Mapping[str, ToldEffect], earlier: Mapping[str, ToldEffect]
     kinds = {e: p.kind for e, p in type(shown).parameters().items()}
     return [
         _row(
-            shown, kinds.get(name, "linear") != "shape" and name not in shown.shape_names(), name, told, earlier,
+            shown, kinds.get(name, "linear") != "shape" and name not in shown.shape_parameters, name, told, earlier,
             # what a robot lacks is told by the coefficient of that name, if there is one
             lambda t: t.parameters if t.present else t.coefficients,
         )

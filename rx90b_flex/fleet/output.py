@@ -79,7 +79,7 @@ def _robot(fleet: Fleet, o: Outcome) -> dict[str, Any]:
 
 def _parameter(p: MakeParameter) -> dict[str, Any]:
     joints = list(p.effect.joints) if p.effect is not None else []
-    shape = {} if p.effect is None else dict(zip(p.effect.shape_names(), map(float, p.effect.shape), strict=True))
+    shape = {} if p.effect is None else dict(zip(p.effect.shape_parameters, map(float, p.effect.shape), strict=True))
     return {
         "type": p.type,
         "joint": joints[0] if len(joints) == 1 else None,

@@ -261,10 +261,10 @@ def _coefficients(
     of_dates = sorted({d for d in dates if d is not None})
     apart = _by_date(search, base, rows, columns, of_dates, dates) if len(of_dates) > 1 else None
     out = []
-    for i, (name, unit) in enumerate(zip(wanted.coefficient_names, wanted.coefficient_units, strict=True)):
+    for i, (name, p) in enumerate(wanted.coefficient_parameters.items()):
         if np.isfinite(covariance[i, i]):
             by_date = None if apart is None else _one_of(apart, i, len(values), of_dates)
-            out.append(Told(name, float(values[i]), float(np.sqrt(covariance[i, i])), unit, by_date))
+            out.append(Told(name, float(values[i]), float(np.sqrt(covariance[i, i])), p.unit, by_date))
     return tuple(out)
 
 

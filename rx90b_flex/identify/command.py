@@ -293,7 +293,7 @@ def _consistency(
 
 def _wrong_signs(model: Identification) -> tuple[str, ...]:
     """Names of determined coefficients that lie surely below what bodies and friction can have."""
-    bounds = np.concatenate([e.coefficient_bounds for e in model.effects] or [np.zeros(0)])
+    bounds = np.array([p.lower for e in model.effects for p in e.coefficient_parameters.values()])
     if model.links_fitted:
         positive = np.array([name in ("mass", "J_xx", "J_yy", "J_zz") for name in LINK_PARAMETERS])
         of_links = np.tile(np.where(positive, 0.0, -np.inf), len(model.regression.robot.bodies))
@@ -321,7 +321,7 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
     mixed = mixed * scale[rest] / scale[leading][:, None]
     bodies = model.regression.robot.bodies if model.links_fitted else ()
     names = model.coefficient_names
-    units = [*LINK_UNITS * len(bodies), *(unit for e in model.effects for unit in e.coefficient_units)]
+    units = [*LINK_UNITS * len(bodies), *(p.unit for e in model.effects for p in e.coefficient_parameters.values())]
     p = len(model.theta)
     combination = np.zeros((rank, p))
     combination[np.arange(rank), leading] = 1.0

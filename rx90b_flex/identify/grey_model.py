@@ -228,12 +228,13 @@ def grey_parameters(robot: Robot, joints: Sequence[str], experiments: int, link_
     out = []
     for effect in robot.effects:
         if effect.traits.in_drivetrain:
-            for name, unit, value in zip(
-                parameter_names(effect), effect.coefficient_units, effect.coefficients, strict=True
-            ):
+            named = zip(
+                parameter_names(effect), effect.coefficient_parameters.values(), effect.coefficients, strict=True
+            )
+            for name, parameter, value in named:
                 if not (np.isfinite(value) and value > 0):
                     raise ValueError(f"{effect.label}: {name} is {value:g}; expected a positive value to start from")
-                out.append(GreyParameter(name, unit, float(value), WEAK))
+                out.append(GreyParameter(name, parameter.unit, float(value), WEAK))
     for joint in joints:
         slope = _slope(robot, joint)
         out += [GreyParameter(slope_name(joint, k, experiments), "N m s/rad", slope, WEAK) for k in range(experiments)]
@@ -291,7 +292,7 @@ def parameter_names(effect: Effect) -> list[str]:
     """The grey box's names of an effect's coefficients."""
     place = "_".join(effect.joints) or "base"
     out = []
-    for name in effect.coefficient_names:
+    for name in effect.coefficient_parameters:
         stem, _, digit = name.rpartition("_") if name[-1].isdigit() else (name, "", "")
         kind = KINDS.get(f"{effect.type_name()}.{stem}", f"{effect.type_name()}_{stem}")
         out.append(f"{place}.{kind}" + (f"_{digit}" if digit else ""))

@@ -11,7 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Mask
+from rx90b_flex.effects.stand_in import as_in_files
 from rx90b_flex.identify.coloured import Spectrum
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
@@ -130,8 +132,7 @@ class Identification:
     @property
     def in_tree(self) -> tuple[Effect, ...]:
         """The effects as a robot file has them."""
-        motion = self.regression.segments[0].motion
-        return tuple(e.in_tree(motion) for e in self.effects)
+        return as_in_files(self.effects, self.regression.segments[0].motion)
 
     @property
     def precision(self) -> Array:
@@ -161,11 +162,12 @@ class Identification:
         """Effects of one coefficient which the data puts beyond what it can be, by more than chance explains."""
         out = []
         for i, effect in enumerate(self.effects):
-            if len(effect.coefficients) == 1:
-                at, low = self.first_column(i), effect.coefficient_bounds[0]
-                if not (self.solution.determined[at] and self.theta[at] < low):
+            if len(effect.coefficient_parameters) == 1:
+                (parameter,) = effect.coefficient_parameters.values()
+                at = self.first_column(i)
+                if not (self.solution.determined[at] and self.theta[at] < parameter.lower):
                     continue  # before its covariance is asked for, which takes long to work out
-                if self.theta[at] < low - BEYOND * np.sqrt(max(self.covariance[at, at], 0.0)):
+                if self.theta[at] < parameter.lower - BEYOND * np.sqrt(max(self.covariance[at, at], 0.0)):
                     out.append(effect)
         return tuple(out)
 
@@ -174,7 +176,7 @@ class Identification:
         """Names of theta."""
         bodies = self.regression.robot.bodies if self.links_fitted else ()
         links = [f"{link}.{name}" for link, _ in bodies for name in LINK_PARAMETERS]
-        return links + [f"{e.label}.{name}" for e in self.effects for name in e.coefficient_names]
+        return links + [f"{e.label}.{name}" for e in self.effects for name in e.coefficient_parameters]
 
     def first_column(self, index: int) -> int:
         """Place in theta of the first coefficient of an effect."""
@@ -285,19 +287,22 @@ def with_starts(effects: Sequence[Effect], regression: Regression) -> tuple[Effe
     out = []
     for effect in effects:
         shape = np.array(
-            [x if key is None else known.get(key, x) for key, x in zip(effect.shape_keys, effect.shape, strict=True)]
+            [
+                x if key is None else known.get(key, x)
+                for key, x in zip(shared_shapes(effect), effect.shape, strict=True)
+            ]
         )
         if np.isnan(shape).any():
-            starts = effect.shape_starts(regression.longest)
+            starts = effect.shape_search(regression.longest).starts
             shape = np.where(np.isnan(shape), starts[len(starts) // 2], shape)
-            known.update((k, x) for k, x in zip(effect.shape_keys, shape, strict=True) if k is not None)
+            known.update((k, x) for k, x in zip(shared_shapes(effect), shape, strict=True) if k is not None)
         out.append(effect.with_shape(shape) if len(shape) else effect)
     return tuple(out)
 
 
 def shared_values(effects: Sequence[Effect]) -> dict[tuple[str, ...], float]:
     """Values of the shape parameters that effects share, where they are known."""
-    pairs = ((key, x) for e in effects for key, x in zip(e.shape_keys, e.shape, strict=True) if key is not None)
+    pairs = ((key, x) for e in effects for key, x in zip(shared_shapes(e), e.shape, strict=True) if key is not None)
     return {key: float(x) for key, x in pairs if not np.isnan(x)}
 
 
@@ -314,7 +319,7 @@ def _settled(fit: _Fit, links: Array, regression: Regression, start: Identificat
         return _circled(fit, links, regression, together)
     other = dataclasses.replace(fit, regression=regression.with_model(own, ()))
     for effect in new:
-        starts = effect.shape_starts(other.regression.longest)
+        starts = effect.shape_search(other.regression.longest).starts
         shaped = [other.with_effect(effect.with_shape(x)) for x in starts]
         other = min(shaped, key=lambda f: f.misfit, default=other)
     other = _circled(other, own, regression)
@@ -499,7 +504,7 @@ class _Fit:
         """With strengths of penalties that were not chosen yet, each by what is predicted of blocks that are held out."""
         fit = self
         for i, effect in enumerate(self.effects):
-            if effect.roughness is not None and effect.strength is None:
+            if effect.penalty is not None and effect.penalty.strength is None:
                 fit = fit._with_strength(i)
         return fit
 

@@ -18,8 +18,7 @@ def prior_precision(effects: Sequence[Effect]) -> Array:
     parts = []
     for effect in effects:
         k = len(effect.coefficients)
-        rough = None if effect.strength is None else effect.roughness
-        parts.append(np.zeros((k, k)) if rough is None or effect.strength is None else effect.strength * rough)
+        parts.append(np.zeros((k, k)) if effect.penalty is None else effect.penalty.precision)
     # SciPy's `block_diag` takes longer than most fits of one step
     out = np.zeros((sum(len(part) for part in parts),) * 2)
     at = 0
@@ -41,8 +40,7 @@ def smoothed(effect: Effect, own: Array, held_out: Callable[[Effect], float]) ->
     held_out : callable
         Weighted squared error with an effect on what was held out.
     """
-    rough = effect.roughness
-    size = 0.0 if rough is None else float(np.trace(rough))
+    size = 0.0 if effect.penalty is None else float(np.trace(effect.penalty.roughness))
     if size <= 0.0:
         return effect
     tried = [effect.penalised(float(x * np.trace(own) / size)) for x in STRENGTHS]

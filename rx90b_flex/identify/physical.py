@@ -185,7 +185,7 @@ def possible_coefficients(model: Identification) -> tuple[Array, tuple[str, ...]
     What is moved takes the others with it, so that the error grows least.
     """
     links = model.link_parameters if model.links_fitted else np.zeros(0)
-    lower = np.concatenate([np.zeros(0), *(e.coefficient_bounds for e in model.effects)])
+    lower = np.array([p.lower for e in model.effects for p in e.coefficient_parameters.values()])
     names = [name for name, _ in model.regression.robot.bodies] if model.links_fitted else []
     theta = model.theta
     if inconsistencies(links, names) or (theta[len(links) :] < lower).any():

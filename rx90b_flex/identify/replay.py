@@ -557,9 +557,9 @@ def _settled(before: GreyBox, now: GreyBox) -> bool:
 def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
     """Coefficients of frictions beside their declared values."""
     known = [
-        (f"{e.label} {name}", unit, float(c))
+        (f"{e.label} {name}", p.unit, float(c))
         for e in declared
-        for name, unit, c in zip(e.coefficient_names, e.coefficient_units, e.coefficients, strict=True)
+        for (name, p), c in zip(e.coefficient_parameters.items(), e.coefficients, strict=True)
     ]
     return tuple(FrictionEstimate(*k, v, s) for k, v, s in zip(known, values.tolist(), std.tolist(), strict=True))
 

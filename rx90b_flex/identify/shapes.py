@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.effects import Effect, Motion
+from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Mask
 
 FARTHEST = 1.0  # step of a fit in a shape parameter's logarithm at the most
@@ -43,7 +44,7 @@ class Shapes:
         for effect in effects:
             ends = effect.shape_range(motion)
             here = []
-            for key, a, b in zip(effect.shape_keys, *ends, strict=True):
+            for key, a, b in zip(shared_shapes(effect), *ends, strict=True):
                 if key is None or key not in keys:
                     keys.append(key)
                     low.append(float(a))

@@ -7,7 +7,6 @@ Between two samples of the controller the drive torques are constant, and the ro
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,8 +30,8 @@ from rx90b_flex.compiled.controller import (
     Loop,
 )
 from rx90b_flex.compiled.loop import run
-from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.log_effect import LogEffect, between
+from rx90b_flex.effects.law import Law, links_ahead
+from rx90b_flex.effects.log_effect import LogEffect, between, in_simulation
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.plant import Plant, Stepped, wide_of
 from rx90b_flex.robot import Robot
@@ -146,9 +145,8 @@ class Simulation(Showing):
     def tip(self) -> Array:
         """Pose of the tip frame, shape (N, 4, 4), in the base frame, m."""
         motion = self.robot.motion(self.q, self.v, np.zeros_like(self.v), self.time)
-        for effect in self.robot.effects:
-            motion = dataclasses.replace(motion, q=effect.links_at(motion))
-        return tip_poses(self.robot.model, self.robot.tip_frame, motion.q)
+        laws = (law for effect in self.robot.effects for law in effect.laws(motion) or ())
+        return tip_poses(self.robot.model, self.robot.tip_frame, links_ahead(laws, self.q))
 
     @cached_property
     def reference_tip(self) -> Array:
@@ -306,11 +304,11 @@ def _refuse(
 def _as_simulated(robot: Robot) -> tuple[Robot, tuple[LogEffect, ...]]:
     """The robot with its forces as a simulation has them, and the effects that stand between it and the log."""
     try:
-        forces = [e.simulated(robot.effects) for e in robot.effects]
+        forces = in_simulation(robot.effects)
     except ValueError as error:
         raise ValueError(f"{robot.name}: {error}") from None
     before_log = between(robot.effects)
-    return (robot.with_effects([f for f in forces if f is not None]) if before_log else robot), before_log
+    return (robot.with_effects(forces) if before_log else robot), before_log
 
 
 # ---- start ------------------------------------------------------------------------------------------------------

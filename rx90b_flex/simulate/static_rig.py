@@ -220,8 +220,8 @@ def standstill_friction(robot: Robot) -> Array:
     out = np.zeros(robot.model.nv)
     for effect in robot.effects:
         place = robot.layout.index(effect.joints[0], "torsion") if len(effect.joints) == 1 else None
-        if place is not None:
-            out[place] += effect.breakaway_torque()
+        if place is not None and effect.traits.breaks_away:
+            out[place] += effect.known_coefficients().sum()
     return out
 
 

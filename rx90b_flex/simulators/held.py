@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.elements import AnchoredSpring, GravityChange, PointMass
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.flexify import UNLIMITED, read_xml
@@ -109,7 +110,7 @@ class Port:
 
 @dataclass(frozen=True)
 class LineSpring:
-    """A spring between a point of the link before a joint and one of the link behind it; see `Effect.line_spring`."""
+    """A spring between a point of the link before a joint and one of the link behind it; see `AnchoredSpring`."""
 
     joint: str
     fixed: Array
@@ -181,16 +182,17 @@ def _gathered(robot: Robot, how: Format, lost: list[Lost]) -> Held:
     gravity = robot.model.gravity.linear.copy()
     pull = float(np.linalg.norm(gravity))
     for effect in robot.effects:
-        if (mass := effect.point_mass()) is not None:
-            _carry(robot, bodies, *mass)
-        elif (change := effect.gravity_change()) is not None:
+        element = effect.element()
+        if isinstance(element, PointMass):
+            _carry(robot, bodies, element)
+        elif isinstance(element, GravityChange):
             if how.gravity:
-                gravity = gravity + pull * change
+                gravity = gravity + pull * element.direction
             else:
-                felt = " ".join(f"{x:.9g}" for x in gravity + pull * change)
+                felt = " ".join(f"{x:.9g}" for x in gravity + pull * element.direction)
                 lost.append(Lost(effect.label, f"gravity is the world's, not the robot's: set it to {felt} m/s^2"))
-        elif (spring := effect.line_spring()) is not None:
-            lost += _add_line(effect, spring, how, lines)
+        elif element is not None:
+            lost += _add_line(effect, element, how, lines)
         else:
             lost += _add_laws(robot, effect, how, sums)
     ports = []
@@ -226,26 +228,23 @@ def _kept(robot: Robot, how: Format) -> tuple[list[Effect], list[Lost]]:
     return kept, lost
 
 
-def _carry(robot: Robot, bodies: dict[str, Array], frame: str, mass: float, centre: Array) -> None:
+def _carry(robot: Robot, bodies: dict[str, Array], carried: PointMass) -> None:
     """Put a point mass into the body that carries a frame."""
-    place = robot.model.frames[robot.model.getFrameId(frame)]
+    place = robot.model.frames[robot.model.getFrameId(carried.frame)]
     for link, joint in robot.bodies:
         if joint == place.parentJoint:
-            c = place.placement.act(np.asarray(centre, dtype=float))
+            c = place.placement.act(carried.centre)
             moments = c @ c * np.eye(3) - np.outer(c, c)  # about the body's joint, order of `LINK_PARAMETERS`
-            bodies[link] += mass * np.r_[1.0, c, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+            bodies[link] += carried.mass * np.r_[1.0, c, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
 
 
-def _add_line(
-    effect: Effect, spring: tuple[Array, Array, float, float], how: Format, lines: list[LineSpring]
-) -> list[Lost]:
-    fixed, moving, stiffness, prestress = spring
+def _add_line(effect: Effect, spring: AnchoredSpring, how: Format, lines: list[LineSpring]) -> list[Lost]:
     if not how.lines:
         return [Lost(effect.label, f"{how.title} has no springs between links")]
-    if stiffness == 0.0:
+    if spring.stiffness == 0.0:
         return [Lost(effect.label, f"{how.title} has no spring that pulls alike at any length")]
-    rest = float(np.linalg.norm(fixed - moving)) - prestress / stiffness
-    lines.append(LineSpring(effect.joints[0], fixed, moving, stiffness, rest))
+    rest = float(np.linalg.norm(spring.fixed - spring.moving)) - spring.prestress / spring.stiffness
+    lines.append(LineSpring(effect.joints[0], spring.fixed, spring.moving, spring.stiffness, rest))
     return []
 
 

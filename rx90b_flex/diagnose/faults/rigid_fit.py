@@ -159,7 +159,7 @@ def _under(reading: Reading, seen: Motion) -> Array:
 def _started(effect: Effect, seen: Motion) -> Effect:
     if not np.isnan(effect.shape).any():
         return effect
-    starts = effect.shape_starts(seen)
+    starts = effect.shape_search(seen).starts
     return effect.with_shape(np.where(np.isnan(effect.shape), starts[len(starts) // 2], effect.shape))
 
 

@@ -1,0 +1,45 @@
+"""Effects that are one mechanical element as a whole, as a compiled simulation and other simulators have it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rx90b_flex.effects.motion import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PointMass:
+    """A point mass (kg) on a frame, its centre (3,) in the frame's coordinates, m."""
+
+    frame: str
+    mass: float
+    centre: Array
+
+
+@dataclass(frozen=True, eq=False)
+class GravityChange:
+    """What is added to the direction of gravity on the links, (3,), in parts of its size."""
+
+    direction: Array
+
+
+@dataclass(frozen=True, eq=False)
+class AnchoredSpring:
+    """A spring between a point of the link before a joint and one of the link behind it.
+
+    Attributes
+    ----------
+    fixed, moving : array, shape (3,)
+        Its ends, both in the joint's own frame at zero angle, m.
+    stiffness : float, N/m
+    prestress : float
+        Its pull at zero angle, N.
+    """
+
+    fixed: Array
+    moving: Array
+    stiffness: float
+    prestress: float
+
+
+Element = PointMass | GravityChange | AnchoredSpring
