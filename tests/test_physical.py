@@ -266,3 +266,11 @@ def test_the_solution_is_that_of_the_same_problem_written_in_cvxpy(ur10: Robot) 
     problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
     np.testing.assert_allclose(found.parameters, x.value, rtol=0, atol=1e-4 * np.abs(prior).max())
     assert found.parameters[60] == pytest.approx(lower[0], abs=1e-6)
+
+
+def test_parameters_beside_known_links_are_moved_to_their_bounds_alone() -> None:
+    information = np.array([[4.0, 1.0], [1.0, 1.0]])
+    estimate = np.array([-1.0, 2.0])
+    found = consistent_parameters(estimate, information, estimate, lower=np.array([0.0, -np.inf]), pull=1e-9).parameters
+    # the other one follows along the valley: minus the ratio of information[1, 0] to information[1, 1]
+    np.testing.assert_allclose(found, [0.0, 1.0], rtol=0, atol=1e-6)

@@ -247,7 +247,7 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
     clipped = np.r_[clipped, np.maximum(free[links:], least)]
     unit = float(np.linalg.norm(np.linalg.solve(spread, clipped - free)))
     bounded = links + np.flatnonzero(np.isfinite(least))
-    in_bodies = np.concatenate([b + _COLUMN_WISE for b in range(0, links, 10)]).astype(int)
+    in_bodies = (np.arange(0, links, 10)[:, None] + _COLUMN_WISE).ravel()
     order = np.concatenate([bounded, in_bodies])
     smallest = np.concatenate([least[bounded - links], np.tile(1.01 * margin * _ENTRIES_OF_ONE, links // 10)])
     z, status = _shortest(unit * spread[order], free[order] - smallest, len(bounded), links // 10)
