@@ -37,7 +37,7 @@ from rx90b_flex.compiled.torsion import (
     swing_free,
     torques,
 )
-from rx90b_flex.effects.motion import Array, Indices, Motion
+from rx90b_flex.effects.motion import Array, Indices, Mask, Motion
 
 # central differences, as `convolve` reads them
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])
@@ -362,7 +362,7 @@ class _StepsAlone:
     last: Array
     before: Array
     weight: Array
-    swings: Array  # (m,), whether it swings; else it follows at once
+    swings: Mask  # (m,), whether it swings; else it follows at once
     swing: Array  # samples of a swing, (m,)
     start: tuple[float, Array, Array, Array]  # seconds a sample; first stiffness, damping and inertia, (m,)
 
