@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -218,59 +216,11 @@ def test_wrong_input_is_refused() -> None:
 
 
 def test_a_solver_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    import clarabel
+    import cvxpy
 
-    class Failing:
-        def __init__(self, *_: object) -> None: ...
+    def fail(*_: object, **__: object) -> None:
+        raise cvxpy.error.SolverError("Solver 'CLARABEL' failed.\nTry another solver.")
 
-        def solve(self) -> SimpleNamespace:
-            return SimpleNamespace(status="NumericalError", x=[])
-
-    monkeypatch.setattr(clarabel, "DefaultSolver", Failing)
-    with pytest.raises(
-        ValueError, match=r"no physically consistent parameters found: the solver says 'NumericalError'$"
-    ):
+    monkeypatch.setattr(cvxpy.Problem, "solve", fail)
+    with pytest.raises(ValueError, match=r"no physically consistent parameters found: the solver gave up$"):
         consistent_parameters(-np.ones(10), np.eye(10), np.zeros(10))
-
-
-def test_the_solution_is_that_of_the_same_problem_written_in_cvxpy(ur10: Robot) -> None:
-    cp = pytest.importorskip("cvxpy")
-    fit = Fit(ur10, 11)
-    lower = np.array([0.5, -np.inf])  # of two more parameters, one of them moved to its bound
-    mixed = np.random.default_rng(11).normal(size=(62, 62)) * 0.1
-    information = mixed.T @ mixed
-    information[:60, :60] += fit.information
-    estimate, prior = np.r_[fit.estimate, 0.2, 0.3], np.r_[fit.prior, 1.0, 1.0]
-    found = consistent_parameters(estimate, information, prior, lower=lower, pull=1e-2)
-
-    def scaled(values: np.ndarray) -> list:
-        matrices = []
-        for b, body in enumerate(fit.prior.reshape(-1, 10)):
-            moment = np.trace(pseudo_inertia(body)[:3, :3])
-            d = np.r_[[np.sqrt(body[0] / moment)] * 3, 1.0] / np.sqrt(body[0])
-            unpack = (pseudo_inertia(np.eye(10)) * np.outer(d, d)).reshape(10, 16).T
-            matrices.append(cp.reshape(unpack @ values[10 * b : 10 * b + 10], (4, 4), order="C"))
-        return matrices
-
-    x = cp.Variable(62)
-    bodies = scaled(x)
-    pulled = sum(cp.sum_squares(m - k) for m, k in zip(bodies, scaled(prior), strict=True)) + cp.sum_squares(
-        x[60:] - prior[60:]
-    )
-    values, vectors = np.linalg.eigh(information)
-    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    problem = cp.Problem(
-        cp.Minimize(cp.sum_squares(root @ (x - estimate)) + 1e-2 * pulled),
-        [x[60] >= lower[0], *((m + m.T) / 2 >> 1.01e-6 * np.eye(4) for m in bodies)],
-    )
-    problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
-    np.testing.assert_allclose(found.parameters, x.value, rtol=0, atol=1e-4 * np.abs(prior).max())
-    assert found.parameters[60] == pytest.approx(lower[0], abs=1e-6)
-
-
-def test_parameters_beside_known_links_are_moved_to_their_bounds_alone() -> None:
-    information = np.array([[4.0, 1.0], [1.0, 1.0]])
-    estimate = np.array([-1.0, 2.0])
-    found = consistent_parameters(estimate, information, estimate, lower=np.array([0.0, -np.inf]), pull=1e-9).parameters
-    # the other one follows along the valley: minus the ratio of information[1, 0] to information[1, 1]
-    np.testing.assert_allclose(found, [0.0, 1.0], rtol=0, atol=1e-6)

@@ -7,11 +7,13 @@ parameter identification", IEEE Robotics and Automation Letters 3(1), 2018.
 from __future__ import annotations
 
 import dataclasses
+import importlib
+import warnings
 from dataclasses import dataclass
+from typing import Any
 
-import clarabel
 import numpy as np
-from scipy import linalg, sparse, stats
+from scipy import linalg, stats
 
 from rx90b_flex.bodies import as_bodies, inconsistencies, pseudo_inertia
 from rx90b_flex.effects import Effect
@@ -20,7 +22,6 @@ from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.normal_equations import RANK_TOLERANCE, column_scale
 from rx90b_flex.robot import Robot
 
-SOLVED_TO = 1e-9  # gap and feasibility of the solver
 AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies so near to it
 
 # Size of a body whose prior has no mass, when no other body tells one: kg, m.
@@ -87,7 +88,7 @@ def consistent_parameters(
     """Physically consistent parameters nearest to a least-squares estimate.
 
     Minimises ``(x - estimate)' information (x - estimate) + pull * sum over bodies of norm(P - P_prior)^2`` over all x
-    whose pseudo-inertias P have no scaled eigenvalue below `margin`, by Clarabel. The norm is Frobenius',
+    whose pseudo-inertias P have no scaled eigenvalue below `margin`, by cvxpy and Clarabel. The norm is Frobenius',
     after scaling each body by its mass m and its radius l about the joint: ``P -> D P D``, D = diag(1/l, 1/l, 1/l, 1)
     / sqrt(m), so it counts relative deviations from the prior.
 
@@ -240,18 +241,33 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
 
     Returns that and the solver's status.
     """
+    cp: Any = importlib.import_module("cvxpy")  # here, not at the top: it takes a second, and most users never need it
     # A feasible point, each body on its own, bounds |z|; in that unit the solver's tolerances mean something.
     links = len(free) - len(least)
     values, vectors = np.linalg.eigh(_symmetric(free[:links]))
     clipped = _entries((vectors * np.maximum(values, margin)[:, None, :]) @ vectors.transpose(0, 2, 1))
     clipped = np.r_[clipped, np.maximum(free[links:], least)]
     unit = float(np.linalg.norm(np.linalg.solve(spread, clipped - free)))
+    z = cp.Variable(len(free))
+    constraints = []
     bounded = links + np.flatnonzero(np.isfinite(least))
-    in_bodies = (np.arange(0, links, 10)[:, None] + _COLUMN_WISE).ravel()
-    order = np.concatenate([bounded, in_bodies])
-    smallest = np.concatenate([least[bounded - links], np.tile(1.01 * margin * _ENTRIES_OF_ONE, links // 10)])
-    z, status = _shortest(unit * spread[order], free[order] - smallest, len(bounded), links // 10)
-    scaled = free + spread @ (unit * z)
+    if len(bounded):
+        constraints.append(free[bounded] + (unit * spread[bounded]) @ z >= least[bounded - links])
+    for b in range(links // 10):
+        own = slice(10 * b, 10 * b + 10)
+        matrix = cp.reshape(_UNPACK @ (free[own] + (unit * spread[own]) @ z), (4, 4), order="C")
+        constraints.append(matrix >> 1.01 * margin * np.eye(4))
+    problem = cp.Problem(cp.Minimize(cp.sum_squares(z)), constraints)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and the check is below
+            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
+    except cp.error.SolverError:
+        raise ValueError("no physically consistent parameters found: the solver gave up") from None
+    status = str(problem.status)
+    if z.value is None:
+        raise ValueError(f"no physically consistent parameters found: the solver says {status!r}")
+    scaled = free + spread @ (unit * np.asarray(z.value))
     lowest = float(np.linalg.eigvalsh(_symmetric(scaled[:links]))[:, 0].min(initial=np.inf))
     # An inaccurate end is good enough if the bodies are consistent: what is lost is a little of the optimum.
     if lowest < 0.5 * margin:
@@ -259,24 +275,6 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
             f"no physically consistent parameters found: the solver says {status!r}, an eigenvalue is {lowest:.3g}"
         )
     return scaled, status
-
-
-def _shortest(along: Array, at_zero: Array, bounded: int, bodies: int) -> tuple[Array, str]:
-    """The smallest z for which ``at_zero + along z`` is not below zero in its first rows, nor are, as matrices, the ten of each body
-    behind them; and the solver's status.
-    """
-    size = along.shape[1]
-    cones = [clarabel.NonnegativeConeT(bounded)] if bounded else []
-    cones += [clarabel.PSDTriangleConeT(4)] * bodies
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = SOLVED_TO
-    squares = 2.0 * sparse.eye_array(size, format="csc")
-    found = clarabel.DefaultSolver(squares, np.zeros(size), sparse.csc_array(-along), at_zero, cones, settings).solve()
-    status = _STATUS.get(str(found.status), "")
-    if not status:
-        raise ValueError(f"no physically consistent parameters found: the solver says {str(found.status)!r}")
-    return np.array(found.x), status
 
 
 def _sizes(prior: Array) -> list[tuple[float, float]]:
@@ -303,16 +301,6 @@ _WEIGHTS = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))
 _UNPACK = np.zeros((16, 10))
 _UNPACK[4 * _ROWS + _COLUMNS, np.arange(10)] = 1 / _WEIGHTS
 _UNPACK[4 * _COLUMNS + _ROWS, np.arange(10)] = 1 / _WEIGHTS
-# The solver has the upper triangle column by column.
-_COLUMN_WISE = np.lexsort((_ROWS, _COLUMNS))
-_ENTRIES_OF_ONE = np.eye(4)[_ROWS, _COLUMNS][_COLUMN_WISE]
-# What it says of an end that can be used; one at the limit of its iterations is checked as an inaccurate one is.
-_STATUS = {
-    "Solved": "optimal",
-    "AlmostSolved": "optimal_inaccurate",
-    "MaxIterations": "user_limit",
-    "MaxTime": "user_limit",
-}
 
 
 def _entries(matrices: Array) -> Array:
