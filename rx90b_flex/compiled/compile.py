@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numba
 import numpy as np
@@ -170,22 +170,20 @@ class _OnlyBorrows(AnalysisPass):
 class _BorrowingCompiler(CompilerBase):
     """numba's own compiler, with that look at references."""
 
+    looks: ClassVar[tuple[type[AnalysisPass], ...]] = (_OnlyBorrows,)
+
     def define_pipelines(self) -> Any:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
-        passes.add_pass_after(_OnlyBorrows, AnnotateTypes)
+        for look in self.looks:
+            passes.add_pass_after(look, AnnotateTypes)
         passes.finalize()
         return [passes]
 
 
-class _PartCompiler(CompilerBase):
+class _PartCompiler(_BorrowingCompiler):
     """The same, with the library of what is part of others."""
 
-    def define_pipelines(self) -> Any:
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)  # type: ignore[no-untyped-call]
-        passes.add_pass_after(_LinkOnly, AnnotateTypes)
-        passes.add_pass_after(_OnlyBorrows, AnnotateTypes)
-        passes.finalize()
-        return [passes]
+    looks = (_LinkOnly, _OnlyBorrows)
 
 
 def _compiler(kept: bool = True, **options: Any) -> Callable[[Function], Function]:

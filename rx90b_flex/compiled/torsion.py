@@ -113,20 +113,6 @@ def stepped(
 
 
 @entry
-def stepped_alone(now: Array, last: Array, before: Array, right: Array) -> Array:
-    """x of ``now[n] x[n] + last[n] x[n - 1] + before[n] x[n - 2] = right[n]`` of each column, (N, m) all."""
-    samples, m = right.shape
-    out = np.empty((samples, m))
-    for n in range(samples):
-        for i in range(m):
-            x = right[n, i]
-            if n > 1:
-                x -= last[n, i] * out[n - 1, i] + before[n, i] * out[n - 2, i]
-            out[n, i] = x / now[n, i]
-    return out
-
-
-@entry
 def rates(x: Array, step: float, first: Array, second: Array) -> tuple[Array, Array]:
     """First and second derivatives by time of uniform samples (N, k), central with the given weights, ends continued oddly."""
     samples, width = x.shape

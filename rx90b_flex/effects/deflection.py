@@ -33,11 +33,10 @@ from rx90b_flex.compiled.torsion import (
     oscillators,
     rates,
     stepped,
-    stepped_alone,
     swing_free,
     torques,
 )
-from rx90b_flex.effects.motion import Array, Indices, Mask, Motion
+from rx90b_flex.effects.motion import Array, Indices, Motion
 
 # central differences, as `convolve` reads them
 FIRST = np.array([-1 / 280, 4 / 105, -1 / 5, 4 / 5, 0.0, -4 / 5, 1 / 5, -4 / 105, 1 / 280])
@@ -51,7 +50,7 @@ LARGEST = 1.0  # rad, that a drive twists
 FASTEST = 2.5  # rad a sample: a link that swings faster on its drive follows the torque at once
 SWINGS_BEFORE, DAMPED_SWINGS, DAMPED_BEFORE = 4.0, 2.0, 0.5  # before a log and into it; damping ratio
 STEP_OF_A_SWING = 0.1  # rad, of the slowest swing of several hinges: 0.1 % of its period by the trapezoidal rule
-ALONE_BYTES = 6e4  # of an array along the motion: so many springs of a drive are stepped on side by side
+ALONE_BYTES = 1.5e5  # of a matrix along the motion: so many springs of a drive are stepped on side by side
 SOFTEST = 3.0  # times the stiffness of gravity and of the motion itself, that a drive has at the least
 
 
@@ -132,30 +131,20 @@ def each_alone(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     load : array, shape (N, n)
         Torque that links and springs ask for at the motors' angles, N m.
     """
-    together = max(1, int(ALONE_BYTES / (8 * len(motion))))
+    together = max(1, int(np.sqrt(ALONE_BYTES / (8 * len(motion)))))
     parts = [_alone(motion, springs[i : i + together], load) for i in range(0, len(springs), together)]
     return np.concatenate(parts)
 
 
 def _alone(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
-    """As `each_alone`, of so many whose numbers along the motion are held at once."""
+    """As `each_alone`, of so many that their equations fit side by side."""
     places, by = _places(motion, springs), motion.on_tree.derivatives()
-    by_q, by_v, by_a = (x[:, places, places] for x in by)
-    stiffness = np.array([s.stiffness for s in springs])
-    at_angle, at_rate = by_q + stiffness, by_v + stiffness * np.array([s.lag for s in springs])
-    own, time = load[:, places], motion.time
-    steps = _StepsAlone.of(at_angle, at_rate, by_a, _step(time))
-    torsion = steps.solve(-own, steps.begun(-own))
-    swings = np.ones(len(springs), dtype=bool)
-    for _ in range(CORRECTIONS):
-        # one that swings beyond numbers does not stop the others
-        swings &= np.isfinite(torsion).all(axis=0) & (np.abs(torsion).max(axis=0) <= 1e3 * LARGEST)
-        torsion = np.where(swings, torsion, 0.0)
-        v, a = _rates(torsion, time)
-        left = own + at_angle * torsion + at_rate * v + by_a * a
-        torsion = torsion + steps.solve(-left, np.zeros((2, len(springs))))
-    torsion = np.where(swings, torsion, 0.0)
-    return np.asarray(torques(*by, places, torsion, *_rates(torsion, time)))
+    apart = np.eye(len(springs))
+    at_angle, at_rate, by_a = (x * apart for x in _among(by, places))
+    torsion = _torsion(springs, load[:, places], at_angle, at_rate, by_a, motion.time)
+    if len(springs) > 1 and not torsion.any(axis=0).all():  # one that swings beyond numbers must not stop the others
+        return np.concatenate([_first_order(motion, [s], load)[1] for s in springs])
+    return np.asarray(torques(*by, places, torsion, *_rates(torsion, motion.time)))
 
 
 def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
@@ -352,60 +341,6 @@ class _Steps:
         stiffness = np.array([x[1] for x in self.start])[:, None]
         out = stepped(*self.equations, self.swings, stiffness * first, wide)
         return np.asarray(out if np.isfinite(out).all() else np.zeros_like(out)).reshape(force.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class _StepsAlone:
-    """`_Steps` of springs of which none feels another: arrays (N, m) in place of matrices along the motion."""
-
-    now: Array  # of x[n], x[n - 1] and x[n - 2] in row n
-    last: Array
-    before: Array
-    weight: Array
-    swings: Mask  # (m,), whether it swings; else it follows at once
-    swing: Array  # samples of a swing, (m,)
-    start: tuple[float, Array, Array, Array]  # seconds a sample; first stiffness, damping and inertia, (m,)
-
-    @staticmethod
-    def of(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> _StepsAlone:
-        typical = np.median(by_a, axis=0)
-        inertia = np.where(typical > 0, np.maximum(by_a, LEAST_INERTIA * typical), by_a)
-        fast = at_angle * step**2 / np.where(inertia > 0, inertia, np.inf)
-        middle = np.median(fast, axis=0)
-        swings = (middle < FASTEST**2) & (typical > 0) & (step > 0)
-        now, last, before, weight = at_angle.copy(), *np.zeros((3, *at_angle.shape))
-        if swings.any():
-            angle = np.sqrt(np.clip(fast[1:-1], 1e-6, FASTEST**2))
-            turn = 2.0 - 2.0 * np.cos(angle)
-            w = (1.0 - turn / angle**2) / turn
-            mass, rate, k = inertia[1:-1] / step**2, at_rate[1:-1] / (2.0 * step), at_angle[1:-1]
-            weight[1:-1] = np.where(swings, w, 0.0)
-            now[2:] = np.where(swings, mass + rate + w * k, now[2:])
-            last[2:] = np.where(swings, -2.0 * mass + (1.0 - 2.0 * w) * k, 0.0)
-            before[2:] = np.where(swings, mass - rate + w * k, 0.0)
-        swing = (2.0 * np.pi / np.sqrt(np.maximum(middle, 1e-6))).astype(int)
-        start = step, at_angle[0], at_rate[0], np.maximum(by_a[0], 0.0)
-        return _StepsAlone(now, last, before, weight, swings, swing, start)
-
-    def begun(self, force: Array) -> Array:
-        """The first two torsions (2, m) under the first forces of (N, m), as `begun_slowly` has them."""
-        out = np.zeros((2, force.shape[1]))
-        step, *first = self.start
-        for j in np.flatnonzero(self.swings):
-            stiffness, damping, inertia = (float(x[j]) for x in first)
-            own = np.ascontiguousarray(force[:, j : j + 1])
-            out[:, j] = begun_slowly(own, int(self.swing[j]), step, stiffness, 0.0, damping, inertia)[:, 0]
-        return out
-
-    def solve(self, force: Array, begun: Array) -> Array:
-        """Deflections (N, m) under forces; where a joint swings from the first two (2, m) on."""
-        w = self.weight[1:-1]
-        right = force.copy()
-        between = w * (force[2:] + force[:-2]) + (1.0 - 2.0 * w) * force[1:-1]
-        right[2:] = np.where(self.swings, between, force[2:])
-        right[:2] = np.where(self.swings, self.start[1] * begun[: len(force)], force[:2])
-        out = stepped_alone(self.now, self.last, self.before, right)
-        return np.where(np.isfinite(out).all(axis=0), out, 0.0)
 
 
 def _step(time: Array) -> float:

@@ -72,9 +72,8 @@ class PeriodicEffect(SineEffect, repeats=True):
         orders = every
         if left is not None:
             best = [highest_peaks(power, self.PEAKS) for power in self._spectra(every, left)]
-            orders = (
-                every[np.unique(np.concatenate(best))] if best else every[:0]
-            )  # a joint that never moves shows none
+            # a joint that never moves shows none
+            orders = every[np.unique(np.concatenate(best))] if best else every[:0]
         return ShapeSearch(orders[:, None], max(1, len(every) // 2), spread=np.array([0.5 * step]))
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
