@@ -90,15 +90,16 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
         forward = [values[names.index(f"{joint} velocity")][at] > 0 for joint in joints]
         # a shift by s is the residual read at (i - s) modulo N
         back = (np.arange(len(rest))[:, None] - _shifts(len(rest), rng)) % len(rest)
-        shifted = [r[back] for r in rest.T]
-        for name, value in zip(names, values, strict=True):
-            bins = _bins(value[at])
-            real, chance = np.empty(len(joints)), np.empty((len(joints), SHUFFLES))
-            for j in range(len(joints)):
-                cells = _cells(2 * bins + forward[j])
-                real[j] = _explained(rest[:, j : j + 1], cells)[0]
-                chance[j] = _explained(shifted[j], cells)
-            found += _dependences(joints, name, real, chance, (rest**2).sum(axis=0), tests)
+        bins = [_bins(value[at]) for value in values]
+        real, chance = np.empty((len(names), len(joints))), np.empty((len(names), len(joints), SHUFFLES))
+        for j in range(len(joints)):
+            shifted = rest[back, j]
+            for i in range(len(names)):
+                cells = _cells(2 * bins[i] + forward[j])
+                real[i, j] = _explained(rest[:, j : j + 1], cells)[0]
+                chance[i, j] = _explained(shifted, cells)
+        for name, explained, by_chance in zip(names, real, chance, strict=True):
+            found += _dependences(joints, name, explained, by_chance, (rest**2).sum(axis=0), tests)
         angles = [values[names.index(f"{joint} position")][at] for joint in joints]
         for j, joint in enumerate(joints):
             repeats = order_dependence(joint, rest[:, j], angles[j], len(joints), rng)

@@ -592,15 +592,15 @@ class Regression:
     def _remembered(self, effects: Sequence[Effect]) -> tuple[Indices, Array]:
         """As `compact`, for columns that do not depend on the model: every round of a search asks for them again."""
         known = self._first_looks
-        if 8 * len(self) * len(known) > FIRST_LOOK_BYTES:
+        if 4 * len(self) * len(known) > FIRST_LOOK_BYTES:
             known.clear()
         new = [e for e in dict.fromkeys(effects) if e not in known]
         if new:
             rows, columns = self._made(new, False)
             ends = np.cumsum([len(e.coefficients) for e in new])[:-1]
-            known.update(zip(new, ((rows, x) for x in np.split(columns, ends, axis=2)), strict=True))
+            known.update(zip(new, ((rows, x) for x in np.split(columns.astype(np.float32), ends, axis=2)), strict=True))
         together = known[effects[0]][0]
-        return together, np.concatenate([known[e][1] for e in effects], axis=2)
+        return together, np.concatenate([known[e][1] for e in effects], axis=2, dtype=float)
 
     @cached_property
     def _columns_kept(self) -> dict[Effect, tuple[Indices, Array]]:
