@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from rx90b_flex.signals import (
     decimation_factor,
@@ -17,6 +20,7 @@ from rx90b_flex.signals import (
     periods,
     resample,
 )
+from rx90b_flex.signals.filters import in_pieces
 
 Array = NDArray[np.float64]
 EPS = np.finfo(float).eps
@@ -318,6 +322,13 @@ def test_periods_are_cut_from_the_start_and_the_rest_left_out() -> None:
 def test_less_than_one_period_is_refused() -> None:
     with pytest.raises(ValueError, match="3 samples hold no whole period of 4"):
         periods(np.zeros((3, 2)), 4)
+
+
+@pytest.mark.parametrize("samples", [7, 100, 104, 105, 200, 351])
+def test_work_in_pieces_gives_what_work_on_the_whole_gives(samples: int) -> None:
+    x = np.random.default_rng(samples).normal(size=(samples, 2))
+    mean = functools.partial(uniform_filter1d, size=9, axis=0, mode="nearest")
+    np.testing.assert_allclose(in_pieces(mean, x, 4, at_once=100), mean(x), rtol=0, atol=1e-13)
 
 
 # --- ends of a motion --------------------------------------------------------------------------------------------------

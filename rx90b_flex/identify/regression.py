@@ -27,6 +27,7 @@ from rx90b_flex.signals import (
     noise_cutoff_hz,
     periods,
 )
+from rx90b_flex.signals.filters import in_pieces
 from rx90b_flex.signals.sticking import held_part
 
 # Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
@@ -43,6 +44,7 @@ STANDING_S = 0.2  # within which the angle of a joint that stands still
 STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the log's noise
 MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
+SEEN_BY_SPLINE = 40  # samples on either side: a farther one has less part in a cubic spline than rounding
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
 TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
@@ -264,13 +266,18 @@ def prepare(
 
 
 def _between(x: Array) -> tuple[Array, Array]:
-    """Values (N, n) half a sample before and after, one column at a time, for splines of a long log take room."""
+    """Values (N, n) half a sample before and after."""
     before, after = np.empty_like(x), np.empty_like(x)
-    at = np.arange(len(x))
     for i, column in enumerate(x.T):
-        spline = CubicSpline(at, column)
-        before[:, i], after[:, i] = spline(at - 0.5), spline(at + 0.5)
+        before[:, i], after[:, i] = in_pieces(_halfway, column, SEEN_BY_SPLINE).T
     return before, after
+
+
+def _halfway(x: Array) -> Array:
+    """Samples (N,) by a spline half a step before and after, (N, 2)."""
+    at = np.arange(len(x))
+    spline = CubicSpline(at, x)
+    return np.stack([spline(at - 0.5), spline(at + 0.5)], axis=1)
 
 
 def _enough(recording: Recording, cutoff_hz: float | None, samples: int, edge: int) -> int:

@@ -79,12 +79,9 @@ def _slips(recording: Recording) -> Iterator[DataFault]:
 
 def _apart(values: Array, part: float) -> Mask:
     """Samples far from the median of their neighbourhood, shape (N, joints)."""
-    half = WINDOW // 2
     if len(values) < 4 * WINDOW:
         return np.zeros(values.shape, dtype=bool)
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    around = np.stack([padded[k : k + len(values)] for k in range(WINDOW)])
-    off = np.abs(values - np.median(around, axis=0))
+    off = np.abs(values - median_filter(values, (WINDOW, 1), mode="nearest"))
     low, high = np.quantile(values, [0.005, 0.995], axis=0)
     # a column that never moves has no range: the deviations that it does have are its measure
     limit = np.maximum(TIMES * np.quantile(off, 0.99, axis=0), part * (high - low))
