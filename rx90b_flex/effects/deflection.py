@@ -36,6 +36,7 @@ from rx90b_flex.compiled.torsion import (
     swing_free,
     torques,
 )
+from rx90b_flex.effects.calm import calmed
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 # central differences, as `convolve` reads them
@@ -167,16 +168,18 @@ def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     return out
 
 
-def by_links(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
+def by_links(motion: Motion, springs: Sequence[Spring], load: Array, gain: Array) -> Array:
     """Change of the torque that all drives of the model add, per change of the links' parameters, (N, n, 10 * bodies).
 
-    The tree asks for its torque at the deflected motion, and drives twist further under what more it asks for.
+    The tree asks for its torque at the deflected motion, and drives twist further under what more it asks for, which goes through the
+    filter that the load (N, n) went through.
     """
     places = _places(motion, springs)
     found = deflected(motion, springs, springs, load)
     there = _moved(motion, places, found.torsion).on_tree.link_regressor()
     by = motion.on_tree.derivatives()
-    further = _Steps.of(*_with_springs(springs, *_among(by, places)), _step(motion.time)).solve(-there[:, places])
+    more = calmed(there[:, places], gain[:, places])
+    further = _Steps.of(*_with_springs(springs, *_among(by, places)), _step(motion.time)).solve(-more)
     if not np.isfinite(further).all() or np.abs(further).max() > 1e3 * LARGEST:
         return np.zeros_like(there)  # a swing that grows: values from which a fit turns back
     out = there - motion.on_tree.link_regressor()

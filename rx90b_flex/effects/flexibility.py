@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
+from rx90b_flex.effects.calm import calmed, gain
 from rx90b_flex.effects.deflection import Spring, by_links, deflected, each_alone, softest
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
@@ -268,7 +269,8 @@ class _DriveDeflection(_OnRigidTree):
         present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
         if not present or present[0].joint != self.joint:
             return None  # the first one answers for all
-        return by_links(motion, _springs_of_model(motion), _through_drives(motion))
+        load = _through_drives(motion)
+        return by_links(motion, _springs_of_model(motion), load, _gain(motion))
 
     @property
     def spring(self) -> Spring:
@@ -293,12 +295,20 @@ def _springs_of_model(motion: Motion) -> list[Spring]:
 
 
 def _through_drives(motion: Motion) -> Array:
-    """Torque that links and what springs stand between them ask of the drives, (N, n)."""
-    ours = [e for e in motion.effects if isinstance(e, Effect) and e.traits.part in ("links", "spring")]
-    (load,) = motion.once(
-        ("load of drives",), lambda: (sum((e.force(motion) for e in ours), np.array(motion.on_tree.load())),)
-    )
+    """Torque that links and what springs stand between them ask of the drives, as far as it stands out of noise; (N, n)."""
+    (load,) = motion.once(("load of drives",), lambda: (calmed(_as_logged(motion), _gain(motion)),))
     return load
+
+
+def _as_logged(motion: Motion) -> Array:
+    ours = [e for e in motion.effects if isinstance(e, Effect) and e.traits.part in ("links", "spring")]
+    return np.asarray(sum((e.force(motion) for e in ours), np.array(motion.on_tree.load())))
+
+
+def _gain(motion: Motion) -> Array:
+    """Of the filter that takes the noise of angles out of the drives' load."""
+    (found,) = motion.once(("gain of load",), lambda: (gain(motion, _as_logged(motion)),))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
