@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.signal import hilbert
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import shared_shapes
@@ -17,6 +18,7 @@ from rx90b_flex.effects.stand_in import as_in_files
 from rx90b_flex.identify.coloured import Spectrum
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
+    RANK_TOLERANCE,
     NormalEquations,
     Solution,
     fit_weighted,
@@ -211,7 +213,7 @@ class Identification:
         covariance = self.covariance[np.ix_(places, places)].copy()
         if effect.traits.coefficients_follow and len(of_shapes) and self.fit is not None:
             wide = np.ones(len(at))
-            wide[k:] = self.fit.widened(of_shapes, np.sqrt(np.maximum(np.diag(covariance)[k:], 0.0)))
+            wide[k:] = self.fit.widened(index, np.sqrt(np.maximum(np.diag(covariance)[k:], 0.0)))
             covariance *= np.outer(wide, wide)
         ends = np.flatnonzero(self.shapes.at_bound(self.shapes.values(self.effects))[of_shapes])
         for i in k + ends:  # beyond the end the log tells nothing: anything up to there, or from there on
@@ -658,16 +660,16 @@ class _Fit:
         step = self.shapes.per_step(self.shape)
         return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
 
-    def widened(self, places: Indices, std: Array) -> Array:
+    def widened(self, index: int, std: Array) -> Array:
         """Factors, 1 or more, of standard deviations (k,) of one effect's shapes, with which 1.96 of them reach as far as the squares say.
 
         A link that swings on a lightly damped drive answers to the damping the more the less there is of it, so that how the squares
         bend where they are smallest says little about how they rise. The ends of an interval lie where they have risen as
         much as those of a parabola would have (profile likelihood: D. M. Bates, D. G. Watts, *Nonlinear Regression Analysis and Its
-        Applications*, 1988, chapter 6); the farther of the two counts.
+        Applications*, 1988, chapter 6); the farther of the two counts. What another guess at how a log begins would change is added.
         """
-        key = tuple(int(i) for i in places)
-        if key not in self._widened:
+        if index not in self._widened:
+            places = self.shapes.places[index]
             sigma, size = self.solution.sigma, self.shapes.per_step(self.shape)[places]
             bend = self.shape_equations(sigma)[0][np.ix_(places, places)] / np.outer(size, size)
             white = np.diag(np.linalg.pinv(bend, hermitian=True))
@@ -676,13 +678,36 @@ class _Fit:
                 way, rise = LIMIT * std[i], LIMIT**2 * std[i] ** 2 / white[i]
                 beside = np.isin(np.arange(len(self.shapes)), places) & (np.arange(len(self.shapes)) != places[i])
                 reach = max(self._reach(int(places[i]), beside, x, rise, sigma) for x in (way, -way))
-                out[i] = max(1.0, reach / way)
-            self._widened[key] = out
-        return self._widened[key]
+                out[i] = np.hypot(max(1.0, reach / way), self._begun_otherwise(index)[places[i]] / std[i])
+            self._widened[index] = out
+        return self._widened[index]
 
     @cached_property
-    def _widened(self) -> dict[tuple[int, ...], Array]:
+    def _widened(self) -> dict[int, Array]:
         return {}
+
+    def _begun_otherwise(self, index: int) -> Array:
+        """Change of the shapes (s,) for other guesses at what an effect held as logs begin, root mean square; to first order."""
+        effect, sigma, step = self.effects[index], self.solution.sigma, self.shapes.per_step(self.shape)
+        others = effect.begun_otherwise()
+        if not others:
+            return np.zeros(len(self.shapes))
+        now, *changed = (self._scaled(e) @ e.coefficients for e in (effect, *others))
+        gram = np.tensordot(sigma**-2.0, self.normal.total[0], axes=1) + self.precision
+        inverse = solve_weighted(gram, np.zeros(len(gram)), np.zeros(len(gram)))[1]
+        bend = np.linalg.pinv(self.shape_equations(sigma)[0], rcond=RANK_TOLERANCE, hermitian=True)
+        columns = self.fixed.beside(self.varied)
+        shifts = []
+        swings = [np.concatenate([hilbert(x[s], axis=0) for s in self.regression.spans]) for x in np.subtract(changed, now)]
+        for off in (np.ascontiguousarray(part.T) for x in swings for part in (x.real, x.imag)):  # at any phase
+            across = np.zeros(len(gram))
+            for w, at, x, y in zip(sigma**-2.0, columns.places, columns.columns, off, strict=True):
+                across[at] += w * (x.T @ y)
+            left, score = off - columns.times(inverse @ across), np.zeros(len(self.shapes))
+            for j, weight in enumerate(sigma**-2.0):
+                np.add.at(score, self._by_shape.places[j], weight * (self._by_shape.columns[j].T @ left[j]))
+            shifts.append(step * (bend @ (score * step)))
+        return np.asarray(np.sqrt(np.mean(np.square(shifts), axis=0)))
 
     def _reach(self, place: int, beside: Mask, way: float, rise: float, sigma: Array) -> float:
         """How far off a shape is where the squares, the shapes `beside` (s,) fitted again, have risen by so much, or where its range ends."""
