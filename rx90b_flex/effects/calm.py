@@ -49,8 +49,7 @@ class Calm:
         step = float(motion.time[1] - motion.time[0]) if samples >= SHORTEST else 0.0
         if noise is None or band is None or step <= 0.0 or not np.isfinite(load).all():
             return None
-        drives = [motion.coordinates.index(j) for j in motion.coordinates.joints]
-        by_acceleration = (motion.on_tree.derivatives()[2][:, :, drives] ** 2).mean(axis=0) @ (noise**2 / band)
+        by_acceleration = (motion.on_tree.derivatives()[2] ** 2).mean(axis=0) @ (noise**2 / band)
 
         def noisy(hz: Array) -> Array:
             through = 1.0 / (1.0 + (hz / band) ** (2 * ORDER))

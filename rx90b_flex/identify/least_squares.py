@@ -698,7 +698,9 @@ class _Fit:
         bend = np.linalg.pinv(self.shape_equations(sigma)[0], rcond=RANK_TOLERANCE, hermitian=True)
         columns = self.fixed.beside(self.varied)
         shifts = []
-        swings = [np.concatenate([hilbert(x[s], axis=0) for s in self.regression.spans]) for x in np.subtract(changed, now)]
+        swings = [
+            np.concatenate([hilbert(x[s], axis=0) for s in self.regression.spans]) for x in np.subtract(changed, now)
+        ]
         for off in (np.ascontiguousarray(part.T) for x in swings for part in (x.real, x.imag)):  # at any phase
             across = np.zeros(len(gram))
             for w, at, x, y in zip(sigma**-2.0, columns.places, columns.columns, off, strict=True):
