@@ -1,10 +1,11 @@
 """What of the load of drives is motion, and what only the noise of the angles that it was worked out from.
 
 Accelerations carry the noise of measured angles. A link swings on its drive under it as under a load, most of all at its own
-frequency, and a fit to the torque takes that swing away by damping it, however little the drive is damped. So drives twist under what
-stands out of the noise: Wiener's filter leaves the best linear estimate of the load, which has nothing in common with its own error, and
-least squares on such an estimate are not biased (regression calibration; R. J. Carroll, D. Ruppert, L. A. Stefanski, C. M. Crainiceanu,
-*Measurement Error in Nonlinear Models*, 2006, chapter 4). The noise is that of the log's angles through the tree's inertia.
+frequency, and a fit to the torque takes that swing away by damping it, however little the drive is damped. So drives twist under
+what stands out of the noise: Wiener's filter leaves the best linear estimate of the load, which has nothing in common with its own
+error, and least squares on such an estimate are not biased (regression calibration; R. J. Carroll, D. Ruppert, L. A. Stefanski,
+C. M. Crainiceanu, *Measurement Error in Nonlinear Models*, 2006, chapter 4). The noise is that of the log's angles through the
+tree's inertia. Where what the filter takes out is for a while more than noise (a robot that stops), it is left.
 """
 
 from __future__ import annotations

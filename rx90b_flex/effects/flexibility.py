@@ -281,8 +281,8 @@ class _DriveDeflection(_OnRigidTree):
         return Spring(self.joint, self.stiffness, self._lag, swings=self.swings)
 
     def begun_otherwise(self) -> Sequence[Effect]:
-        values = {"joint": self.joint, "stiffness": self.stiffness, "damping": self.damping}
-        return [begun(**values) for begun in (_BegunSooner, _BegunLater)]
+        kinds: tuple[type[_DriveDeflection], ...] = (_BegunSooner, _BegunLater)
+        return [begun(joint=self.joint, stiffness=self.stiffness, damping=self.damping) for begun in kinds]
 
     def in_tree(self, motion: Motion) -> Effect:
         return DriveFlexibility(joint=self.joint, stiffness=self.stiffness, damping=self.damping)

@@ -661,7 +661,7 @@ class _Fit:
         return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
 
     def widened(self, index: int, std: Array) -> Array:
-        """Factors, 1 or more, of standard deviations (k,) of one effect's shapes, with which 1.96 of them reach as far as the squares say.
+        """Factors, 1 or more, of standard deviations (k,) of an effect's shapes, with which 1.96 of them reach as far as squares say.
 
         A link that swings on a lightly damped drive answers to the damping the more the less there is of it, so that how the squares
         bend where they are smallest says little about how they rise. The ends of an interval lie where they have risen as
@@ -712,7 +712,7 @@ class _Fit:
         return np.asarray(np.sqrt(np.mean(np.square(shifts), axis=0)))
 
     def _reach(self, place: int, beside: Mask, way: float, rise: float, sigma: Array) -> float:
-        """How far off a shape is where the squares, the shapes `beside` (s,) fitted again, have risen by so much, or where its range ends."""
+        """How far off a shape is where squares, the shapes `beside` (s,) fitted again, rose by so much, or its range ends."""
         lowest, at = self.cost(sigma), self.shape[place]
         last = before = 0.0
         for _ in range(DOUBLINGS):
