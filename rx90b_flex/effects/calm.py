@@ -56,7 +56,7 @@ class Calm:
             through = 1.0 / (1.0 + (hz / band) ** (2 * ORDER))
             return np.maximum(by_acceleration * ((2.0 * np.pi * hz) ** 4 * through**2)[:, None], 1e-300)
 
-        hz = np.fft.rfftfreq(samples, step)
+        hz = np.fft.rfftfreq(samples, step).astype(float)
         gain = uniform_filter1d(_out_of_noise(_density(load, step) / noisy(hz)), LINES, axis=0, mode="nearest")
         if gain.min() >= ALL:
             return None
@@ -64,7 +64,7 @@ class Calm:
         out = ((gain < MOSTLY) & ((hz > 0.0) & (hz <= band))[:, None]).astype(float)
         for _ in range(SMOOTHED):
             out = uniform_filter1d(out, LINES, axis=0, mode="nearest")
-        longer = np.fft.rfftfreq(samples + 2 * _beyond(samples), step)
+        longer = np.fft.rfftfreq(samples + 2 * _beyond(samples), step).astype(float)
         gain, out = (np.stack([np.interp(longer, hz, g) for g in x.T], axis=1) for x in (gain, out))
         white = np.where(out > 0.0, out * (1.0 - gain) / np.sqrt(noisy(longer)), 0.0)
         power = uniform_filter1d(_filtered(load, white) ** 2, max(1, _beyond(samples) // 2), axis=0, mode="nearest")
