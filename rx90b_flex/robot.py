@@ -518,7 +518,16 @@ class _RobotTreeMotion:
             if self.link_parameters is not None:  # a base that tilts is a body more
                 names = [name for name, _ in robot.bodies]
                 links[[names.index(name) for name, _ in self.robot.bodies]] = self.link_parameters.reshape(-1, 10)
-            moved = dataclasses.replace(robot.motion(q, v, a, motion.time), effects=motion.effects, stuck=motion.stuck)
+            noise = None if motion.angle_noise is None else np.zeros(robot.model.nv)
+            if noise is not None:
+                noise[drives] = motion.angle_noise
+            moved = dataclasses.replace(
+                robot.motion(q, v, a, motion.time),
+                effects=motion.effects,
+                stuck=motion.stuck,
+                angle_noise=noise,
+                angle_band_hz=motion.angle_band_hz,
+            )
             self.hinged[hinges] = dataclasses.replace(moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel()))
         return self.hinged[hinges]
 

@@ -36,6 +36,7 @@ from rx90b_flex.compiled.torsion import (
     swing_free,
     torques,
 )
+from rx90b_flex.effects.calm import Calm
 from rx90b_flex.effects.motion import Array, Indices, Motion
 
 # central differences, as `convolve` reads them
@@ -58,7 +59,8 @@ SOFTEST = 3.0  # times the stiffness of gravity and of the motion itself, that a
 class Spring:
     """A twisting drive: its joint, stiffness (N m/rad), damping over stiffness (s) and cubic part (N m/rad^3).
 
-    On a tree that has hinges as coordinates `kind` names one of them; on the rigid one it is the drive.
+    On a tree that has hinges as coordinates `kind` names one of them; on the rigid one it is the drive. Through so many `swings` goes
+    the cubic that says how it twists as a log begins (`begun_slowly`).
     """
 
     joint: str
@@ -66,11 +68,12 @@ class Spring:
     lag: float
     cubic: float = 0.0
     kind: str = "drive"
+    swings: float = 1.0
 
     @property
     def key(self) -> str:
         """Its values as a name."""
-        return repr((self.joint, self.stiffness, self.lag, self.cubic, self.kind))
+        return repr((self.joint, self.stiffness, self.lag, self.cubic, self.kind, self.swings))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,16 +170,18 @@ def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     return out
 
 
-def by_links(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
+def by_links(motion: Motion, springs: Sequence[Spring], load: Array, calm: Calm | None) -> Array:
     """Change of the torque that all drives of the model add, per change of the links' parameters, (N, n, 10 * bodies).
 
-    The tree asks for its torque at the deflected motion, and drives twist further under what more it asks for.
+    The tree asks for its torque at the deflected motion, and drives twist further under what more it asks for, which goes through the
+    filter that the load (N, n) went through.
     """
     places = _places(motion, springs)
     found = deflected(motion, springs, springs, load)
     there = _moved(motion, places, found.torsion).on_tree.link_regressor()
     by = motion.on_tree.derivatives()
-    further = _Steps.of(*_with_springs(springs, *_among(by, places)), _step(motion.time)).solve(-there[:, places])
+    more = there[:, places] if calm is None else calm(there[:, places], places)
+    further = _Steps.of(*_with_springs(springs, *_among(by, places)), _step(motion.time)).solve(-more)
     if not np.isfinite(further).all() or np.abs(further).max() > 1e3 * LARGEST:
         return np.zeros_like(there)  # a swing that grows: values from which a fit turns back
     out = there - motion.on_tree.link_regressor()
@@ -221,7 +226,8 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
             return _together(load, at_angle, at_rate, by_a, _step(time))
         except np.linalg.LinAlgError:  # a swing that grows beyond numbers: values from which a fit turns back
             return np.zeros_like(load)
-    steps = _Steps.of(at_angle, at_rate, by_a, _step(time))
+    swings = tuple(s.swings for s in springs)
+    steps = _Steps.of(at_angle, at_rate, by_a, _step(time), swings)
     torsion = steps.solve(-load)
     wide = -load[:, :, None]
     begun = np.zeros((2, *wide.shape[1:]))
@@ -233,7 +239,7 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
         left = asked(load, at_angle, at_rate, by_a, cubic, torsion, *_rates(torsion, time))
         if cubic.any():  # Newton's steps
             stiffer = at_angle + 3.0 * (cubic * torsion**2)[:, :, None] * np.eye(len(springs))
-            steps = _Steps.of(stiffer, at_rate, by_a, _step(time))
+            steps = _Steps.of(stiffer, at_rate, by_a, _step(time), swings)
         torsion = torsion + steps.solve(-left, begun)
         begun = np.zeros_like(begun)
     return torsion
@@ -304,11 +310,11 @@ class _Steps:
 
     equations: tuple[Array, Integers, Array, Array, Array]  # of `oscillators`
     swings: Array  # (m,), 1 where a joint swings, 0 where it follows at once
-    swing: tuple[int, ...]  # samples of a swing, (m,)
+    swing: tuple[int, ...]  # samples that say how it begins, (m,)
     start: tuple[tuple[float, float, float, float], ...]  # (m,), seconds a sample, first stiffness, damping and inertia
 
     @staticmethod
-    def of(at_angle: Array, at_rate: Array, by_a: Array, step: float) -> _Steps:
+    def of(at_angle: Array, at_rate: Array, by_a: Array, step: float, begin: Sequence[float] = ()) -> _Steps:
         own = np.arange(at_angle.shape[1])
         inertia = by_a[:, own, own]
         # fitted links need not be possible ones: their inertia may fall below zero for an instant
@@ -320,7 +326,8 @@ class _Steps:
         middle = np.median(fast, axis=0)
         swings = ((middle < FASTEST**2) & (typical > 0) & (step > 0)).astype(float)
         equations = oscillators(at_angle, at_rate, by_a, np.clip(fast, 1e-6, FASTEST**2), swings, step)
-        swing = tuple(int(2.0 * np.pi / np.sqrt(max(float(x), 1e-6))) for x in middle)
+        first_swings = zip(begin or (1.0,) * len(middle), middle, strict=True)
+        swing = tuple(int(part * 2.0 * np.pi / np.sqrt(max(float(x), 1e-6))) for part, x in first_swings)
         diagonals = zip(at_angle[0].diagonal(), at_rate[0].diagonal(), first, strict=True)
         at_start = tuple((step, float(k), float(d), float(max(m, 0.0))) for k, d, m in diagonals)
         return _Steps(equations, swings, swing, at_start)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
+from rx90b_flex.effects.calm import Calm
 from rx90b_flex.effects.deflection import Spring, by_links, deflected, each_alone, softest
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
@@ -268,16 +269,37 @@ class _DriveDeflection(_OnRigidTree):
         present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
         if not present or present[0].joint != self.joint:
             return None  # the first one answers for all
-        return by_links(motion, _springs_of_model(motion), _through_drives(motion))
+        load = _through_drives(motion)
+        return by_links(motion, _springs_of_model(motion), load, _calm(motion))
+
+    swings: ClassVar[float] = 1.0
 
     @property
     def spring(self) -> Spring:
         """As the solver of torsions knows it."""
         assert self.stiffness is not None
-        return Spring(self.joint, self.stiffness, self._lag)
+        return Spring(self.joint, self.stiffness, self._lag, swings=self.swings)
+
+    def begun_otherwise(self) -> Sequence[Effect]:
+        kinds: tuple[type[_DriveDeflection], ...] = (_BegunSooner, _BegunLater)
+        return [begun(joint=self.joint, stiffness=self.stiffness, damping=self.damping) for begun in kinds]
 
     def in_tree(self, motion: Motion) -> Effect:
         return DriveFlexibility(joint=self.joint, stiffness=self.stiffness, damping=self.damping)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _BegunSooner(_DriveDeflection):
+    """One whose twist as a log begins is taken from the load of half a swing."""
+
+    swings: ClassVar[float] = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class _BegunLater(_DriveDeflection):
+    """One whose twist as a log begins is taken from the load of one swing and a half."""
+
+    swings: ClassVar[float] = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,12 +315,30 @@ def _springs_of_model(motion: Motion) -> list[Spring]:
 
 
 def _through_drives(motion: Motion) -> Array:
-    """Torque that links and what springs stand between them ask of the drives, (N, n)."""
-    ours = [e for e in motion.effects if isinstance(e, Effect) and e.traits.part in ("links", "spring")]
-    (load,) = motion.once(
-        ("load of drives",), lambda: (sum((e.force(motion) for e in ours), np.array(motion.on_tree.load())),)
-    )
+    """Torque that links and what springs stand between them ask of the drives, as far as it stands out of noise; (N, n)."""
+
+    def make() -> tuple[Array]:
+        load, calm = _as_logged(motion), _calm(motion)
+        return (load if calm is None else calm(load),)
+
+    (load,) = motion.once(("load of drives",), make)
     return load
+
+
+def _as_logged(motion: Motion) -> Array:
+    ours = [e for e in motion.effects if isinstance(e, Effect) and e.traits.part in ("links", "spring")]
+    return np.asarray(sum((e.force(motion) for e in ours), np.array(motion.on_tree.load())))
+
+
+def _calm(motion: Motion) -> Calm | None:
+    """The filter that takes the noise of angles out of the drives' load."""
+
+    def make() -> tuple[Array, ...]:
+        found = Calm.of(motion, _as_logged(motion))
+        return () if found is None else (found.gain, found.kept)
+
+    known = motion.once(("filter of load",), make)
+    return Calm(*known) if known else None
 
 
 @dataclass(frozen=True, kw_only=True)

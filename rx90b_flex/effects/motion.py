@@ -166,6 +166,8 @@ class Motion:
         The present model's forces beyond the tree, for effects that depend on the model as a whole.
     angle_noise : array, shape (n,), or None
         Standard deviation of what the angles are off, rad, where a log tells it.
+    angle_band_hz : float or None
+        Cutoff of the low-pass behind which it is left.
     stuck : array, shape (N, joints), or None
         Where a drive sticks at a reversal: the part of its dry friction, -1 to 1, that it is taken to hold
         (`signals.sticking.held_part`); elsewhere NaN.
@@ -179,6 +181,7 @@ class Motion:
     tree: Callable[[Motion], TreeMotion] = field(repr=False)
     effects: tuple[Force, ...] = field(default=(), repr=False)
     angle_noise: Array | None = field(default=None, repr=False)
+    angle_band_hz: float | None = field(default=None, repr=False)
     stuck: Array | None = field(default=None, repr=False)
 
     def __len__(self) -> int:

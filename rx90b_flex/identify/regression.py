@@ -254,7 +254,8 @@ def prepare(
     motion_of_tree = robot.motion(q, v, a, recording.time - _clock_zero(recording.time))
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
-        motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=off[order] * np.sqrt(below / (1.0 - below)))
+        noise = off[order] * np.sqrt(below / (1.0 - below))
+        motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=noise, angle_band_hz=position_cutoff)
     stuck = held_part(recording.position, rate) if sticking else None
     motion_of_tree = dataclasses.replace(motion_of_tree, stuck=None if stuck is None else stuck[:, order]).sticking(
         sticking
