@@ -84,7 +84,7 @@ class Identification:
     shapes : Shapes
         Where the effects' shape parameters stand among the s.
     fit : _Fit or None
-        What it ended with, to be asked how far shapes may be off.
+        What it ended with, to be asked how far shapes may be off; None where no effect's would tell more than the covariance.
     """
 
     effects: tuple[Effect, ...]
@@ -764,7 +764,7 @@ class _Fit:
             derivatives,
             self.fit_links,
             self.shapes,
-            self,
+            self if any(e.traits.coefficients_follow for e in self.effects) else None,
         )
 
 

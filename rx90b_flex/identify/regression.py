@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -590,11 +591,11 @@ class Regression:
         return rows, out
 
     @cached_property
-    def _first_looks_of_excerpt(self) -> dict[Effect, tuple[Indices, Array]]:
+    def _first_looks_of_excerpt(self) -> dict[Effect, tuple[Indices, NDArray[np.float32]]]:
         return {}
 
     @cached_property
-    def _first_looks(self) -> dict[Effect, tuple[Indices, Array]]:
+    def _first_looks(self) -> dict[Effect, tuple[Indices, NDArray[np.float32]]]:
         return {}
 
     def _remembered(self, effects: Sequence[Effect]) -> tuple[Indices, Array]:
