@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from rx90b_flex.effects.pieces import in_pieces
 from rx90b_flex.signals import (
     decimation_factor,
     difference_weights,
@@ -20,7 +21,6 @@ from rx90b_flex.signals import (
     periods,
     resample,
 )
-from rx90b_flex.signals.filters import in_pieces
 
 Array = NDArray[np.float64]
 EPS = np.finfo(float).eps

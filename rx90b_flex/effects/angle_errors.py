@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import fft
-from scipy.ndimage import minimum_filter1d
 
+from rx90b_flex.effects.crossings import Gap, between_crossings
+from rx90b_flex.effects.deflection import rates_in_time, time_step
 from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law import Law, Where
@@ -32,11 +32,6 @@ TOGETHER_BYTES = 1.5e5  # of torques at several orders that are worked out toget
 LOAD_SCALE = 1.0  # N m, in a simulation
 LOAD_PART = 0.03  # of the load's root mean square, in a log
 SOFTEST_PART, HARDEST_PART = 0.3, 0.003  # of it, between which a log tells that torque
-KICK_S = 0.05  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
-CROSSING = 0.3  # of it, within which a sample says little of the link's load
-BESIDE_S = 0.02  # nor does one within this time of such samples
-CLEARED = 2  # times that crossings are looked for in what the one before has cleared
-LEFT_OF_IT = 1.0e-3  # weight of what lies within a crossing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,7 +270,7 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
         place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
 
         def make() -> tuple[Array, ...]:
-            return (_between_crossings(np.asarray(motion.on_tree.load())[:, place], motion.time),)
+            return (between_crossings(np.asarray(motion.on_tree.load())[:, place], motion.time),)
 
         (load,) = motion.once(("link_load", self.joint), make)
         return load, max(float(np.sqrt(np.mean(load**2))), 1e-9)
@@ -283,10 +278,16 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
     def columns(self, motion: Motion) -> Array:
         place = int(np.flatnonzero(motion.coordinates.port(self.joint, "drive"))[0])
         load, usual = self._link_load(motion)
-        side = -0.5 * np.tanh(load / (LOAD_PART * usual if self.contact is None else self.contact))
-        deltas: list[Array] = [side]
-        for _ in range(2):
-            deltas.append(_rate(deltas[-1], motion.time))
+        contact = LOAD_PART * usual if self.contact is None else self.contact
+        gap = float(self.coefficients[0])
+        if 0.0 < gap <= WIDEST_GAP and time_step(motion.time) > 0:
+            # a fit that knows its gap so far asks how the link moved behind it
+            guess, behind = load, Gap(motion, place, gap, contact)
+            load = motion.joint(self.joint, "drive").of_number(
+                f"load behind {gap!r}", contact, lambda: behind.load(guess)
+            )
+        side = motion.as_angles(-0.5 * np.tanh(load / contact))
+        deltas = (side, *rates_in_time(side, motion.time))
         by = motion.on_tree.derivatives()
         out = sum(slope[:, :, place] * delta[:, None] for slope, delta in zip(by, deltas, strict=True))
         return np.asarray(out)[:, :, None]
@@ -370,37 +371,3 @@ class _LostMotion(JointForce, part="flexibility"):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         zero = np.zeros((len(at.q), 1))
         return self._asked(at)[1][:, None], zero, zero
-
-
-def _rate(x: Array, time: Array) -> Array:
-    """Derivative by time of uniform samples; zero where they are not a motion in time."""
-    step = time[1] - time[0] if len(time) > 1 else 0.0
-    return np.gradient(x, step) if step > 0 else np.zeros_like(x)
-
-
-def _between_crossings(load: Array, time: Array) -> Array:
-    """A load (N,), uniform in time, by local parabolas over `KICK_S` that hardly see where it changes sign.
-
-    As the motor crosses the gap its acceleration is not the link's, and the load that its angle gives has a kick there; how a
-    link's load goes on from one flank to the other its course before and after tells. As it is where samples are no motion in time.
-    """
-    step = time[1] - time[0] if len(time) > 1 else 0.0
-    if step <= 0:
-        return load
-    reach = round(4.0 * KICK_S / step)
-    lags = np.arange(-reach, reach + 1) * step / KICK_S
-    powers = np.exp(-0.5 * lags**2) * lags ** np.arange(5)[:, None]
-    size = fft.next_fast_len(len(load) + 2 * reach, real=True)
-    windows = fft.rfft(powers, size).conj()
-    crossing = CROSSING * max(float(np.sqrt(np.mean(load**2))), 1e-9)
-    weight, smooth = np.ones_like(load), load
-    for _ in range(1 + CLEARED):
-        parts = fft.rfft(np.pad([weight, weight * load], ((0, 0), (reach, reach)), mode="edge"), size)
-        spectra = np.concatenate([parts[0] * windows, parts[1] * windows[:3]])
-        m0, m1, m2, m3, m4, r0, r1, r2 = fft.irfft(spectra, size)[:, : len(load)]
-        # the parabola's value in the middle, by Cramer's rule
-        c0, c1, c2 = m2 * m4 - m3**2, m2 * m3 - m1 * m4, m1 * m3 - m2**2
-        smooth = (r0 * c0 + r1 * c1 + r2 * c2) / (m0 * c0 + m1 * c1 + m2 * c2)
-        clear = np.tanh(smooth / crossing) ** 2
-        weight = LEFT_OF_IT + minimum_filter1d(clear, 2 * round(BESIDE_S / step) + 1)
-    return np.asarray(smooth)

@@ -147,7 +147,7 @@ def _alone(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
     torsion = _torsion(springs, load[:, places], at_angle, at_rate, by_a, motion.time)
     if len(springs) > 1 and not torsion.any(axis=0).all():  # one that swings beyond numbers must not stop the others
         return np.concatenate([_first_order(motion, [s], load)[1] for s in springs])
-    return np.asarray(torques(*by, places, torsion, *_rates(torsion, motion.time)))
+    return np.asarray(torques(*by, places, torsion, *rates_in_time(torsion, motion.time)))
 
 
 def _beyond(motion: Motion, springs: Sequence[Spring], load: Array) -> Array:
@@ -181,11 +181,11 @@ def by_links(motion: Motion, springs: Sequence[Spring], load: Array, calm: Calm 
     there = _moved(motion, places, found.torsion).on_tree.link_regressor()
     by = motion.on_tree.derivatives()
     more = there[:, places] if calm is None else calm(there[:, places], places)
-    further = _Steps.of(*_with_springs(springs, *_among(by, places)), _step(motion.time)).solve(-more)
+    further = _Steps.of(*_with_springs(springs, *_among(by, places)), time_step(motion.time)).solve(-more)
     if not np.isfinite(further).all() or np.abs(further).max() > 1e3 * LARGEST:
         return np.zeros_like(there)  # a swing that grows: values from which a fit turns back
     out = there - motion.on_tree.link_regressor()
-    for slope, x in zip(by, (further, *_rates(further, motion.time)), strict=True):
+    for slope, x in zip(by, (further, *rates_in_time(further, motion.time)), strict=True):
         add_torques(out, slope, places, x)
     return np.asarray(out)
 
@@ -193,7 +193,7 @@ def by_links(motion: Motion, springs: Sequence[Spring], load: Array, calm: Calm 
 def _moved(motion: Motion, places: Indices, torsion: Array) -> Motion:
     """The links' motion behind twisted drives."""
     q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-    for x, change in zip((q, v, a), (torsion, *_rates(torsion, motion.time)), strict=True):
+    for x, change in zip((q, v, a), (torsion, *rates_in_time(torsion, motion.time)), strict=True):
         x[:, places] += change
     return dataclasses.replace(motion, q=q, v=v, a=a)
 
@@ -204,7 +204,7 @@ def _first_order(motion: Motion, springs: Sequence[Spring], load: Array) -> tupl
         return np.zeros((len(motion), 0)), np.zeros((0, *motion.q.shape))
     places, by = _places(motion, springs), motion.on_tree.derivatives()
     torsion = _torsion(springs, load[:, places], *_among(by, places), motion.time)
-    return torsion, torques(*by, places, torsion, *_rates(torsion, motion.time))
+    return torsion, torques(*by, places, torsion, *rates_in_time(torsion, motion.time))
 
 
 def _among(by: tuple[Array, Array, Array], places: Indices) -> tuple[Array, Array, Array]:
@@ -223,11 +223,11 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     at_angle, at_rate, by_a = _with_springs(springs, by_q, by_v, by_a)
     if any(s.kind != "drive" for s in springs):
         try:
-            return _together(load, at_angle, at_rate, by_a, _step(time))
+            return _together(load, at_angle, at_rate, by_a, time_step(time))
         except np.linalg.LinAlgError:  # a swing that grows beyond numbers: values from which a fit turns back
             return np.zeros_like(load)
     swings = tuple(s.swings for s in springs)
-    steps = _Steps.of(at_angle, at_rate, by_a, _step(time), swings)
+    steps = _Steps.of(at_angle, at_rate, by_a, time_step(time), swings)
     torsion = steps.solve(-load)
     wide = -load[:, :, None]
     begun = np.zeros((2, *wide.shape[1:]))
@@ -236,10 +236,10 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     for _ in range(CORRECTIONS):
         if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
             return np.zeros_like(load)
-        left = asked(load, at_angle, at_rate, by_a, cubic, torsion, *_rates(torsion, time))
+        left = asked(load, at_angle, at_rate, by_a, cubic, torsion, *rates_in_time(torsion, time))
         if cubic.any():  # Newton's steps
             stiffer = at_angle + 3.0 * (cubic * torsion**2)[:, :, None] * np.eye(len(springs))
-            steps = _Steps.of(stiffer, at_rate, by_a, _step(time), swings)
+            steps = _Steps.of(stiffer, at_rate, by_a, time_step(time), swings)
         torsion = torsion + steps.solve(-left, begun)
         begun = np.zeros_like(begun)
     return torsion
@@ -350,15 +350,15 @@ class _Steps:
         return np.asarray(out if np.isfinite(out).all() else np.zeros_like(out)).reshape(force.shape)
 
 
-def _step(time: Array) -> float:
+def time_step(time: Array) -> float:
     """Time between uniform samples, s; zero where they are not a motion in time."""
     step = float(time[1] - time[0]) if len(time) > len(FIRST) else 0.0
     return max(step, 0.0)
 
 
-def _rates(x: Array, time: Array) -> tuple[Array, Array]:
+def rates_in_time(x: Array, time: Array) -> tuple[Array, Array]:
     """First and second derivatives by time of uniform samples (N, ...); zero where they are not a motion in time."""
-    step = _step(time)
+    step = time_step(time)
     if step == 0.0:
         return np.zeros_like(x), np.zeros_like(x)
     first, second = rates(np.ascontiguousarray(x.reshape(len(x), -1)), step, FIRST, SECOND)

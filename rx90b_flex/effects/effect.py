@@ -91,10 +91,6 @@ class Effect(Hints):
         """Change of its force per change of the links' parameters, (N, n, 10 * bodies), where it is large; None: not worth it."""
         return None
 
-    def begun_otherwise(self) -> Sequence[Effect]:
-        """The same with other guesses at what it held as a log begins, which no log tells."""
-        return ()
-
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         """Derivatives of the force by q, v and a; each (N, n, n)."""
         raise TypeError(f"{self.type_name()} has no derivatives")

@@ -5,12 +5,15 @@ from __future__ import annotations
 from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import Parametrized
+
+if TYPE_CHECKING:
+    from rx90b_flex.effects.effect import Effect
 
 SMALLEST_PART = 0.02  # of a joint's root mean square error: what takes less off it is not worth a name
 
@@ -108,6 +111,10 @@ class Hints(Parametrized, ABC):
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """How its shape is searched for on a motion, by what a model leaves over there if that helps to find it."""
         return ShapeSearch(np.array([[p.start for p in self.shape_parameters.values()]]))
+
+    def begun_otherwise(self) -> Sequence[Effect]:
+        """The same with other guesses at what it held as a log begins, which no log tells."""
+        return ()
 
     def possible(self) -> bool:
         """Whether its values go together, and with what its force assumes; bounds of single values are no part of it."""

@@ -171,6 +171,8 @@ class Motion:
     stuck : array, shape (N, joints), or None
         Where a drive sticks at a reversal: the part of its dry friction, -1 to 1, that it is taken to hold
         (`signals.sticking.held_part`); elsewhere NaN.
+    low_pass : callable, or None
+        What a log's angles went through: of samples (N, ...) and their rate in Hz it makes those behind it.
     """
 
     coordinates: Coordinates
@@ -183,9 +185,15 @@ class Motion:
     angle_noise: Array | None = field(default=None, repr=False)
     angle_band_hz: float | None = field(default=None, repr=False)
     stuck: Array | None = field(default=None, repr=False)
+    low_pass: Callable[[Array, float], Array] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.q.shape[0]
+
+    def as_angles(self, x: Array) -> Array:
+        """Changes of an angle, (N, ...) rad, as this motion shows it: behind the low-pass of the log's angles."""
+        step = float(self.time[1] - self.time[0]) if len(self) > 1 else 0.0
+        return x if self.low_pass is None or step <= 0 else self.low_pass(x, 1.0 / step)
 
     @cached_property
     def on_tree(self) -> TreeMotion:

@@ -9,7 +9,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import hilbert
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import shared_shapes
@@ -18,7 +17,6 @@ from rx90b_flex.effects.stand_in import as_in_files
 from rx90b_flex.identify.coloured import Spectrum
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
-    RANK_TOLERANCE,
     NormalEquations,
     Solution,
     fit_weighted,
@@ -27,6 +25,7 @@ from rx90b_flex.identify.normal_equations import (
     squares_left,
 )
 from rx90b_flex.identify.penalty import prior_precision, smoothed
+from rx90b_flex.identify.reach import widened
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.identify.uncertainty import Uncertainty, absorbed_each
@@ -44,9 +43,6 @@ DIFFERENCE = 1.0e-3  # step of difference quotients by a shape parameter, part o
 SETTLED = 1.0e-5  # part of the squares below which another step is not worth while
 BEYOND = 2.0  # standard deviations beyond its bound that put a coefficient where it cannot be
 CORRELATION_S = 1.0  # longest correlation of a residual that covariances allow for
-LIMIT = 1.96  # standard deviations of an estimate's 95 % interval
-DOUBLINGS = 6  # of the way to that limit along which the squares are asked for
-BESIDE = 2  # steps of an effect's other shapes at each of these places
 
 
 @dataclass(frozen=True)
@@ -661,73 +657,14 @@ class _Fit:
         return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
 
     def widened(self, index: int, std: Array) -> Array:
-        """Factors, 1 or more, of standard deviations (k,) of an effect's shapes, with which 1.96 of them reach as far as squares say.
-
-        A link that swings on a lightly damped drive answers to the damping the more the less there is of it, so that how the squares
-        bend where they are smallest says little about how they rise. The ends of an interval lie where they have risen as
-        much as those of a parabola would have (profile likelihood: D. M. Bates, D. G. Watts, *Nonlinear Regression Analysis and Its
-        Applications*, 1988, chapter 6); the farther of the two counts. What another guess at how a log begins would change is added.
-        """
+        """Factors of standard deviations (k,) of an effect's shapes (`reach.widened`), worked out once."""
         if index not in self._widened:
-            places = self.shapes.places[index]
-            sigma, size = self.solution.sigma, self.shapes.per_step(self.shape)[places]
-            bend = self.shape_equations(sigma)[0][np.ix_(places, places)] / np.outer(size, size)
-            white = np.diag(np.linalg.pinv(bend, hermitian=True))
-            out = np.ones(len(places))
-            for i in np.flatnonzero((std > 0.0) & (white > 0.0)):
-                way, rise = LIMIT * std[i], LIMIT**2 * std[i] ** 2 / white[i]
-                beside = np.isin(np.arange(len(self.shapes)), places) & (np.arange(len(self.shapes)) != places[i])
-                reach = max(self._reach(int(places[i]), beside, x, rise, sigma) for x in (way, -way))
-                out[i] = np.hypot(max(1.0, reach / way), self._begun_otherwise(index)[places[i]] / std[i])
-            self._widened[index] = out
+            self._widened[index] = widened(self, index, std)
         return self._widened[index]
 
     @cached_property
     def _widened(self) -> dict[int, Array]:
         return {}
-
-    def _begun_otherwise(self, index: int) -> Array:
-        """Change of the shapes (s,) for other guesses at what an effect held as logs begin, root mean square; to first order."""
-        effect, sigma, step = self.effects[index], self.solution.sigma, self.shapes.per_step(self.shape)
-        others = effect.begun_otherwise()
-        if not others:
-            return np.zeros(len(self.shapes))
-        now, *changed = (self._scaled(e) @ e.coefficients for e in (effect, *others))
-        gram = np.tensordot(sigma**-2.0, self.normal.total[0], axes=1) + self.precision
-        inverse = solve_weighted(gram, np.zeros(len(gram)), np.zeros(len(gram)))[1]
-        bend = np.linalg.pinv(self.shape_equations(sigma)[0], rcond=RANK_TOLERANCE, hermitian=True)
-        columns = self.fixed.beside(self.varied)
-        shifts = []
-        swings = [
-            np.concatenate([hilbert(x[s], axis=0) for s in self.regression.spans]) for x in np.subtract(changed, now)
-        ]
-        for off in (np.ascontiguousarray(part.T) for x in swings for part in (x.real, x.imag)):  # at any phase
-            across = np.zeros(len(gram))
-            for w, at, x, y in zip(sigma**-2.0, columns.places, columns.columns, off, strict=True):
-                across[at] += w * (x.T @ y)
-            left, score = off - columns.times(inverse @ across), np.zeros(len(self.shapes))
-            for j, weight in enumerate(sigma**-2.0):
-                np.add.at(score, self._by_shape.places[j], weight * (self._by_shape.columns[j].T @ left[j]))
-            shifts.append(step * (bend @ (score * step)))
-        return np.asarray(np.sqrt(np.mean(np.square(shifts), axis=0)))
-
-    def _reach(self, place: int, beside: Mask, way: float, rise: float, sigma: Array) -> float:
-        """How far off a shape is where squares, the shapes `beside` (s,) fitted again, rose by so much, or its range ends."""
-        lowest, at = self.cost(sigma), self.shape[place]
-        last = before = 0.0
-        for _ in range(DOUBLINGS):
-            value = float(np.clip(at + way, self.shapes.low[place], self.shapes.high[place]))
-            moved = self.shape.copy()
-            moved[place] = value
-            risen = max(self.with_shape(moved)._stepped(BESIDE, beside).cost(sigma) - lowest, 0.0)
-            far = abs(value - at)
-            if not risen < rise:
-                part = (np.sqrt(rise) - np.sqrt(before)) / max(np.sqrt(risen) - np.sqrt(before), 1e-300)
-                return float(last + min(part, 1.0) * (far - last)) if np.isfinite(risen) else last
-            if value != at + way:
-                return far
-            last, before, way = far, risen, 2.0 * way
-        return last
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution, spans = self.solution, regression.spans

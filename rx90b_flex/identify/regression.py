@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
+from rx90b_flex.effects.pieces import in_pieces
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.robot import Robot
@@ -28,7 +29,6 @@ from rx90b_flex.signals import (
     noise_cutoff_hz,
     periods,
 )
-from rx90b_flex.signals.filters import in_pieces
 from rx90b_flex.signals.sticking import held_part
 
 # Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
@@ -255,8 +255,12 @@ def prepare(
     motion_of_tree = robot.motion(q, v, a, recording.time - _clock_zero(recording.time))
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
-        noise = off[order] * np.sqrt(below / (1.0 - below))
-        motion_of_tree = dataclasses.replace(motion_of_tree, angle_noise=noise, angle_band_hz=position_cutoff)
+        motion_of_tree = dataclasses.replace(
+            motion_of_tree,
+            angle_noise=off[order] * np.sqrt(below / (1.0 - below)),
+            angle_band_hz=position_cutoff,
+            low_pass=partial(_as_angles, cutoff_hz=position_cutoff),
+        )
     stuck = held_part(recording.position, rate) if sticking else None
     motion_of_tree = dataclasses.replace(motion_of_tree, stuck=None if stuck is None else stuck[:, order]).sticking(
         sticking
@@ -322,6 +326,12 @@ def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> f
     noise = noise_cutoff_hz(position, rate) if len(position) >= filters.FEWEST_SAMPLES else None
     wide = min(POSITION_CUTOFF_RATIO * cutoff_hz, np.inf if noise is None else ABOVE_NOISE * noise)
     return wide if wide < 0.4 * rate else None
+
+
+def _as_angles(x: Array, rate_hz: float, cutoff_hz: float) -> Array:
+    """A signal (N, ...) behind the low-pass of positions; as it is where its samples are too few or too sparse for that."""
+    possible = cutoff_hz < 0.5 * rate_hz and len(x) >= filters.minimum_samples(cutoff_hz, rate_hz)
+    return lowpass(x, cutoff_hz, rate_hz) if possible else x
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
@@ -81,26 +81,6 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
     # as `scipy.signal.sosfiltfilt` does it, but that works the steady state out anew for every call
     columns = np.ascontiguousarray(samples.reshape(len(samples), -1))
     return forward_and_backward(columns, filter_.sections, filter_.steady, filter_.padding).reshape(samples.shape)
-
-
-def in_pieces(work: Callable[[Array], Array], x: Array, beside: int, at_once: int = 50_000) -> Array:
-    """What `work` makes of a long signal, worked out piece by piece, for all at once would take room.
-
-    Parameters
-    ----------
-    work : callable, (M, ...) -> (M, ...)
-        One row a sample, which no sample farther than `beside` has a part in.
-    x : (N, ...) samples.
-    beside : samples on either side that a piece sees more than it gives.
-    at_once : samples of a piece.
-    """
-    if len(x) <= at_once + beside:
-        return work(x)
-    parts = []
-    for begin in range(0, len(x), at_once):
-        first, end = max(0, begin - beside), begin + at_once
-        parts.append(work(x[first : end + beside])[begin - first : end - first])
-    return np.concatenate(parts)
 
 
 def minimum_samples(cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> int:
