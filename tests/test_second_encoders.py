@@ -160,3 +160,18 @@ def test_the_encoders_of_a_large_arm_show_three_gears_on_which_recordings_agree(
         assert gear.errors["validation"].after < gear.errors["validation"].before
         assert gear.fit.data.lag_s == pytest.approx(3.0e-3, abs=0.2e-3)
     assert all("repeats the motor's" in gear.message for gear in found[3:])
+
+
+def test_a_gear_with_which_the_torques_fit_worse_than_as_declared_is_told_and_left_out() -> None:
+    path = tx40_folder().parent / "kr300_encoders" / "campaign.toml"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    campaign = load_campaign(path)
+    roles = ("identification", "validation", "validation")
+    recordings = [dataclasses.replace(r, role=x) for r, x in zip(campaign.recordings, roles, strict=True)]
+    result = rf.close_loop(dataclasses.replace(campaign, recordings=tuple(recordings)))
+    assert isinstance(result, rf.ClosedLoop)
+    assert result.after.validation.relative_error <= result.before.validation.relative_error
+    shown = [gear for gear in result.deflection if gear.parameters]
+    added = [e.effect.joints for e in result.effects if e.effect.type_name() == "drive_flexibility"]
+    assert shown and all("not in the robot file" in g.message or (g.joint,) in added for g in shown)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import Checked, check
-from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, with_gears
+from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
@@ -288,10 +288,19 @@ def close_loop(
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
     """The result with the flexibilities that second encoders show, its errors those of the robot that has them."""
     gears = gear_deflections(result.source, result.campaign, result.model)
-    result = dataclasses.replace(result, deflection=gears)
     if not any(g.parameters for g in gears):
+        return dataclasses.replace(result, deflection=gears)
+    robot = identified_robot(result.source, result.model, result.joints)
+    flexible = _with_gears(result, robot, gears)
+    if flexible.after.validation.relative_error > result.before.validation.relative_error:
+        return _with_gears(result, robot, tuple(not_in_torques(g) for g in gears))
+    return flexible
+
+
+def _with_gears(result: ClosedLoop, identified: Robot, gears: tuple[GearDeflection, ...]) -> ClosedLoop:
+    result, robot = dataclasses.replace(result, deflection=gears), with_gears(identified, gears)
+    if robot.effects == identified.effects:
         return result
-    robot = with_gears(identified_robot(result.source, result.model, result.joints), gears)
     torques = {role: replayed(robot, result.campaign, role) for role in ROLES}
     after = RoleErrors(*(Errors.of([r.torque for r, _ in x], [t for _, t in x]) for x in torques.values()))
     found = tuple(

@@ -330,6 +330,16 @@ def with_gears(robot: Robot, found: Sequence[GearDeflection]) -> Robot:
     return robot.with_effects(effects)
 
 
+def not_in_torques(found: GearDeflection) -> GearDeflection:
+    """The same where the torques say nothing of a flexibility that only makes them worse: told, but not in the robot."""
+    if found.effect is None:
+        return found
+    words = (
+        "It is not in the robot file, for on the validation recordings the torques fit worse with it than as declared."
+    )
+    return dataclasses.replace(found, effect=None, message=f"{found.message} {words}")
+
+
 def deflection_json(found: Sequence[GearDeflection]) -> list[dict[str, Any]]:
     """The content of ``deflection`` in ``closed_loop.json``, one entry a joint."""
     return [{"joint": gear.joint, "message": gear.message, **_measures(gear)} for gear in found]
