@@ -24,6 +24,7 @@ OUT_OF_NOISE = (2.0, 4.0)  # times the noise's power: from where on, and where f
 SMOOTHED = 3  # times, that a band's edges do not ring
 MOSTLY = 0.5  # gain below which a line is taken out more than it is left
 ORDER = 4  # of the low-pass of angles, forward and backward
+BEYOND = 1e100  # kg m^2, no inertia
 ALL = 1.0 - 1e-6  # of a load at every line: no filter is worth while
 
 
@@ -50,7 +51,10 @@ class Calm:
         step = float(motion.time[1] - motion.time[0]) if samples >= SHORTEST else 0.0
         if noise is None or band is None or step <= 0.0 or not np.isfinite(load).all():
             return None
-        by_acceleration = (motion.on_tree.derivatives()[2] ** 2).mean(axis=0) @ (noise**2 / band)
+        inertia = motion.on_tree.derivatives()[2]
+        if not np.abs(inertia).max() < BEYOND:
+            return None  # values from which a fit turns back
+        by_acceleration = (inertia**2).mean(axis=0) @ (noise**2 / band)
 
         def noisy(hz: Array) -> Array:
             through = 1.0 / (1.0 + (hz / band) ** (2 * ORDER))
