@@ -526,7 +526,6 @@ class _RobotTreeMotion:
                 effects=motion.effects,
                 stuck=motion.stuck,
                 angle_noise=noise,
-                angle_band_hz=motion.angle_band_hz,
                 low_pass=motion.low_pass,
             )
             self.hinged[hinges] = dataclasses.replace(moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel()))

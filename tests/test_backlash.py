@@ -53,7 +53,7 @@ def backlash(robot: Robot, **values: float) -> Effect:
 
 
 @pytest.mark.parametrize("angle_noise", [1e-7, 3e-6])
-def test_gap_and_contact_lie_within_their_intervals(robot, angle_noise):
+def test_gap_and_contact_lie_within_their_intervals(robot: Robot, angle_noise: float) -> None:
     """Also where the noise of the angles asks for a low-pass of them far below that of the torque."""
     deviations, off = [], []
     for seed in range(4):
@@ -69,7 +69,7 @@ def test_gap_and_contact_lie_within_their_intervals(robot, angle_noise):
     assert np.abs(off).max() < 0.05
 
 
-def test_a_known_gap_tells_how_the_load_goes_on_across_it(robot):
+def test_a_known_gap_tells_how_the_load_goes_on_across_it(robot: Robot) -> None:
     recording, load, contact = logged(robot, 1e-7, np.random.default_rng(5))
     motion = prepare(robot, recording, CUTOFF).motion
     at_motor = np.asarray(motion.on_tree.load())[:, AT]
@@ -84,7 +84,7 @@ def test_a_known_gap_tells_how_the_load_goes_on_across_it(robot):
     assert off(found) < min(0.05, 0.3 * off(guess))
 
 
-def test_a_column_of_a_gap_is_seen_behind_the_low_pass_of_the_angles(robot):
+def test_a_column_of_a_gap_is_seen_behind_the_low_pass_of_the_angles(robot: Robot) -> None:
     """What the model makes of the motors' angles and what the gap adds give the links' torque, kick for kick."""
     recording, load, contact = logged(robot, 3e-6, np.random.default_rng(6))
     motion = prepare(robot, recording, CUTOFF).motion

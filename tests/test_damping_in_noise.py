@@ -71,7 +71,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 @pytest.mark.parametrize("angle_noise", [ANGLE_NOISE, 0.0])
-def test_intervals_of_stiffness_and_damping_hold_the_truth(bench, angle_noise):
+def test_intervals_of_stiffness_and_damping_hold_the_truth(bench: Bench, angle_noise: float) -> None:
     """A fit to noisy angles would damp the swing that their noise excites."""
     off = []
     for seed in SEEDS:
@@ -82,7 +82,7 @@ def test_intervals_of_stiffness_and_damping_hold_the_truth(bench, angle_noise):
     assert (np.square(off).sum(axis=0) < stats.chi2.isf(CHANCE, len(off))).all(), np.round(off, 2)
 
 
-def test_a_drive_twists_under_its_load_and_not_under_the_noise_of_angles(bench):
+def test_a_drive_twists_under_its_load_and_not_under_the_noise_of_angles(bench: Bench) -> None:
     noisy, clean = (bench.regression(1, noise).segments[0].motion for noise in (ANGLE_NOISE, 0.0))
     load = np.array(noisy.on_tree.load())
     calm = Calm.of(noisy, load)
@@ -93,7 +93,7 @@ def test_a_drive_twists_under_its_load_and_not_under_the_noise_of_angles(bench):
     assert (after < 0.3 * before).all()
 
 
-def test_what_stands_out_of_the_noise_by_itself_is_left(bench):
+def test_what_stands_out_of_the_noise_by_itself_is_left(bench: Bench) -> None:
     """A blow of a tenth of a second, much less than the noise over the whole log."""
     motion = bench.regression(1, ANGLE_NOISE).segments[0].motion
     load = np.array(motion.on_tree.load())

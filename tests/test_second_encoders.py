@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from data_folder import tx40_folder
+from data_folder import data_folder
 from two_inertias import Drive, simulate, write_campaign
 
 import rx90b_flex as rf
@@ -149,10 +149,7 @@ def test_intervals_of_the_compliance_hold_what_they_promise(tmp_path: Path) -> N
 
 def test_the_encoders_of_a_large_arm_show_three_gears_on_which_recordings_agree() -> None:
     """Axes 1-3 have their own second encoders, read 3 ms late; those of 4-6 repeat the motor's."""
-    path = tx40_folder().parent / "kr300_encoders" / "campaign.toml"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
-    found = looked_at(load_campaign(path))
+    found = looked_at(load_campaign(data_folder("kr300_encoders") / "campaign.toml"))
     named = [gear.joint for gear in found if gear.effect is not None]
     assert named == ["A1", "A2", "A3"]
     for gear in found[:3]:
@@ -163,10 +160,7 @@ def test_the_encoders_of_a_large_arm_show_three_gears_on_which_recordings_agree(
 
 
 def test_a_gear_with_which_the_torques_fit_worse_than_as_declared_is_told_and_left_out() -> None:
-    path = tx40_folder().parent / "kr300_encoders" / "campaign.toml"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
-    campaign = load_campaign(path)
+    campaign = load_campaign(data_folder("kr300_encoders") / "campaign.toml")
     roles = ("identification", "validation", "validation")
     recordings = [dataclasses.replace(r, role=x) for r, x in zip(campaign.recordings, roles, strict=True)]
     result = rf.close_loop(dataclasses.replace(campaign, recordings=tuple(recordings)))

@@ -50,7 +50,7 @@ STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks,
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
-BATCH_BYTES = 6e6
+BATCH_BYTES = 6e6  # of columns that are looked at together
 
 
 def laws(kind: type[Effect]) -> bool:

@@ -46,12 +46,12 @@ class Calm:
     @staticmethod
     def of(motion: Motion, load: Array) -> Calm | None:
         """Of a load (N, n), N m, on a motion of measured angles; None where nothing is to be taken out."""
-        noise, band = motion.angle_noise, motion.angle_band_hz
+        noise, low_pass = motion.angle_noise, motion.low_pass
         samples = len(load)
         step = float(motion.time[1] - motion.time[0]) if samples >= SHORTEST else 0.0
-        if noise is None or band is None or step <= 0.0 or not np.isfinite(load).all():
+        if noise is None or low_pass is None or step <= 0.0 or not np.isfinite(load).all():
             return None
-        inertia = motion.on_tree.derivatives()[2]
+        band, inertia = low_pass.cutoff_hz, motion.on_tree.derivatives()[2]
         if not np.abs(inertia).max() < BEYOND:
             return None  # values from which a fit turns back
         by_acceleration = (inertia**2).mean(axis=0) @ (noise**2 / band)

@@ -189,6 +189,7 @@ class _DriveDeflection(_OnRigidTree):
         "stiffness": Parameter("N m/rad", "shape", 1e-6, 1e15),
         "lag": Parameter("s", "shape", *LAGS),
     }
+    swings: ClassVar[float] = 1.0  # whose load says how far it is twisted as a log begins
 
     stiffness: float | None = derived("N m/rad", lower=0.0)
     damping: float | None = derived("N m s/rad", lower=0.0)
@@ -269,10 +270,7 @@ class _DriveDeflection(_OnRigidTree):
         present = [e for e in motion.effects if isinstance(e, _DriveDeflection)]
         if not present or present[0].joint != self.joint:
             return None  # the first one answers for all
-        load = _through_drives(motion)
-        return by_links(motion, _springs_of_model(motion), load, _calm(motion))
-
-    swings: ClassVar[float] = 1.0
+        return by_links(motion, _springs_of_model(motion), _through_drives(motion), _calm(motion))
 
     @property
     def spring(self) -> Spring:

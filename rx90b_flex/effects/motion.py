@@ -126,6 +126,17 @@ class TreeMotion(Protocol):
         ...
 
 
+class LowPass(Protocol):
+    """A low-pass without phase shift."""
+
+    @property
+    def cutoff_hz(self) -> float: ...
+
+    def __call__(self, x: Array, rate_hz: float) -> Array:
+        """Samples (N, ...) behind it."""
+        ...
+
+
 class Force(Protocol):
     """What a motion knows of an effect of the present model."""
 
@@ -166,13 +177,11 @@ class Motion:
         The present model's forces beyond the tree, for effects that depend on the model as a whole.
     angle_noise : array, shape (n,), or None
         Standard deviation of what the angles are off, rad, where a log tells it.
-    angle_band_hz : float or None
-        Cutoff of the low-pass behind which it is left.
     stuck : array, shape (N, joints), or None
         Where a drive sticks at a reversal: the part of its dry friction, -1 to 1, that it is taken to hold
         (`signals.sticking.held_part`); elsewhere NaN.
-    low_pass : callable, or None
-        What a log's angles went through: of samples (N, ...) and their rate in Hz it makes those behind it.
+    low_pass : LowPass or None
+        What a log's angles went through, and their noise.
     """
 
     coordinates: Coordinates
@@ -183,9 +192,8 @@ class Motion:
     tree: Callable[[Motion], TreeMotion] = field(repr=False)
     effects: tuple[Force, ...] = field(default=(), repr=False)
     angle_noise: Array | None = field(default=None, repr=False)
-    angle_band_hz: float | None = field(default=None, repr=False)
     stuck: Array | None = field(default=None, repr=False)
-    low_pass: Callable[[Array, float], Array] | None = field(default=None, repr=False)
+    low_pass: LowPass | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.q.shape[0]

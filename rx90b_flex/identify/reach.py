@@ -30,12 +30,12 @@ def widened(fit: _Fit, index: int, std: Array) -> Array:
     sigma, size = fit.solution.sigma, fit.shapes.per_step(fit.shape)[places]
     bend = fit.shape_equations(sigma)[0][np.ix_(places, places)]
     white = np.diag(np.linalg.pinv(bend / np.outer(size, size), hermitian=True))
-    out = np.ones(len(places))
+    out, begun_otherwise = np.ones(len(places)), _begun_otherwise(fit, index)[places]
     for i in np.flatnonzero((std > 0.0) & (white > 0.0)):
         way, rise = LIMIT * std[i], LIMIT**2 * std[i] ** 2 / white[i]
         beside = np.isin(np.arange(len(fit.shapes)), places) & (np.arange(len(fit.shapes)) != places[i])
         reach = max(_reach(fit, int(places[i]), beside, x, rise, sigma) for x in (way, -way))
-        out[i] = np.hypot(max(1.0, reach / way), _begun_otherwise(fit, index)[places[i]] / std[i])
+        out[i] = np.hypot(max(1.0, reach / way), begun_otherwise[i] / std[i])
     return out
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -258,8 +258,7 @@ def prepare(
         motion_of_tree = dataclasses.replace(
             motion_of_tree,
             angle_noise=off[order] * np.sqrt(below / (1.0 - below)),
-            angle_band_hz=position_cutoff,
-            low_pass=partial(_as_angles, cutoff_hz=position_cutoff),
+            low_pass=_LowPassOfAngles(position_cutoff),
         )
     stuck = held_part(recording.position, rate) if sticking else None
     motion_of_tree = dataclasses.replace(motion_of_tree, stuck=None if stuck is None else stuck[:, order]).sticking(
@@ -328,10 +327,15 @@ def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> f
     return wide if wide < 0.4 * rate else None
 
 
-def _as_angles(x: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """A signal (N, ...) behind the low-pass of positions; as it is where its samples are too few or too sparse for that."""
-    possible = cutoff_hz < 0.5 * rate_hz and len(x) >= filters.minimum_samples(cutoff_hz, rate_hz)
-    return lowpass(x, cutoff_hz, rate_hz) if possible else x
+@dataclass(frozen=True)
+class _LowPassOfAngles:
+    """The low-pass of a log's positions; samples that are too few or too sparse for it stay as they are."""
+
+    cutoff_hz: float
+
+    def __call__(self, x: Array, rate_hz: float) -> Array:
+        possible = self.cutoff_hz < 0.5 * rate_hz and len(x) >= filters.minimum_samples(self.cutoff_hz, rate_hz)
+        return lowpass(x, self.cutoff_hz, rate_hz) if possible else x
 
 
 @dataclass(frozen=True, eq=False)
