@@ -12,6 +12,7 @@ from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Sites
 from rx90b_flex.effects.friction import CoulombFriction, ViscousFriction
+from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.torque_gain import TorqueGain
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.physical import gains_again
@@ -41,13 +42,16 @@ def with_memory(q: np.ndarray, deflection: float) -> np.ndarray:
     return out
 
 
-def regression(robot: Robot, noise: float, deflection: float | None = None) -> Regression:
-    """Joint 1 swings to and fro and sticks at the ends, joint 2 only goes one way; dry friction of joint 1 (a sign, or
-    Dahl's of a deflection), white noise.
+def regression(
+    robot: Robot, noise: float, deflection: float | None = None, count: float = 0.0, soft: float = 0.0
+) -> Regression:
+    """Joint 1 swings to and fro and sticks at the ends, where it may come to rest softly, joint 2 only goes one way; dry friction of
+    joint 1 (a sign, or Dahl's of a deflection), white noise; angles are logged as they are, or in counts of so many rad.
     """
     time = np.arange(round(8.0 * RATE_HZ)) / RATE_HZ
     angle = 2 * np.pi * HARMONIC_HZ * time
-    q = np.stack([0.5 * np.clip(np.sin(angle), -0.95, 0.95), 0.3 * time + 0.02 * np.sin(2 * angle)], axis=1)
+    swing = np.tanh(soft * np.sin(angle)) if soft else np.clip(np.sin(angle), -0.95, 0.95)
+    q = np.stack([0.5 * swing, 0.3 * time + 0.02 * np.sin(2 * angle)], axis=1)
     v = np.gradient(q, 1 / RATE_HZ, axis=0)
     a = np.gradient(v, 1 / RATE_HZ, axis=0)
     sign = [CoulombFriction(joint=robot.joints[0], torque=DRY)] if deflection is None else []
@@ -62,7 +66,7 @@ def regression(robot: Robot, noise: float, deflection: float | None = None) -> R
         time=time,
         sample_rate_hz=RATE_HZ,
         joints=robot.joints,
-        position=q,
+        position=np.round(q / count) * count if count else q,
         torque=torque,
     )
     return Regression.of(robot, [recording], CUTOFF_HZ)
@@ -87,6 +91,25 @@ def test_rows_are_doubted_at_reversals_of_a_joint_with_dry_friction_and_nowhere_
     assert (known[edges, 0] < 0.2).all()
     assert (known[far, 0] > 0.9).all()
     assert (known[:, 1] > 0.999).all()
+
+
+def test_a_counted_angle_is_doubted_at_rest_by_what_hysteresis_makes_of_half_a_count(robot: Robot) -> None:
+    deflection, count = 0.005, 1e-3
+    exact, counted = (regression(robot, 0.05, deflection, step, soft=6.0) for step in (0.0, count))
+    model = identify(
+        exact, [PreslidingFriction(joint=robot.joints[0], torque=DRY, deflection=deflection)], fit_links=False
+    )
+    forth = np.linspace(0.0, 0.4, 4_000)
+    # forth the torque is as large as it gets; back by the rounding's deviation it gives way by so much
+    back = DRY * np.diff(with_memory(np.append(forth, forth[-1] - count / np.sqrt(12.0)), deflection))[-1]
+    swing = np.abs(np.sin(2 * np.pi * HARMONIC_HZ * exact.segments[0].time))
+    squares = []
+    for data in (exact, counted):
+        noise = 1.4826 * np.median(np.abs(model.residual_on(data)[:, 0]))
+        doubt = noise * np.sqrt(row_weights(data, model)[:, 0] ** -2.0 - 1.0)
+        assert np.median(doubt[swing < 0.4]) < 0.1 * noise
+        squares.append(np.median(doubt[swing > 0.85]) ** 2)
+    assert np.sqrt(squares) == pytest.approx([0.0, abs(back)], rel=0.3)
 
 
 def test_friction_that_is_small_against_the_noise_costs_no_row(robot: Robot) -> None:

@@ -25,13 +25,12 @@ from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
 from rx90b_flex.diagnose.residual import noise_between_periods
 from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
-from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
 from rx90b_flex.signals.data_fault import DataFault, DataFaultError
-from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
+from rx90b_flex.signals.facts import counter_steps, found_period_s, sensible_cutoff_hz
 
 SCHEMA = 1
 PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's
@@ -266,7 +265,7 @@ def _facts(recording: Recording) -> RecordingFacts:
         recording.duration_s,
         recording.sample_rate_hz,
         float(resting.mean()) if len(resting) else 1.0,
-        _step(recording.position),
+        float(counter_steps(recording.position).max(initial=0.0)) or None,
         recording.period_s or found_period_s(recording),
     )
 
@@ -280,23 +279,6 @@ def _noise_floor(
     torques = [r.torque if cutoff is None else lowpass(r.torque, cutoff, r.sample_rate_hz) for r in repeating]
     floor = noise_between_periods(repeating, torques, campaign)
     return None if floor is None else tuple(float(x) for x in floor)
-
-
-def _step(position: Array) -> float | None:
-    """Coarsest grid that a joint's positions lie on, rad; None where there is none."""
-    coarsest = None
-    for column in position.T:
-        steps = np.abs(np.diff(column))
-        steps = steps[steps > 1e-12]
-        if len(steps) == 0:
-            continue
-        step = float(steps.min())
-        multiples = steps / step
-        if np.median(multiples) > PRINTED:
-            continue  # the last digit of the print, no counter
-        if np.mean(np.abs(multiples - np.round(multiples)) < 0.02 * np.maximum(multiples, 1.0) ** 0.5) > 0.98:
-            coarsest = max(coarsest or 0.0, step)
-    return coarsest
 
 
 # ---- as JSON ----------------------------------------------------------------------------------------------------

@@ -3,7 +3,8 @@
 Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
 that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
 at the velocity of the fit and at that of positions which keep another octave, on the samples and half a sample beside them,
-for a step between two samples has an instant of its own. Hysteresis, which goes by angles, is asked for along both angles. What
+for a step between two samples has an instant of its own. Hysteresis, which goes by angles, is asked for along both angles, and
+along those that a counter may have rounded where a joint stands: no mean makes that smaller, and all rows of a rest share it. What
 they differ by behind the low-pass is a standard deviation that a row has beside its noise. It depends on motion and present
 model, not on what is tried beside it.
 """
@@ -19,8 +20,9 @@ from scipy import ndimage
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import Regression, Segment
+from rx90b_flex.identify.regression import STANDING_S, Regression, Segment
 from rx90b_flex.signals import lowpass
+from rx90b_flex.signals.facts import counter_steps
 
 MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
 
@@ -70,14 +72,24 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     width = 2 * round(0.5 / segment.cutoff_hz * rate) + 1
     envelope = ndimage.maximum_filter1d(size, width, axis=0, mode="nearest")
     if by_angle:
-        noisy = force(by_angle, q=segment.motion.q + _as_noise(angle - segment.motion.q, segment)) - force(by_angle)
-        around = ndimage.uniform_filter1d(lowpass(noisy, segment.cutoff_hz, rate) ** 2, width, axis=0, mode="nearest")
-        envelope = np.hypot(envelope, np.sqrt(np.maximum(around, 0.0)))  # a running sum may end below zero
+        rests = _rounding(segment)
+        unknown = [
+            force(by_angle, q=q) - force(by_angle) for q in (angle, segment.motion.q + rests, segment.motion.q - rests)
+        ]
+        between, *rounded = (lowpass(off, segment.cutoff_hz, rate) for off in unknown)
+        around = ndimage.uniform_filter1d(between**2, width, axis=0, mode="nearest")
+        # a running sum may end below zero
+        envelope = np.sqrt(envelope**2 + np.maximum(around, 0.0) + 0.5 * (rounded[0] ** 2 + rounded[1] ** 2))
     return np.asarray(envelope[:: segment.factor][segment.kept])
 
 
-def _as_noise(off: Array, segment: Segment) -> Array:
-    """An angle's part in another octave, (N_working, joints), rad, made as small as the noise of the log; the rest is motion."""
-    noise = segment.motion.angle_noise
-    size = np.sqrt(np.mean(off**2, axis=0))
-    return off if noise is None else off * np.minimum(1.0, noise / np.maximum(size, 1e-300))
+def _rounding(segment: Segment) -> Array:
+    """Standard deviation of an angle that a counter rounds, where its joint stands; elsewhere zero, (N_working, joints), rad."""
+    order = [segment.recording.joints.index(j) for j in segment.motion.coordinates.joints]
+    steps = counter_steps(segment.recording.position)[order]
+    position = segment.recording.position[:: segment.working_factor][:, order]
+    window = max(3, round(STANDING_S * segment.rate_hz * segment.factor))
+    highest, lowest = (
+        f(position, window, axis=0, mode="nearest") for f in (ndimage.maximum_filter1d, ndimage.minimum_filter1d)
+    )
+    return np.where(highest - lowest < 1.5 * steps, steps / np.sqrt(12.0), 0.0)

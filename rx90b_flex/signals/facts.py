@@ -12,6 +12,7 @@ from rx90b_flex.signals.recording import Recording
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
 OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
 LOWEST_HZ = 1.0
+PRINTED = 1e3  # steps
 SHORTEST_PERIOD_S = 0.5
 REPEATS = 2e-5  # squared difference of a motion to itself a period later, over twice its variance
 
@@ -62,3 +63,21 @@ def found_period_s(recording: Recording) -> float | None:
         return None
     begin, end = edges[:2]
     return float((begin + np.argmin(unlike[begin:end])) / rate)
+
+
+def counter_steps(position: Array) -> Array:
+    """Grid that each joint's positions (N, joints) lie on, rad; zero where there is none, shape (joints,)."""
+    return np.array([_step(column) for column in position.T])
+
+
+def _step(column: Array) -> float:
+    steps = np.abs(np.diff(column))
+    steps = steps[steps > 1e-12]
+    if len(steps) == 0:
+        return 0.0
+    step = float(steps.min())
+    multiples = steps / step
+    if np.median(multiples) > PRINTED:
+        return 0.0  # the last digit of the print, no counter
+    near = np.abs(multiples - np.round(multiples)) < 0.02 * np.maximum(multiples, 1.0) ** 0.5
+    return step if np.mean(near) > 0.98 else 0.0
