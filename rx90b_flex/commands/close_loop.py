@@ -124,6 +124,8 @@ def print_result(result: Any) -> None:
         say(f"Taken out again: {gone.label}, for {gone.refusal}")
     for d in result.unexplained.where[:3]:
         say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+    for gear in result.deflection:
+        say(gear.message)
     for caution in result.cautions:
         say(f"Beware: {caution}")
     for text in (*(f.message for f in result.data_faults), *basics_words(result)):
