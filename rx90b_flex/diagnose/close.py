@@ -17,7 +17,7 @@ from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
-from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
+from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.moving import MovingErrors
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
@@ -25,7 +25,7 @@ from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find, predict
+from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
@@ -390,11 +390,10 @@ class _Ended:
         where = dependences(left, seed)
         cautions = _cautions(self.source, campaign)
         links_off, in_doubt = self._if_links_are_off(after.validation.relative_error)
-        shown = with_possible_values(declared)
-        predictions = self._predictions(shown, with_possible_values(model))
+        predictions = self._predictions()
         tell("asking how much can be explained at all", 0.97)
         compared_with = [HeldOut(p.torque, p.before) for p in predictions]
-        explainable = yardstick(shown, held_out.weighted(None), compared_with, after.validation)
+        explainable = yardstick(self.declared.possible, held_out.weighted(None), compared_with, after.validation)
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         doubtful, found = bool(cautions) or in_doubt, bool(standing.steps)
@@ -459,12 +458,10 @@ class _Ended:
         fitted = FittedErrors(*(self.residual.data.fitted_errors(m.identified) for m in models))
         return None if (fitted.before, fitted.after) == tuple(m.errors for m in models) else fitted
 
-    def _predictions(self, before: Identification, after: Identification) -> tuple[Prediction, ...]:
-        """Of the validation recordings, with the values as they are."""
-        return tuple(
-            Prediction(r.recording, r.torque, predict(r, before), predict(r, after), r.velocity)
-            for r in self.residual.data.validation
-        )
+    def _predictions(self) -> tuple[Prediction, ...]:
+        """Of the validation recordings."""
+        each = zip(self.residual.data.validation, self.declared.validation, self.standing.model.validation, strict=True)
+        return tuple(Prediction(r.recording, r.torque, before, after, r.velocity) for r, before, after in each)
 
     def _found(self, search: Search) -> tuple[FoundEffect, ...]:
         model = self.standing.model

@@ -11,9 +11,9 @@ import numpy as np
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.log_effect import between
 from rx90b_flex.effects.motion import Array, with_forces
-from rx90b_flex.identify.regression import Segment, period_noise
+from rx90b_flex.identify.regression import Segment
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals import Campaign, Recording, lowpass
+from rx90b_flex.signals import Campaign, Recording, lowpass, periods
 
 
 @dataclass(frozen=True)
@@ -124,3 +124,25 @@ def _white_noise_gain(cutoff_hz: float | None, sample_rate_hz: float) -> float:
     impulse = np.zeros((int(40 * sample_rate_hz / cutoff_hz) // 2 * 2 + 1, 1))
     impulse[len(impulse) // 2] = 1.0
     return float(np.linalg.norm(lowpass(impulse, cutoff_hz, sample_rate_hz)))
+
+
+def period_noise(residual: Array, recording: Recording) -> Array | None:
+    """Noise of a repeating experiment, from what differs between its periods.
+
+    Parameters
+    ----------
+    residual : array, shape (N, joints)
+        One row a sample of the recording.
+    recording : Recording
+
+    Returns
+    -------
+    array, shape (joints,), or None where the recording does not hold two whole periods
+        Root mean square, N m.
+    """
+    if recording.period_s is None:
+        return None
+    samples = round(recording.period_s * recording.sample_rate_hz)
+    if samples < 1 or len(residual) < 2 * samples:
+        return None
+    return np.sqrt(periods(residual, samples).var(axis=0, ddof=1).mean(axis=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +16,6 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
-from rx90b_flex.effects.pieces import in_pieces
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.robot import Robot
@@ -27,7 +26,6 @@ from rx90b_flex.signals import (
     lowpass,
     motion,
     noise_cutoff_hz,
-    periods,
 )
 from rx90b_flex.signals.sticking import held_part
 
@@ -45,14 +43,12 @@ STANDING_S = 0.2  # within which the angle of a joint that stands still
 STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the log's noise
 MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
-SEEN_BY_SPLINE = 40  # samples on either side: a farther one has less part in a cubic spline than rounding
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
 TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
-RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
 FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
@@ -102,28 +98,28 @@ class Segment:
 
     def brought(self, columns: Array) -> Array:
         """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
-        if self.cutoff_hz is not None:
-            columns = lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
-        return columns[:: self.factor][self.kept]
+        # a view would keep all that it is part of
+        return np.ascontiguousarray(self.low_passed(columns)[:: self.factor][self.kept])
+
+    def low_passed(self, columns: Array) -> Array:
+        """Columns (N_working, ...) behind the low-pass."""
+        return columns if self.cutoff_hz is None else lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
 
     @cached_property
     def wider(self) -> tuple[Array, Array]:
         """Angle and velocity from positions that keep another octave, at the working rate, each (N_working, joints); rad, rad/s."""
         if self.cutoff_hz is None:
             return self.motion.q, self.motion.v
-        rate = self.recording.sample_rate_hz
-        cutoff = WIDER * (_position_cutoff(self.recording.position, rate, self.cutoff_hz) or rate)
+        rate, low_pass = self.recording.sample_rate_hz, self.motion.low_pass
+        cutoff = WIDER * (rate if low_pass is None else low_pass.cutoff_hz)
         wide = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None)
         order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
+    @cached_property
     def half_a_sample_off(self) -> tuple[Array, Array]:
         """The velocity of `wider` half a working sample before and after, each (N_working, joints); rad/s."""
-        return self._half_a_sample_off if len(self.motion) <= AT_ONCE else _between(self.wider[1])
-
-    @cached_property
-    def _half_a_sample_off(self) -> tuple[Array, Array]:
         return _between(self.wider[1])
 
     def sticking(self, held: Sequence[Held]) -> Segment:
@@ -178,14 +174,15 @@ class Segment:
         starts = (min(int((k % repeats + k / PIECES) * whole), len(self) - length) for k in range(PIECES))
         return [(self._piece(slice(at, at + length), self._run_in, of_whole), at) for at in starts]
 
-    def split(self, samples: int) -> list[Segment]:
-        """Pieces of so many working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
-        if len(self.motion) <= samples:
-            return [self]
+    def split(self) -> Iterator[Segment]:
+        """Pieces of `AT_ONCE` working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
+        if len(self.motion) <= AT_ONCE:
+            yield self
+            return
         rate = self.rate_hz * self.factor
-        rings = 0 if self.cutoff_hz is None else RINGS * filters.minimum_samples(self.cutoff_hz, rate)
-        ends = np.append(np.arange(0, len(self), max(1, samples // self.factor)), len(self))
-        return [self._piece(slice(int(a), int(b)), -(-rings // self.factor)) for a, b in pairwise(ends)]
+        rings = 0 if self.cutoff_hz is None else filters.RINGS * filters.minimum_samples(self.cutoff_hz, rate)
+        ends = np.append(np.arange(0, len(self), max(1, AT_ONCE // self.factor)), len(self))
+        yield from (self._piece(slice(int(a), int(b)), -(-rings // self.factor)) for a, b in pairwise(ends))
 
     @property
     def _run_in(self) -> int:
@@ -196,7 +193,7 @@ class Segment:
         first, last = self.kept.start + samples.start, self.kept.start + samples.stop
         begin, end = max(0, first - beside), last + beside
         moved = slice(begin * self.factor, end * self.factor)
-        return dataclasses.replace(
+        out = dataclasses.replace(
             self,
             motion=self.motion.piece(moved) if of_whole else self.motion.part(moved),
             time=self.time[samples],
@@ -204,6 +201,9 @@ class Segment:
             sensed=None if self.sensed is None else self.sensed[samples],
             kept=slice(first - begin, last - begin),
         )
+        if "wider" in self.__dict__:
+            out.__dict__["wider"] = tuple(x[moved] for x in self.wider)
+        return out
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -252,7 +252,7 @@ def prepare(
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     order = [recording.joints.index(j) for j in robot.joints]
     q, v, a = (x[:, order] for x in moved)
-    motion_of_tree = robot.motion(q, v, a, recording.time - _clock_zero(recording.time))
+    motion_of_tree = robot.motion(q, v, a, _since(recording.time))
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
         motion_of_tree = dataclasses.replace(
@@ -272,17 +272,10 @@ def prepare(
 
 def _between(x: Array) -> tuple[Array, Array]:
     """Values (N, n) half a sample before and after."""
-    before, after = np.empty_like(x), np.empty_like(x)
-    for i, column in enumerate(x.T):
-        before[:, i], after[:, i] = in_pieces(_halfway, column, SEEN_BY_SPLINE).T
-    return before, after
-
-
-def _halfway(x: Array) -> Array:
-    """Samples (N,) by a spline half a step before and after, (N, 2)."""
     at = np.arange(len(x))
-    spline = CubicSpline(at, x)
-    return np.stack([spline(at - 0.5), spline(at + 0.5)], axis=1)
+    splines = [CubicSpline(at, column) for column in x.T]
+    before, after = (np.stack([s(at + off) for s in splines], axis=1) for off in (-0.5, 0.5))
+    return before, after
 
 
 def _enough(recording: Recording, cutoff_hz: float | None, samples: int, edge: int) -> int:
@@ -313,9 +306,9 @@ def _standing(moved: filters.FilteredMotion, noise: Array, rate: float) -> filte
     )
 
 
-def _clock_zero(time: Array) -> float:
-    """Start of a log's clock, s: zero, or where the log begins if it gives dates."""
-    return float(time[0]) if abs(time[0]) > LATEST_S else 0.0
+def _since(time: Array) -> Array:
+    """Times (N,) since a log's clock began, s; since the log began if it gives dates."""
+    return time - time[0] if abs(time[0]) > LATEST_S else time
 
 
 def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> float | None:
@@ -406,11 +399,16 @@ class Regression:
         if sticking is not None:
             return made, whole
         found = drives_that_stick(made)
-        return made.with_sticking(found), tuple(s.sticking(found) for s in whole)
+        whole = tuple(s.sticking(found) for s in whole)
+        return made._with_segments(whole if thin else tuple(s.thinned() for s in whole), found), whole
 
     def with_sticking(self, held: tuple[Held, ...]) -> Regression:
         """The same, with friction held in these sticks alone."""
-        other = dataclasses.replace(self, segments=tuple(s.sticking(held) for s in self.segments), sticking=held)
+        return self._with_segments(tuple(s.sticking(held) for s in self.segments), held)
+
+    def _with_segments(self, segments: tuple[Segment, ...], held: tuple[Held, ...]) -> Regression:
+        """The same motion with friction held in these sticks."""
+        other = dataclasses.replace(self, segments=segments, sticking=held)
         if "_untouched_links" in self.__dict__:
             other.__dict__["_untouched_links"] = self._untouched_links
         return other
@@ -577,7 +575,7 @@ class Regression:
 
     def _made_each(self, effects: Sequence[Effect]) -> list[tuple[Indices, Array]]:
         """As `_made`, for each by itself."""
-        parts = [_through(s, [self._unfiltered(s, e) for e in effects]) for s in self.segments]
+        parts = [_through(s, (self._unfiltered(s, e) for e in effects)) for s in self.segments]
         return [self._over_segments(of_one) for of_one in zip(*parts, strict=True)]
 
     def _unfiltered(self, segment: Segment, effect: Effect) -> _Unfiltered:
@@ -645,6 +643,10 @@ class Regression:
         known[key] = found
 
     def _factored(self, segment: Segment, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
+        many = _together(segment, len(effects[0].coefficients))
+        if many < len(effects) and len(segment.motion) > AT_ONCE:
+            some = (effects[i : i + many] for i in range(0, len(effects), many))
+            return _beside([self._factored(segment, e, leading) for e in some])
         port, columns = effects[0].side_by_side(effects, segment.motion, leading)
         if port is not None:
             weight = self.seen(effects[0], port[None, :, None])[0, :, 0]
@@ -674,7 +676,7 @@ class Regression:
 
     @cached_property
     def _untouched_links(self) -> Array:
-        pieces = (p for s in self.segments for p in s.split(AT_ONCE))
+        pieces = (p for s in self.segments for p in s.split())
         return np.concatenate([self._brought(p, p.motion.on_tree.link_regressor()) for p in pieces])
 
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
@@ -735,52 +737,46 @@ class _Unfiltered:
         return self.basis.size // len(self.basis)
 
 
-def _through(segment: Segment, columns: Sequence[_Unfiltered]) -> list[tuple[Indices, Array]]:
+def _together(segment: Segment, width: int) -> int:
+    """How many times so many columns memory bears at once behind the low-pass of a segment."""
+    return max(1, int(FILTERED_BYTES / (8 * len(segment.motion) * width)))
+
+
+def _through(segment: Segment, columns: Iterable[_Unfiltered]) -> list[tuple[Indices, Array]]:
     """Columns behind the low-pass at the fit's samples, many together, as many as memory bears: joints, and (N, rows, k) each."""
-    most = max(TOGETHER, int(FILTERED_BYTES / (8 * len(segment.motion))))
-    groups: list[list[_Unfiltered]] = []
-    width = most
-    for c in columns:
-        width += c.width
-        if width > most:
-            groups.append([])
-            width = c.width
-        groups[-1].append(c)
+    most = _together(segment, 1)
     out: list[tuple[Indices, Array]] = []
-    for group in groups:
-        together = segment.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
-        ends = np.cumsum([c.width for c in group])
-        for c, end in zip(group, ends, strict=True):
-            x = together[:, end - c.width : end]
-            if c.weight is None:
-                out.append((c.rows, x.reshape(len(x), len(c.rows), c.basis.shape[2])))
-            else:
-                out.append((c.rows, c.weight[None, :, None] * x[:, None, :]))
-    return out
+    group: list[_Unfiltered] = []
+    for c in columns:
+        if group and sum(x.width for x in group) + c.width > most:
+            out += _brought_together(segment, group)
+            group = []
+        group.append(c)
+    return [*out, *_brought_together(segment, group)] if group else out
+
+
+def _brought_together(segment: Segment, group: Sequence[_Unfiltered]) -> Iterator[tuple[Indices, Array]]:
+    together = segment.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
+    ends = np.cumsum([c.width for c in group])
+    for c, end in zip(group, ends, strict=True):
+        x = together[:, end - c.width : end]
+        if c.weight is None:
+            yield c.rows, x.reshape(len(x), len(c.rows), c.basis.shape[2])
+        else:
+            yield c.rows, c.weight[None, :, None] * x[:, None, :]
+
+
+def _beside(parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:
+    """Columns of the same samples side by side: joints (rows,) and (N, rows, sum of k)."""
+    rows = np.unique(np.concatenate([r for r, _ in parts]))
+    out = np.zeros((len(parts[0][1]), len(rows), sum(x.shape[2] for _, x in parts)))
+    end = 0
+    for here, columns in parts:
+        begin, end = end, end + columns.shape[2]
+        out[:, np.searchsorted(rows, here), begin:end] = columns
+    return rows, out
 
 
 def _without_coefficients(effect: Effect) -> Effect:
     """The effect without values of its coefficients, on which its columns do not depend."""
     return effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
-
-
-def period_noise(residual: Array, recording: Recording) -> Array | None:
-    """Noise of a repeating experiment, from what differs between its periods.
-
-    Parameters
-    ----------
-    residual : array, shape (N, joints)
-        One row a sample of the recording.
-    recording : Recording
-
-    Returns
-    -------
-    array, shape (joints,), or None where the recording does not hold two whole periods
-        Root mean square, N m.
-    """
-    if recording.period_s is None:
-        return None
-    samples = round(recording.period_s * recording.sample_rate_hz)
-    if samples < 1 or len(residual) < 2 * samples:
-        return None
-    return np.sqrt(periods(residual, samples).var(axis=0, ddof=1).mean(axis=0))

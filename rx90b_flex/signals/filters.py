@@ -14,11 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from rx90b_flex.compiled.signals import forward_and_backward
+from rx90b_flex.pieces import AT_ONCE, in_pieces
 
 Array = NDArray[np.float64]
 
 # The filter's response to an impulse counts as over when its slowest part has fallen to this.
 _IMPULSE_END = 1e-3
+RINGS = 5  # times the length of that response, after which nothing is left of an end
 # FIR of `resample`: attenuation in dB and the band, as fractions of the lower Nyquist frequency.
 _RESAMPLE_ATTENUATION_DB = 100.0
 _RESAMPLE_PASS = 0.8
@@ -79,8 +81,12 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
             f"{filter_.padding + 1} or more are needed"
         )
     # as `scipy.signal.sosfiltfilt` does it, but that works the steady state out anew for every call
-    columns = np.ascontiguousarray(samples.reshape(len(samples), -1))
-    return forward_and_backward(columns, filter_.sections, filter_.steady, filter_.padding).reshape(samples.shape)
+    columns, beside = np.ascontiguousarray(samples.reshape(len(samples), -1)), RINGS * filter_.padding
+
+    def filtered(x: Array) -> Array:
+        return forward_and_backward(x, filter_.sections, filter_.steady, filter_.padding)
+
+    return in_pieces(filtered, columns, beside, max(AT_ONCE, beside)).reshape(samples.shape)
 
 
 def minimum_samples(cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> int:

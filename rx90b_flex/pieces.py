@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rx90b_flex.effects.motion import Array
+Array = NDArray[np.float64]
 
 AT_ONCE = 50_000  # samples
 
