@@ -50,7 +50,10 @@ class Spectrum:
         weight[0] = 1.0
         if size % 2 == 0:
             weight[-1] = 1.0
-        spectra = fft.rfft(np.ascontiguousarray(columns.T), size)
+        spectra = np.empty((columns.shape[1], len(density)), dtype=complex)
+        for at in range(0, len(spectra), TOGETHER):
+            some = slice(at, at + TOGETHER)
+            spectra[some] = fft.rfft(np.ascontiguousarray(columns[:, some].T), size)
         spectra *= np.sqrt(weight * density / size)
         parts = spectra.view(float)  # real and imaginary
         return np.asarray(parts @ parts.T)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -128,7 +128,7 @@ class Identification:
     def residual_on(self, regression: Regression) -> Array:
         """Torque left over on other data, shape (N, joints), N m."""
         seen = regression.with_model(self.link_parameters, self.effects)
-        torque = seen.torque - seen.link_columns @ self.link_parameters
+        torque = seen.torque - seen.link_torque(self.link_parameters)
         for effect in self.effects:
             torque = torque - seen.columns(effect) @ effect.known_coefficients()
         return torque
@@ -403,7 +403,7 @@ class _Fit:
         if self.by_links is not None and self.about is not None:
             torque = torque + self.factors * (self.by_links @ self.about)
         if not self.fit_links:
-            torque = torque - self.factors * (self.regression.link_columns @ self.regression.robot.link_parameters)
+            torque = torque - self.factors * self.regression.link_torque(self.regression.robot.link_parameters)
         gains = [e for e in self.effects if e.traits.multiplies and e.known]
         if gains:
             torque = np.array(torque)
@@ -412,12 +412,11 @@ class _Fit:
         return torque
 
     @property
-    def _link_columns(self) -> Array:
-        """Of the links, with what effects change by them; (N, joints, 10 * bodies)."""
-        columns = (
-            self.regression.link_columns if self.by_links is None else self.regression.link_columns + self.by_links
-        )
-        return columns if (self.factors == 1.0).all() else columns * self.factors[:, None]
+    def _link_columns(self) -> Iterator[Array]:
+        """Of the links, with what effects change by them; of each row (N, 10 * bodies)."""
+        for i, (factor, columns) in enumerate(zip(self.factors, self.regression.link_columns_by_row, strict=True)):
+            seen = columns if self.by_links is None else columns + self.by_links[:, i]
+            yield seen if (self.factors == 1.0).all() else seen * factor
 
     @cached_property
     def _places(self) -> tuple[Indices, ...]:

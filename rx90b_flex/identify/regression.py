@@ -674,6 +674,16 @@ class Regression:
         """Columns of the links, shape (N, rows, 10 * bodies)."""
         return self._counted(self._untouched_links, np.arange(len(self.rows)))
 
+    @property
+    def link_columns_by_row(self) -> Iterator[Array]:
+        """The same one row after the other, each (N, 10 * bodies)."""
+        for i in range(len(self.rows)):
+            yield self._counted(self._untouched_links[:, i : i + 1], np.array([i]))[:, 0]
+
+    def link_torque(self, link_parameters: Array) -> Array:
+        """What the links ask for, (N, rows), N m."""
+        return self._counted((self._untouched_links @ link_parameters)[:, :, None], np.arange(len(self.rows)))[:, :, 0]
+
     @cached_property
     def _untouched_links(self) -> Array:
         pieces = (p for s in self.segments for p in s.split())
