@@ -455,7 +455,7 @@ class _Ended:
     def _if_not_possible(self) -> FittedErrors | None:
         """Errors with the fitted values; None where they are those of robots that can exist."""
         models = self.declared, self.standing.model
-        fitted = FittedErrors(*(self.residual.data.fitted_errors(m.identified) for m in models))
+        fitted = FittedErrors(*(m.fitted_errors for m in models))
         return None if (fitted.before, fitted.after) == tuple(m.errors for m in models) else fitted
 
     def _predictions(self) -> tuple[Prediction, ...]:

@@ -543,8 +543,8 @@ class Search:
             harmonics = round(hz * segment.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
             harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * segment.recording.period_s))]
             lines = np.append(harmonics / segment.recording.period_s, hz)
-            turned = np.exp(-2j * np.pi * np.outer(segment.time, lines)) * np.hanning(len(segment.time))[:, None]
-            power = (np.abs(left @ turned) ** 2).sum(axis=0)
+            tapered = left * np.hanning(len(segment.time))
+            power = np.array([(np.abs(tapered @ np.exp(-2j * np.pi * f * segment.time)) ** 2).sum() for f in lines])
             if power[-1] < STANDS_OUT * np.median(power[:-1]):
                 return True
         return False

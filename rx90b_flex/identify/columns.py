@@ -44,12 +44,12 @@ class ColumnsByJoint:
         pairs = [(places[t], np.ascontiguousarray(columns[:, t])) for columns, t in touched]
         return ColumnsByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
 
-    def beside(self, other: ColumnsByJoint) -> ColumnsByJoint:
+    def beside(self, *others: ColumnsByJoint) -> ColumnsByJoint:
         """These columns and others."""
-        pairs = zip(self.columns, other.columns, strict=True)
+        every = (self, *others)
         return ColumnsByJoint(
-            tuple(np.concatenate(x) for x in zip(self.places, other.places, strict=True)),
-            tuple(np.concatenate(x, axis=1) for x in pairs),
+            tuple(np.concatenate(x) for x in zip(*(c.places for c in every), strict=True)),
+            tuple(np.concatenate(x, axis=1) for x in zip(*(c.columns for c in every), strict=True)),
         )
 
     @cached_property

@@ -686,8 +686,11 @@ class Regression:
 
     @cached_property
     def _untouched_links(self) -> Array:
-        pieces = (p for s in self.segments for p in s.split())
-        return np.concatenate([self._brought(p, p.motion.on_tree.link_regressor()) for p in pieces])
+        out, end = np.empty((len(self), len(self.rows), len(self.robot.link_parameters))), 0
+        for piece in (p for s in self.segments for p in s.split()):
+            begin, end = end, end + len(piece)
+            out[begin:end] = self._brought(piece, piece.motion.on_tree.link_regressor())
+        return out
 
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
         """The same regression, in which effects see a model: the tree with these link parameters and these effects."""
