@@ -34,12 +34,11 @@ class Errors:
     @staticmethod
     def of(measured: Sequence[Array], predicted: Sequence[Array]) -> Errors:
         """Errors over several recordings, each (N, joints)."""
-        tau = np.concatenate(measured)
-        error = tau - np.concatenate(predicted)
-        return Errors(
-            float(np.linalg.norm(error) / np.linalg.norm(tau)),
-            tuple(float(x) for x in np.sqrt((error**2).mean(axis=0))),
-        )
+        error = np.concatenate([tau - p for tau, p in zip(measured, predicted, strict=True)])
+        size = float(np.linalg.norm([np.linalg.norm(tau) for tau in measured]))
+        relative = float(np.linalg.norm(error) / size)
+        error *= error
+        return Errors(relative, tuple(float(x) for x in np.sqrt(error.mean(axis=0))))
 
 
 @dataclass(frozen=True)

@@ -216,6 +216,7 @@ class Search:
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
         self.regression.forget_pieces()
+        self.regression.forget_long()
         rough.sort(key=lambda item: -item.gain)
         trials: list[TorqueTrial] = []
         # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
@@ -260,6 +261,7 @@ class Search:
         """The trial of what was looked at, by more than a glimpse."""
         closer = self._looked(item, False) if item.glimpsed else item
         found = self.trial(closer.effect, closer.base, present, self.tests)
+        self.regression.forget_long()
         return self._fitted(item.effect) if item.effect.traits.multiplies and found.p_value < WORTH_A_FIT else found
 
     def _fitted(self, effect: Effect) -> TorqueTrial:
@@ -322,7 +324,9 @@ class Search:
         base = self.base(effect)
         restored = self.restored(effect)
         present = self.base(effect, restored) if restored else base
-        return self.trial(effect, base, present, self.tests)
+        found = self.trial(effect, base, present, self.tests)
+        self.regression.forget_long()
+        return found
 
     @property
     def sample_s(self) -> float:

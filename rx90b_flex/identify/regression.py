@@ -505,6 +505,11 @@ class Regression:
         working = sum(len(s.motion) for s in self.segments)
         return self._pieces(GLIMPSE / working, of_whole=working <= LOOKED_AT)
 
+    def forget_long(self) -> None:
+        """Give back what effects worked out of a long motion, which holds more than it takes to work it out again."""
+        if max(len(s.motion) for s in self.segments) > AT_ONCE:
+            self.forget()
+
     def forget(self, first_looks: bool = False) -> None:
         """Give back what effects worked out of the motion; also what a search's next round would ask for."""
         for segment in self.segments:
