@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +33,8 @@ class Errors:
     @staticmethod
     def of(measured: Sequence[Array], predicted: Sequence[Array]) -> Errors:
         """Errors over several recordings, each (N, joints)."""
-        error = np.concatenate([tau - p for tau, p in zip(measured, predicted, strict=True)])
+        each = [tau - p for tau, p in zip(measured, predicted, strict=True)]
+        error = each[0] if len(each) == 1 else np.concatenate(each)
         size = float(np.linalg.norm([np.linalg.norm(tau) for tau in measured]))
         relative = float(np.linalg.norm(error) / size)
         error *= error
@@ -77,11 +77,12 @@ class ReplayedTorques:
     @property
     def velocity(self) -> Array:
         """Velocity of the recording's joints, shape (N, joints), rad/s."""
-        return self.segment.motion.v[:, self._rows]
+        return self._of_joints(self.segment.motion.v)
 
-    @cached_property
-    def _rows(self) -> Array:
-        return np.array([self.robot.layout.index(j) for j in self.recording.joints])
+    def _of_joints(self, x: Array) -> Array:
+        """Of coordinates (N, n) those of the recording's joints; no copy where these are all of them in order."""
+        rows = np.array([self.robot.layout.index(j) for j in self.recording.joints])
+        return x if np.array_equal(rows, np.arange(x.shape[1])) else x[:, rows]
 
     def _filtered(self, torque: Array) -> Array:
         cutoff = self.segment.cutoff_hz
@@ -89,12 +90,16 @@ class ReplayedTorques:
 
     def predict(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
         """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
+        return self._filtered(self._torque(effects, link_parameters))
+
+    def _torque(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
+        """The same before it."""
         loaded = self.segment.loaded(link_parameters)
         seen = self.robot.on_links(self.segment.motion, loaded, effects)
         force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.traits.in_dynamics), seen)
         for effect in between(effects):
             force = effect.logged(seen, force)
-        return self._filtered(force[:, self._rows])
+        return self._of_joints(force)
 
 
 def noise_floor(replays: Sequence[ReplayedTorques], residuals: Sequence[Array], campaign: Campaign) -> Array | None:

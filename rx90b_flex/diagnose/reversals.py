@@ -51,17 +51,16 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     if segment.cutoff_hz is None:
         return np.zeros((len(segment), segment.motion.q.shape[1]))
     by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
-    angle, _ = measured.wider  # its pieces have their parts of it
     pairs = zip(segment.split(), measured.split(), strict=True)
     envelope = np.concatenate([_envelope(part, first, steep) for part, first in pairs])
     if by_angle:
-        off = _as_noise(angle - segment.motion.q, segment)
+        off = _as_noise(measured.wider[0] - segment.motion.q, segment)
         noisy = _force(segment, by_angle, q=segment.motion.q + off) - _force(segment, by_angle)
         around = ndimage.uniform_filter1d(segment.low_passed(noisy) ** 2, _width(segment), axis=0, mode="nearest")
         around = around[:: segment.factor][segment.kept]
         envelope = np.hypot(envelope, np.sqrt(np.maximum(around, 0.0)))  # a running sum may end below zero
-    if len(segment.motion) > AT_ONCE:
-        del measured.__dict__["wider"]
+        if len(segment.motion) > AT_ONCE:
+            del measured.__dict__["wider"]
     return np.asarray(envelope)
 
 

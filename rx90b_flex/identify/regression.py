@@ -82,6 +82,8 @@ class Segment:
         What a known payload adds to the links' inertial parameters in this recording.
     sensed : array, shape (N, joints), or None
         Torque of the sensors behind the gears, as `torque`; N m.
+    first : int
+        Working sample of the recording with which the motion begins.
     """
 
     recording: Recording
@@ -95,6 +97,7 @@ class Segment:
     kept: slice
     carried: Array | None = None
     sensed: Array | None = None
+    first: int = 0
 
     def brought(self, columns: Array) -> Array:
         """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
@@ -112,7 +115,8 @@ class Segment:
             return self.motion.q, self.motion.v
         rate, low_pass = self.recording.sample_rate_hz, self.motion.low_pass
         cutoff = WIDER * (rate if low_pass is None else low_pass.cutoff_hz)
-        wide = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None)
+        logged = self.recording.position[self.first * self.working_factor :][: len(self.motion) * self.working_factor]
+        wide = motion(logged, rate, cutoff if cutoff < 0.4 * rate else None)
         order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
@@ -193,17 +197,15 @@ class Segment:
         first, last = self.kept.start + samples.start, self.kept.start + samples.stop
         begin, end = max(0, first - beside), last + beside
         moved = slice(begin * self.factor, end * self.factor)
-        out = dataclasses.replace(
+        return dataclasses.replace(
             self,
             motion=self.motion.piece(moved) if of_whole else self.motion.part(moved),
             time=self.time[samples],
             torque=self.torque[samples],
             sensed=None if self.sensed is None else self.sensed[samples],
             kept=slice(first - begin, last - begin),
+            first=self.first + moved.start,
         )
-        if "wider" in self.__dict__:
-            out.__dict__["wider"] = tuple(x[moved] for x in self.wider)
-        return out
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -507,18 +509,18 @@ class Regression:
 
     def forget_long(self) -> None:
         """Give back what effects worked out of a long motion, which holds more than it takes to work it out again."""
-        if max(len(s.motion) for s in self.segments) > AT_ONCE:
+        if len(self.longest) > AT_ONCE:
             self.forget()
 
     def forget(self, first_looks: bool = False) -> None:
-        """Give back what effects worked out of the motion; also what a search's next round would ask for."""
+        """Give back what effects worked out of the motion; also columns that a search's next round would ask for."""
         for segment in self.segments:
             segment.motion.forget()
             segment.__dict__.pop("sampled", None)
         self.forget_pieces()
         if first_looks:
-            self._first_looks.clear()
-            self._first_looks_of_excerpt.clear()
+            for kept in (self._first_looks, self._first_looks_of_excerpt, self._columns_kept):
+                kept.clear()
 
     def forget_pieces(self) -> None:
         """The same of the excerpt and the glimpse."""
@@ -787,12 +789,10 @@ def _brought_together(segment: Segment, group: Sequence[_Unfiltered]) -> Iterato
 def _beside(parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:
     """Columns of the same samples side by side: joints (rows,) and (N, rows, sum of k)."""
     rows = np.unique(np.concatenate([r for r, _ in parts]))
-    out = np.zeros((len(parts[0][1]), len(rows), sum(x.shape[2] for _, x in parts)))
-    end = 0
-    for here, columns in parts:
-        begin, end = end, end + columns.shape[2]
-        out[:, np.searchsorted(rows, here), begin:end] = columns
-    return rows, out
+    wide = [np.zeros((len(x), len(rows), x.shape[2])) for _, x in parts]
+    for out, (here, columns) in zip(wide, parts, strict=True):
+        out[:, np.searchsorted(rows, here)] = columns
+    return rows, np.concatenate(wide, axis=2)
 
 
 def _without_coefficients(effect: Effect) -> Effect:
