@@ -364,7 +364,6 @@ def _closed(
     residual = TorqueResidual(data, campaign, sites, declared_robot.inertial_parameters == "fitted", gains)
     loop = ClosingLoop(residual, tell, MOST_EFFECTS)
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
-    data.regression.forget(first_looks=True)
     return ended.result(seed, checked, (*(c.message for c in constants), *scaled), tell)
 
 
@@ -384,6 +383,10 @@ class _Ended:
         before, after = self.declared.errors, standing.model.errors
         floor = residual.data.noise_floor(model, campaign)
         tell("looking at what remains", 0.95)
+        search = residual.search(standing.model)
+        effects, last_round = self._found(search), self._last_round(search)
+        for regression in (residual.data.regression, declared.regression, model.regression):
+            regression.forget(first_looks=True)
         held_out = residual.data.held_out.weighted(row_weights(residual.data.held_out, model))
         of_motors = model.residual[:, : len(campaign.joints)]
         left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
@@ -398,14 +401,13 @@ class _Ended:
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         doubtful, found = bool(cautions) or in_doubt, bool(standing.steps)
         remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread)
-        search = residual.search(standing.model)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)
         return ClosedLoop(
             before,
             after,
             None if floor is None else tuple(float(x) for x in floor),
-            self._found(search),
+            effects,
             verdict_despite(remains.verdict, checked, scaled),
             Unexplained(after.validation.relative_error, where, left, bands(left)),
             model,
@@ -414,7 +416,7 @@ class _Ended:
             self.source,
             campaign,
             checked,
-            self._last_round(search),
+            last_round,
             seed,
             _moving(predictions),
             known,

@@ -346,7 +346,9 @@ class Search:
     @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
-        return sum(effect.shape_search(self.longest).independent for effect, _ in self.candidates)
+        out = sum(effect.shape_search(self.longest).independent for effect, _ in self.candidates)
+        self.regression.forget_long()
+        return out
 
     def _starts(self, effect: Effect, replaced: Effect | None = None) -> Array:
         free = self.free(effect)

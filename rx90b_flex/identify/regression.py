@@ -44,7 +44,6 @@ STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the l
 MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
-TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
@@ -521,6 +520,8 @@ class Regression:
         if first_looks:
             for kept in (self._first_looks, self._first_looks_of_excerpt, self._columns_kept):
                 kept.clear()
+            if len(self.longest) > AT_ONCE:
+                self.__dict__.pop("_untouched_links", None)
 
     def forget_pieces(self) -> None:
         """The same of the excerpt and the glimpse."""
@@ -720,8 +721,7 @@ class Regression:
         for j, row in enumerate(self.rows):
             # most columns are zero in most rows: only the others are worth a filter
             used = np.flatnonzero(columns[:, row].any(axis=0))
-            for some in np.split(used, range(TOGETHER, len(used), TOGETHER)):
-                out[:, j, some] = segment.brought(columns[:, row, some])
+            out[:, j, used] = segment.brought(columns[:, row, used])
         return out
 
     @cached_property
