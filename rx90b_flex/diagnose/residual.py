@@ -149,4 +149,5 @@ def period_noise(residual: Array, recording: Recording) -> Array | None:
     samples = round(recording.period_s * recording.sample_rate_hz)
     if samples < 1 or len(residual) < 2 * samples:
         return None
-    return np.sqrt(periods(residual, samples).var(axis=0, ddof=1).mean(axis=0))
+    # one joint after the other: all take as much room as a long recording once more
+    return np.sqrt([periods(x, samples).var(axis=0, ddof=1).mean() for x in residual.T])
