@@ -96,7 +96,10 @@ class ReplayedTorques:
         """The same before it."""
         loaded = self.segment.loaded(link_parameters)
         seen = self.robot.on_links(self.segment.motion, loaded, effects)
-        force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.traits.in_dynamics), seen)
+        force = np.array(seen.on_tree.load())
+        if not any(e.traits.needs_load or e.traits.needs_model for e in effects):
+            seen.forget()  # nobody asks for the load again
+        force = with_forces(force, (e for e in effects if e.traits.in_dynamics), seen)
         for effect in between(effects):
             force = effect.logged(seen, force)
         return self._of_joints(force)
