@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from rx90b_flex.effects.pieces import in_pieces
+from rx90b_flex.pieces import in_pieces
 from rx90b_flex.signals import (
     decimation_factor,
     difference_weights,

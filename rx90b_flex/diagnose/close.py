@@ -17,7 +17,7 @@ from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
-from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
+from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.moving import MovingErrors
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
@@ -25,7 +25,7 @@ from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find, predict
+from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
@@ -364,7 +364,6 @@ def _closed(
     residual = TorqueResidual(data, campaign, sites, declared_robot.inertial_parameters == "fitted", gains)
     loop = ClosingLoop(residual, tell, MOST_EFFECTS)
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
-    data.regression.forget(first_looks=True)
     return ended.result(seed, checked, (*(c.message for c in constants), *scaled), tell)
 
 
@@ -384,29 +383,31 @@ class _Ended:
         before, after = self.declared.errors, standing.model.errors
         floor = residual.data.noise_floor(model, campaign)
         tell("looking at what remains", 0.95)
+        search = residual.search(standing.model)
+        effects, last_round = self._found(search), self._last_round(search)
+        for regression in (residual.data.regression, declared.regression, model.regression):
+            regression.forget(first_looks=True)
         held_out = residual.data.held_out.weighted(row_weights(residual.data.held_out, model))
         of_motors = model.residual[:, : len(campaign.joints)]
         left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
         where = dependences(left, seed)
         cautions = _cautions(self.source, campaign)
         links_off, in_doubt = self._if_links_are_off(after.validation.relative_error)
-        shown = with_possible_values(declared)
-        predictions = self._predictions(shown, with_possible_values(model))
+        predictions = self._predictions()
         tell("asking how much can be explained at all", 0.97)
         compared_with = [HeldOut(p.torque, p.before) for p in predictions]
-        explainable = yardstick(shown, held_out.weighted(None), compared_with, after.validation)
+        explainable = yardstick(self.declared.possible, held_out.weighted(None), compared_with, after.validation)
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         doubtful, found = bool(cautions) or in_doubt, bool(standing.steps)
         remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread)
-        search = residual.search(standing.model)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)
         return ClosedLoop(
             before,
             after,
             None if floor is None else tuple(float(x) for x in floor),
-            self._found(search),
+            effects,
             verdict_despite(remains.verdict, checked, scaled),
             Unexplained(after.validation.relative_error, where, left, bands(left)),
             model,
@@ -415,7 +416,7 @@ class _Ended:
             self.source,
             campaign,
             checked,
-            self._last_round(search),
+            last_round,
             seed,
             _moving(predictions),
             known,
@@ -456,15 +457,13 @@ class _Ended:
     def _if_not_possible(self) -> FittedErrors | None:
         """Errors with the fitted values; None where they are those of robots that can exist."""
         models = self.declared, self.standing.model
-        fitted = FittedErrors(*(self.residual.data.fitted_errors(m.identified) for m in models))
+        fitted = FittedErrors(*(m.fitted_errors for m in models))
         return None if (fitted.before, fitted.after) == tuple(m.errors for m in models) else fitted
 
-    def _predictions(self, before: Identification, after: Identification) -> tuple[Prediction, ...]:
-        """Of the validation recordings, with the values as they are."""
-        return tuple(
-            Prediction(r.recording, r.torque, predict(r, before), predict(r, after), r.velocity)
-            for r in self.residual.data.validation
-        )
+    def _predictions(self) -> tuple[Prediction, ...]:
+        """Of the validation recordings."""
+        each = zip(self.residual.data.validation, self.declared.validation, self.standing.model.validation, strict=True)
+        return tuple(Prediction(r.recording, r.torque, before, after, r.velocity) for r, before, after in each)
 
     def _found(self, search: Search) -> tuple[FoundEffect, ...]:
         model = self.standing.model

@@ -35,7 +35,11 @@ class MovingErrors:
     ) -> MovingErrors:
         """From measured and predicted torque of every validation recording, and velocity; each (N, joints)."""
         moving = ~resting(np.concatenate(velocity))
-        torque, *predicted = (np.concatenate(x)[moving] for x in (measured, before, after))
+        masks = np.split(moving, np.cumsum([len(v) for v in velocity])[:-1])
+        torque, *predicted = (
+            np.concatenate([x[there] for x, there in zip(each, masks, strict=True)])
+            for each in (measured, before, after)
+        )
         size = float(np.linalg.norm(torque))
         less, more = (float(np.linalg.norm(torque - x)) / size if size > 0 else 0.0 for x in predicted)
         return MovingErrors(less, more, 1.0 - float(moving.mean()))

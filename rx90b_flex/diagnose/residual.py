@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.log_effect import between
 from rx90b_flex.effects.motion import Array, with_forces
-from rx90b_flex.identify.regression import Segment, period_noise
+from rx90b_flex.identify.regression import Segment
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals import Campaign, Recording, lowpass
+from rx90b_flex.signals import Campaign, Recording, lowpass, periods
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,12 @@ class Errors:
     @staticmethod
     def of(measured: Sequence[Array], predicted: Sequence[Array]) -> Errors:
         """Errors over several recordings, each (N, joints)."""
-        tau = np.concatenate(measured)
-        error = tau - np.concatenate(predicted)
-        return Errors(
-            float(np.linalg.norm(error) / np.linalg.norm(tau)),
-            tuple(float(x) for x in np.sqrt((error**2).mean(axis=0))),
-        )
+        each = [tau - p for tau, p in zip(measured, predicted, strict=True)]
+        error = each[0] if len(each) == 1 else np.concatenate(each)
+        size = float(np.linalg.norm([np.linalg.norm(tau) for tau in measured]))
+        relative = float(np.linalg.norm(error) / size)
+        error *= error
+        return Errors(relative, tuple(float(x) for x in np.sqrt(error.mean(axis=0))))
 
 
 @dataclass(frozen=True)
@@ -78,11 +77,12 @@ class ReplayedTorques:
     @property
     def velocity(self) -> Array:
         """Velocity of the recording's joints, shape (N, joints), rad/s."""
-        return self.segment.motion.v[:, self._rows]
+        return self._of_joints(self.segment.motion.v)
 
-    @cached_property
-    def _rows(self) -> Array:
-        return np.array([self.robot.layout.index(j) for j in self.recording.joints])
+    def _of_joints(self, x: Array) -> Array:
+        """Of coordinates (N, n) those of the recording's joints; no copy where these are all of them in order."""
+        rows = np.array([self.robot.layout.index(j) for j in self.recording.joints])
+        return x if np.array_equal(rows, np.arange(x.shape[1])) else x[:, rows]
 
     def _filtered(self, torque: Array) -> Array:
         cutoff = self.segment.cutoff_hz
@@ -90,12 +90,19 @@ class ReplayedTorques:
 
     def predict(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
         """Torque of a model on this recording's motion, its known payload carried, after the low-pass; (N, joints), N m."""
+        return self._filtered(self._torque(effects, link_parameters))
+
+    def _torque(self, effects: Sequence[Effect], link_parameters: Array) -> Array:
+        """The same before it."""
         loaded = self.segment.loaded(link_parameters)
         seen = self.robot.on_links(self.segment.motion, loaded, effects)
-        force = with_forces(np.array(seen.on_tree.load()), (e for e in effects if e.traits.in_dynamics), seen)
+        force = np.array(seen.on_tree.load())
+        if not any(e.traits.needs_load or e.traits.needs_model for e in effects):
+            seen.forget()  # nobody asks for the load again
+        force = with_forces(force, (e for e in effects if e.traits.in_dynamics), seen)
         for effect in between(effects):
             force = effect.logged(seen, force)
-        return self._filtered(force[:, self._rows])
+        return self._of_joints(force)
 
 
 def noise_floor(replays: Sequence[ReplayedTorques], residuals: Sequence[Array], campaign: Campaign) -> Array | None:
@@ -124,3 +131,26 @@ def _white_noise_gain(cutoff_hz: float | None, sample_rate_hz: float) -> float:
     impulse = np.zeros((int(40 * sample_rate_hz / cutoff_hz) // 2 * 2 + 1, 1))
     impulse[len(impulse) // 2] = 1.0
     return float(np.linalg.norm(lowpass(impulse, cutoff_hz, sample_rate_hz)))
+
+
+def period_noise(residual: Array, recording: Recording) -> Array | None:
+    """Noise of a repeating experiment, from what differs between its periods.
+
+    Parameters
+    ----------
+    residual : array, shape (N, joints)
+        One row a sample of the recording.
+    recording : Recording
+
+    Returns
+    -------
+    array, shape (joints,), or None where the recording does not hold two whole periods
+        Root mean square, N m.
+    """
+    if recording.period_s is None:
+        return None
+    samples = round(recording.period_s * recording.sample_rate_hz)
+    if samples < 1 or len(residual) < 2 * samples:
+        return None
+    # one joint after the other: all take as much room as a long recording once more
+    return np.sqrt([periods(x, samples).var(axis=0, ddof=1).mean() for x in residual.T])

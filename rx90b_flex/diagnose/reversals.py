@@ -20,8 +20,7 @@ from scipy import ndimage
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import STANDING_S, Regression, Segment
-from rx90b_flex.signals import lowpass
+from rx90b_flex.identify.regression import AT_ONCE, STANDING_S, Regression, Segment
 from rx90b_flex.signals.facts import counter_steps
 
 MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
@@ -53,34 +52,53 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     """
     if segment.cutoff_hz is None:
         return np.zeros((len(segment), segment.motion.q.shape[1]))
-    rate = segment.rate_hz * segment.factor
-
-    def force(of: list[Effect], **changes: Any) -> Array:
-        return with_forces(np.zeros_like(segment.motion.v), of, dataclasses.replace(segment.motion, **changes))
-
-    angle, velocity = measured.wider
     by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
-    beside = 0.5 * sum(force(steep, v=v) for v in measured.half_a_sample_off())
-    there, here = force(steep, v=velocity), force(steep)
+    pairs = zip(segment.split(), measured.split(), strict=True)
+    envelope = np.concatenate([_envelope(part, first, steep) for part, first in pairs])
+    if by_angle:
+        envelope = np.hypot(envelope, _along_angles(segment, measured.wider[0], by_angle))
+        if len(segment.motion) > AT_ONCE:
+            del measured.__dict__["wider"]
+    return np.asarray(envelope)
+
+
+def _envelope(segment: Segment, measured: Segment, steep: list[Effect]) -> Array:
+    """The same for friction that goes by velocity alone."""
+    there, here = _force(segment, steep, v=measured.wider[1]), _force(segment, steep)
+    beside = 0.5 * sum(_force(segment, steep, v=v) for v in measured.half_a_sample_off)
     unknown = [there - here, beside - there]
     if segment.motion.stuck is not None:
         # while a drive sticks its friction is any torque between both directions' own
         stuck = np.where(np.isnan(segment.motion.stuck), np.nan, 1.0)
-        unknown.append(0.5 * (force(steep, stuck=stuck) - force(steep, stuck=-stuck)))
-    size = sum(np.abs(lowpass(off, segment.cutoff_hz, rate)) for off in unknown)
+        unknown.append(0.5 * (_force(segment, steep, stuck=stuck) - _force(segment, steep, stuck=-stuck)))
+    size = sum(np.abs(segment.low_passed(off)) for off in unknown)
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
-    width = 2 * round(0.5 / segment.cutoff_hz * rate) + 1
-    envelope = ndimage.maximum_filter1d(size, width, axis=0, mode="nearest")
-    if by_angle:
-        rests = _rounding(segment)
-        unknown = [
-            force(by_angle, q=q) - force(by_angle) for q in (angle, segment.motion.q + rests, segment.motion.q - rests)
-        ]
-        between, *rounded = (lowpass(off, segment.cutoff_hz, rate) for off in unknown)
-        around = ndimage.uniform_filter1d(between**2, width, axis=0, mode="nearest")
-        # a running sum may end below zero
-        envelope = np.sqrt(envelope**2 + np.maximum(around, 0.0) + 0.5 * (rounded[0] ** 2 + rounded[1] ** 2))
+    envelope = ndimage.maximum_filter1d(size, _width(segment), axis=0, mode="nearest")
     return np.asarray(envelope[:: segment.factor][segment.kept])
+
+
+def _along_angles(segment: Segment, wider: Array, effects: list[Effect]) -> Array:
+    """The same for hysteresis, which goes by angles: by those of a wider filter, and by those that a counter rounds at rest."""
+    here = _force(segment, effects)
+
+    def off(angle: Array) -> Array:
+        return segment.low_passed(_force(segment, effects, q=angle) - here) ** 2
+
+    around = ndimage.uniform_filter1d(off(wider), _width(segment), axis=0, mode="nearest")
+    squares = np.maximum(around, 0.0)  # a running sum may end below zero
+    rounding = _rounding(segment)
+    if rounding.any():
+        squares += 0.5 * (off(segment.motion.q + rounding) + off(segment.motion.q - rounding))
+    return np.sqrt(squares[:: segment.factor][segment.kept])
+
+
+def _width(segment: Segment) -> int:
+    """Working samples of half a period of the cutoff to either side of one."""
+    return 1 + 2 * round(0.5 / (segment.cutoff_hz or np.inf) * segment.rate_hz * segment.factor)
+
+
+def _force(segment: Segment, of: list[Effect], **changes: Any) -> Array:
+    return with_forces(np.zeros_like(segment.motion.v), of, dataclasses.replace(segment.motion, **changes))
 
 
 def _rounding(segment: Segment) -> Array:

@@ -216,6 +216,7 @@ class Search:
             if progress:
                 progress((i + 1) / (len(candidates) + 4))
         self.regression.forget_pieces()
+        self.regression.forget_long()
         rough.sort(key=lambda item: -item.gain)
         trials: list[TorqueTrial] = []
         # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
@@ -260,6 +261,7 @@ class Search:
         """The trial of what was looked at, by more than a glimpse."""
         closer = self._looked(item, False) if item.glimpsed else item
         found = self.trial(closer.effect, closer.base, present, self.tests)
+        self.regression.forget_long()
         return self._fitted(item.effect) if item.effect.traits.multiplies and found.p_value < WORTH_A_FIT else found
 
     def _fitted(self, effect: Effect) -> TorqueTrial:
@@ -322,7 +324,9 @@ class Search:
         base = self.base(effect)
         restored = self.restored(effect)
         present = self.base(effect, restored) if restored else base
-        return self.trial(effect, base, present, self.tests)
+        found = self.trial(effect, base, present, self.tests)
+        self.regression.forget_long()
+        return found
 
     @property
     def sample_s(self) -> float:
@@ -342,7 +346,9 @@ class Search:
     @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
-        return sum(effect.shape_search(self.longest).independent for effect, _ in self.candidates)
+        out = sum(effect.shape_search(self.longest).independent for effect, _ in self.candidates)
+        self.regression.forget_long()
+        return out
 
     def _starts(self, effect: Effect, replaced: Effect | None = None) -> Array:
         free = self.free(effect)
@@ -543,8 +549,8 @@ class Search:
             harmonics = round(hz * segment.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
             harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * segment.recording.period_s))]
             lines = np.append(harmonics / segment.recording.period_s, hz)
-            turned = np.exp(-2j * np.pi * np.outer(segment.time, lines)) * np.hanning(len(segment.time))[:, None]
-            power = (np.abs(left @ turned) ** 2).sum(axis=0)
+            tapered = left * np.hanning(len(segment.time))
+            power = np.array([(np.abs(tapered @ np.exp(-2j * np.pi * f * segment.time)) ** 2).sum() for f in lines])
             if power[-1] < STANDS_OUT * np.median(power[:-1]):
                 return True
         return False

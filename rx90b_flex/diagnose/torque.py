@@ -100,6 +100,13 @@ class TorqueModel:
         """Torques that it predicts of the recordings with role validation, each (N, joints), N m."""
         return [predict(r, self.possible) for r in self.data.validation]
 
+    @property
+    def fitted_errors(self) -> RoleErrors:
+        """With the fitted values."""
+        fitted, written = self.identified, self.possible
+        same = fitted.effects == written.effects and np.array_equal(fitted.link_parameters, written.link_parameters)
+        return self.errors if same else self.data.fitted_errors(fitted)
+
     @cached_property
     def errors(self) -> RoleErrors:
         """Of the robot that is written."""

@@ -254,10 +254,10 @@ def _form(
     other = [_families(r, ranges, joint) for r in there]
     families = {
         name: (
-            np.concatenate([r.segment.brought(f[name]) for r, f in zip(here, fitted, strict=True)]),
-            np.concatenate([r.filtered(f[name]) for r, f in zip(there, other, strict=True)]),
+            np.concatenate([r.segment.brought(f.pop(name)) for r, f in zip(here, fitted, strict=True)]),
+            np.concatenate([r.filtered(f.pop(name)) for r, f in zip(there, other, strict=True)]),
         )
-        for name in fitted[0]
+        for name in list(fitted[0])
     }
     trees = (
         np.concatenate([r.segment.brought(_plain_signals(r, ranges, joint)) for r in here]),

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 
 from rx90b_flex.effects.deflection import SECOND, rates_in_time, time_step
 from rx90b_flex.effects.motion import Array, Indices, Motion
-from rx90b_flex.effects.pieces import in_pieces
+from rx90b_flex.pieces import in_pieces
 
 KICK_S = 0.05  # over which a load is smoothed: as the motor crosses the gap its acceleration is not the link's
 CROSSING = 0.3  # of it, within which a sample says little of the link's load

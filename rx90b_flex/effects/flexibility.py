@@ -20,6 +20,7 @@ from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Coordinates, Motion
 from rx90b_flex.effects.parameters import DAMPING, STIFFNESS, Parameter, derived, linear
 from rx90b_flex.effects.stand_in import StandIn
+from rx90b_flex.pieces import AT_ONCE
 
 DAMPING_TIME = 1.0e-3  # s, damping over stiffness of a hinge that a search tries: table D.1's
 LAGS = (1.0e-7, 1.0)  # s, damping over stiffness of a drive that torques over time may show,
@@ -223,7 +224,8 @@ class _DriveDeflection(_OnRigidTree):
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """From stiffnesses on which the link swings at frequencies of the band and above, from the softest that carries it."""
         place = motion.coordinates.index(self.joint)
-        by_q, _, by_a = (by[:, place, place] for by in motion.on_tree.derivatives())
+        some = motion if len(motion) <= AT_ONCE else motion.part(slice(None, None, -(-len(motion) // AT_ONCE)))
+        by_q, _, by_a = (by[:, place, place] for by in some.on_tree.derivatives())
         inertia = float(np.median(by_a))
         step = float(motion.time[1] - motion.time[0]) if len(motion) > 1 else 0.0
         starts = np.zeros((0, 2))

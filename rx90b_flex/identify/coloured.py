@@ -13,7 +13,8 @@ from rx90b_flex.effects.motion import Array
 
 LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's colour
 INTERVAL = 0.95  # whose limits 1.96 standard deviations are
-TOGETHER = 16  # columns that are transformed at once: of a long log all would take room
+TOGETHER = 4  # columns that are transformed at once: of a long log all would take room
+SPECTRA_BYTES = 5e7  # of transformed columns at a time; the others are transformed once more
 ROUNDS = (
     3  # of a spectrum with what the fit absorbed put back: what is missing after each is missed by the next as well
 )
@@ -50,10 +51,19 @@ class Spectrum:
         weight[0] = 1.0
         if size % 2 == 0:
             weight[-1] = 1.0
-        spectra = fft.rfft(np.ascontiguousarray(columns.T), size)
-        spectra *= np.sqrt(weight * density / size)
-        parts = spectra.view(float)  # real and imaginary
-        return np.asarray(parts @ parts.T)
+        root, count = np.sqrt(weight * density / size), columns.shape[1]
+        out = np.zeros((count, count))
+        passes = 1 + int(16 * count * len(density) / SPECTRA_BYTES)
+        for lines in np.array_split(np.arange(len(density)), passes):
+            inside = slice(lines[0], lines[-1] + 1)
+            spectra = np.empty((count, len(lines)), dtype=complex)
+            for at in range(0, count, TOGETHER):
+                some = slice(at, at + TOGETHER)
+                spectra[some] = fft.rfft(np.ascontiguousarray(columns[:, some].T), size)[:, inside]
+            spectra *= root[inside]
+            parts = spectra.view(float)  # real and imaginary
+            out += parts @ parts.T
+        return out
 
     def density(self, size: int) -> Array:
         """At the lines of a transform of so many samples, over that of white noise of variance one; (size // 2 + 1,)."""

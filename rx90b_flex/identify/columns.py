@@ -38,18 +38,18 @@ class ColumnsByJoint:
         return ColumnsByJoint(tuple(np.concatenate(x) for x in places), tuple(stacked))
 
     @staticmethod
-    def of_dense(places: Indices, columns: Array) -> ColumnsByJoint:
-        """From columns (N, joints, k) that stand in `places` (k,), without what is zero."""
-        touched = columns.any(axis=0)
-        pairs = [(places[t], np.ascontiguousarray(columns[:, j, t])) for j, t in enumerate(np.atleast_2d(touched))]
+    def of_dense(places: Indices, rows: Iterable[Array]) -> ColumnsByJoint:
+        """From each joint's columns (N, k) that stand in `places` (k,), without what is zero."""
+        touched = ((columns, columns.any(axis=0)) for columns in rows)
+        pairs = [(places[t], np.ascontiguousarray(columns[:, t])) for columns, t in touched]
         return ColumnsByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
 
-    def beside(self, other: ColumnsByJoint) -> ColumnsByJoint:
+    def beside(self, *others: ColumnsByJoint) -> ColumnsByJoint:
         """These columns and others."""
-        pairs = zip(self.columns, other.columns, strict=True)
+        every = (self, *others)
         return ColumnsByJoint(
-            tuple(np.concatenate(x) for x in zip(self.places, other.places, strict=True)),
-            tuple(np.concatenate(x, axis=1) for x in pairs),
+            tuple(np.concatenate(x) for x in zip(*(c.places for c in every), strict=True)),
+            tuple(np.concatenate(x, axis=1) for x in zip(*(c.columns for c in every), strict=True)),
         )
 
     @cached_property

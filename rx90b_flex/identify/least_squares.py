@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -128,7 +128,7 @@ class Identification:
     def residual_on(self, regression: Regression) -> Array:
         """Torque left over on other data, shape (N, joints), N m."""
         seen = regression.with_model(self.link_parameters, self.effects)
-        torque = seen.torque - seen.link_columns @ self.link_parameters
+        torque = seen.torque - seen.link_torque(self.link_parameters)
         for effect in self.effects:
             torque = torque - seen.columns(effect) @ effect.known_coefficients()
         return torque
@@ -403,7 +403,7 @@ class _Fit:
         if self.by_links is not None and self.about is not None:
             torque = torque + self.factors * (self.by_links @ self.about)
         if not self.fit_links:
-            torque = torque - self.factors * (self.regression.link_columns @ self.regression.robot.link_parameters)
+            torque = torque - self.factors * self.regression.link_torque(self.regression.robot.link_parameters)
         gains = [e for e in self.effects if e.traits.multiplies and e.known]
         if gains:
             torque = np.array(torque)
@@ -412,12 +412,11 @@ class _Fit:
         return torque
 
     @property
-    def _link_columns(self) -> Array:
-        """Of the links, with what effects change by them; (N, joints, 10 * bodies)."""
-        columns = (
-            self.regression.link_columns if self.by_links is None else self.regression.link_columns + self.by_links
-        )
-        return columns if (self.factors == 1.0).all() else columns * self.factors[:, None]
+    def _link_columns(self) -> Iterator[Array]:
+        """Of the links, with what effects change by them; of each row (N, 10 * bodies)."""
+        for i, (factor, columns) in enumerate(zip(self.factors, self.regression.link_columns_by_row, strict=True)):
+            seen = columns if self.by_links is None else columns + self.by_links[:, i]
+            yield seen if (self.factors == 1.0).all() else seen * factor
 
     @cached_property
     def _places(self) -> tuple[Indices, ...]:
@@ -466,18 +465,16 @@ class _Fit:
                 torque = torque - self._scaled(e) @ e.coefficients
         return np.ascontiguousarray(torque.T)
 
-    @property
-    def columns(self) -> ColumnsByJoint:
-        """All columns."""
+    def columns(self, *others: ColumnsByJoint) -> ColumnsByJoint:
+        """All columns, and others beside them."""
         following = [
             (at, np.arange(len(self.regression.rows)), self._scaled(e))
             for e, at in zip(self.effects, self._places, strict=True)
             if e.traits.coefficients_follow
         ]
-        known = self.fixed.beside(self.varied)
-        if not following:
-            return known
-        return known.beside(ColumnsByJoint.of(following, len(self.regression.rows), len(self.regression)))
+        if following:
+            others = ColumnsByJoint.of(following, len(self.regression.rows), len(self.regression)), *others
+        return self.fixed.beside(self.varied, *others)
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -521,7 +518,7 @@ class _Fit:
             effects = (*self.effects[:index], effect, *self.effects[index + 1 :])
             return dataclasses.replace(self, effects=effects)
 
-        normal = NormalEquations.by_joint(self.columns, self.goal, self.regression.blocks(), len(self.prior))
+        normal = NormalEquations.by_joint(self.columns(), self.goal, self.regression.blocks(), len(self.prior))
         sigma, at = self.solution.sigma, self._places[index]
         own = np.einsum("j,jpq->pq", sigma**-2.0, normal.total[0])[np.ix_(at, at)]
 
@@ -554,7 +551,7 @@ class _Fit:
     @property
     def relative_error(self) -> float:
         """Norm of what is left over the norm of the torque."""
-        left = self.target - self.columns.times(self.solution.theta).T
+        left = self.target - self.columns().times(self.solution.theta).T
         return float(np.linalg.norm(left) / np.linalg.norm(self.regression.torque))
 
     def with_effect(self, effect: Effect) -> _Fit:
@@ -573,7 +570,7 @@ class _Fit:
     @property
     def followed(self) -> float:
         """Norm of the torque of the effects whose coefficients follow from their shapes."""
-        return float(np.linalg.norm(self.columns.times(np.where(self.follows, self.prior, 0.0))))
+        return float(np.linalg.norm(self.columns().times(np.where(self.follows, self.prior, 0.0))))
 
     @property
     def _offset(self) -> int:
@@ -668,9 +665,8 @@ class _Fit:
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution, spans = self.solution, regression.spans
-        columns = self.columns
-        residual = self.target - columns.times(solution.theta).T
-        derivatives = columns.beside(self._by_shape.merged().shifted(len(solution.theta)))
+        residual = self.target - self.columns().times(solution.theta).T
+        derivatives = self.columns(self._by_shape.merged().shifted(len(solution.theta)))
         size = len(solution.theta) + len(self.shape)
         # what follows from a shape has neither a part in the noise nor a covariance of its own
         free = np.flatnonzero(~np.concatenate([self.follows, np.zeros(len(self.shape), dtype=bool)]))

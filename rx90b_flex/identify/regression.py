@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
-from rx90b_flex.effects.pieces import in_pieces
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.robot import Robot
@@ -27,7 +25,6 @@ from rx90b_flex.signals import (
     lowpass,
     motion,
     noise_cutoff_hz,
-    periods,
 )
 from rx90b_flex.signals.sticking import held_part
 
@@ -45,14 +42,11 @@ STANDING_S = 0.2  # within which the angle of a joint that stands still
 STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the log's noise
 MAD_TO_STD = 1.4826  # of a normal distribution
 FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
-SEEN_BY_SPLINE = 40  # samples on either side: a farther one has less part in a cubic spline than rounding
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
-TOGETHER = 8  # columns of a long log that go through a filter at once
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
-RINGS = 5  # times the length of a filter's impulse response, after which nothing is left of an end
 FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
 AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
@@ -86,6 +80,8 @@ class Segment:
         What a known payload adds to the links' inertial parameters in this recording.
     sensed : array, shape (N, joints), or None
         Torque of the sensors behind the gears, as `torque`; N m.
+    first : int
+        Working sample of the recording with which the motion begins.
     """
 
     recording: Recording
@@ -99,32 +95,34 @@ class Segment:
     kept: slice
     carried: Array | None = None
     sensed: Array | None = None
+    first: int = 0
 
     def brought(self, columns: Array) -> Array:
         """Low-pass columns at the working rate and take the fit's samples; shape (N_working, ...) -> (N, ...)."""
-        if self.cutoff_hz is not None:
-            columns = lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
-        return columns[:: self.factor][self.kept]
+        # a view would keep all that it is part of
+        return np.ascontiguousarray(self.low_passed(columns)[:: self.factor][self.kept])
+
+    def low_passed(self, columns: Array) -> Array:
+        """Columns (N_working, ...) behind the low-pass."""
+        return columns if self.cutoff_hz is None else lowpass(columns, self.cutoff_hz, self.rate_hz * self.factor)
 
     @cached_property
     def wider(self) -> tuple[Array, Array]:
         """Angle and velocity from positions that keep another octave, at the working rate, each (N_working, joints); rad, rad/s."""
         if self.cutoff_hz is None:
             return self.motion.q, self.motion.v
-        rate = self.recording.sample_rate_hz
-        cutoff = WIDER * (_position_cutoff(self.recording.position, rate, self.cutoff_hz) or rate)
-        wide = motion(self.recording.position, rate, cutoff if cutoff < 0.4 * rate else None)
+        rate, low_pass = self.recording.sample_rate_hz, self.motion.low_pass
+        cutoff = WIDER * (rate if low_pass is None else low_pass.cutoff_hz)
+        logged = self.recording.position[self.first * self.working_factor :][: len(self.motion) * self.working_factor]
+        wide = motion(logged, rate, cutoff if cutoff < 0.4 * rate else None)
         order = [self.recording.joints.index(j) for j in self.motion.coordinates.joints]
         q, v = (np.asarray(x[:: self.working_factor][:, order]) for x in (wide.position, wide.velocity))
         return q, v
 
+    @cached_property
     def half_a_sample_off(self) -> tuple[Array, Array]:
         """The velocity of `wider` half a working sample before and after, each (N_working, joints); rad/s."""
-        return self._half_a_sample_off if len(self.motion) <= AT_ONCE else _between(self.wider[1])
-
-    @cached_property
-    def _half_a_sample_off(self) -> tuple[Array, Array]:
-        return _between(self.wider[1])
+        return filters.half_a_sample_off(self.wider[1])
 
     def sticking(self, held: Sequence[Held]) -> Segment:
         """The same, with friction held in no other sticks (`Motion.sticking`)."""
@@ -178,14 +176,15 @@ class Segment:
         starts = (min(int((k % repeats + k / PIECES) * whole), len(self) - length) for k in range(PIECES))
         return [(self._piece(slice(at, at + length), self._run_in, of_whole), at) for at in starts]
 
-    def split(self, samples: int) -> list[Segment]:
-        """Pieces of so many working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
-        if len(self.motion) <= samples:
-            return [self]
+    def split(self) -> Iterator[Segment]:
+        """Pieces of `AT_ONCE` working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
+        if len(self.motion) <= AT_ONCE:
+            yield self
+            return
         rate = self.rate_hz * self.factor
-        rings = 0 if self.cutoff_hz is None else RINGS * filters.minimum_samples(self.cutoff_hz, rate)
-        ends = np.append(np.arange(0, len(self), max(1, samples // self.factor)), len(self))
-        return [self._piece(slice(int(a), int(b)), -(-rings // self.factor)) for a, b in pairwise(ends)]
+        rings = 0 if self.cutoff_hz is None else filters.RINGS * filters.minimum_samples(self.cutoff_hz, rate)
+        ends = np.append(np.arange(0, len(self), max(1, AT_ONCE // self.factor)), len(self))
+        yield from (self._piece(slice(int(a), int(b)), -(-rings // self.factor)) for a, b in pairwise(ends))
 
     @property
     def _run_in(self) -> int:
@@ -203,6 +202,7 @@ class Segment:
             torque=self.torque[samples],
             sensed=None if self.sensed is None else self.sensed[samples],
             kept=slice(first - begin, last - begin),
+            first=self.first + moved.start,
         )
 
     def __len__(self) -> int:
@@ -252,7 +252,7 @@ def prepare(
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     order = [recording.joints.index(j) for j in robot.joints]
     q, v, a = (x[:, order] for x in moved)
-    motion_of_tree = robot.motion(q, v, a, recording.time - _clock_zero(recording.time))
+    motion_of_tree = robot.motion(q, v, a, _since(recording.time))
     if position_cutoff is not None:
         below = position_cutoff / (0.5 * rate)
         motion_of_tree = dataclasses.replace(
@@ -268,21 +268,6 @@ def prepare(
     samples = slice(0, _enough(recording, cutoff_hz, len(torque), 0))
     whole = Segment(recording, motion_of_tree, recording.time, torque, rate, cutoff_hz, 1, 1, samples, carried, sensed)
     return whole.thinned() if thin else whole
-
-
-def _between(x: Array) -> tuple[Array, Array]:
-    """Values (N, n) half a sample before and after."""
-    before, after = np.empty_like(x), np.empty_like(x)
-    for i, column in enumerate(x.T):
-        before[:, i], after[:, i] = in_pieces(_halfway, column, SEEN_BY_SPLINE).T
-    return before, after
-
-
-def _halfway(x: Array) -> Array:
-    """Samples (N,) by a spline half a step before and after, (N, 2)."""
-    at = np.arange(len(x))
-    spline = CubicSpline(at, x)
-    return np.stack([spline(at - 0.5), spline(at + 0.5)], axis=1)
 
 
 def _enough(recording: Recording, cutoff_hz: float | None, samples: int, edge: int) -> int:
@@ -313,9 +298,9 @@ def _standing(moved: filters.FilteredMotion, noise: Array, rate: float) -> filte
     )
 
 
-def _clock_zero(time: Array) -> float:
-    """Start of a log's clock, s: zero, or where the log begins if it gives dates."""
-    return float(time[0]) if abs(time[0]) > LATEST_S else 0.0
+def _since(time: Array) -> Array:
+    """Times (N,) since a log's clock began, s; since the log began if it gives dates."""
+    return time - time[0] if abs(time[0]) > LATEST_S else time
 
 
 def _position_cutoff(position: Array, rate: float, cutoff_hz: float | None) -> float | None:
@@ -406,11 +391,16 @@ class Regression:
         if sticking is not None:
             return made, whole
         found = drives_that_stick(made)
-        return made.with_sticking(found), tuple(s.sticking(found) for s in whole)
+        whole = tuple(s.sticking(found) for s in whole)
+        return made._with_segments(whole if thin else tuple(s.thinned() for s in whole), found), whole
 
     def with_sticking(self, held: tuple[Held, ...]) -> Regression:
         """The same, with friction held in these sticks alone."""
-        other = dataclasses.replace(self, segments=tuple(s.sticking(held) for s in self.segments), sticking=held)
+        return self._with_segments(tuple(s.sticking(held) for s in self.segments), held)
+
+    def _with_segments(self, segments: tuple[Segment, ...], held: tuple[Held, ...]) -> Regression:
+        """The same motion with friction held in these sticks."""
+        other = dataclasses.replace(self, segments=segments, sticking=held)
         if "_untouched_links" in self.__dict__:
             other.__dict__["_untouched_links"] = self._untouched_links
         return other
@@ -507,15 +497,22 @@ class Regression:
         working = sum(len(s.motion) for s in self.segments)
         return self._pieces(GLIMPSE / working, of_whole=working <= LOOKED_AT)
 
+    def forget_long(self) -> None:
+        """Give back what effects worked out of a long motion, which holds more than it takes to work it out again."""
+        if len(self.longest) > AT_ONCE:
+            self.forget()
+
     def forget(self, first_looks: bool = False) -> None:
-        """Give back what effects worked out of the motion; also what a search's next round would ask for."""
+        """Give back what effects worked out of the motion; also columns that a search's next round would ask for."""
         for segment in self.segments:
             segment.motion.forget()
             segment.__dict__.pop("sampled", None)
         self.forget_pieces()
         if first_looks:
-            self._first_looks.clear()
-            self._first_looks_of_excerpt.clear()
+            for kept in (self._first_looks, self._first_looks_of_excerpt, self._columns_kept):
+                kept.clear()
+            if len(self.longest) > AT_ONCE:
+                self.__dict__.pop("_untouched_links", None)
 
     def forget_pieces(self) -> None:
         """The same of the excerpt and the glimpse."""
@@ -577,7 +574,7 @@ class Regression:
 
     def _made_each(self, effects: Sequence[Effect]) -> list[tuple[Indices, Array]]:
         """As `_made`, for each by itself."""
-        parts = [_through(s, [self._unfiltered(s, e) for e in effects]) for s in self.segments]
+        parts = [_through(s, (self._unfiltered(s, e) for e in effects)) for s in self.segments]
         return [self._over_segments(of_one) for of_one in zip(*parts, strict=True)]
 
     def _unfiltered(self, segment: Segment, effect: Effect) -> _Unfiltered:
@@ -645,6 +642,10 @@ class Regression:
         known[key] = found
 
     def _factored(self, segment: Segment, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
+        many = _together(segment, len(effects[0].coefficients))
+        if many < len(effects) and len(segment.motion) > AT_ONCE:
+            some = (effects[i : i + many] for i in range(0, len(effects), many))
+            return _beside([self._factored(segment, e, leading) for e in some])
         port, columns = effects[0].side_by_side(effects, segment.motion, leading)
         if port is not None:
             weight = self.seen(effects[0], port[None, :, None])[0, :, 0]
@@ -672,10 +673,23 @@ class Regression:
         """Columns of the links, shape (N, rows, 10 * bodies)."""
         return self._counted(self._untouched_links, np.arange(len(self.rows)))
 
+    @property
+    def link_columns_by_row(self) -> Iterator[Array]:
+        """The same one row after the other, each (N, 10 * bodies)."""
+        for i in range(len(self.rows)):
+            yield self._counted(self._untouched_links[:, i : i + 1], np.array([i]))[:, 0]
+
+    def link_torque(self, link_parameters: Array) -> Array:
+        """What the links ask for, (N, rows), N m."""
+        return self._counted((self._untouched_links @ link_parameters)[:, :, None], np.arange(len(self.rows)))[:, :, 0]
+
     @cached_property
     def _untouched_links(self) -> Array:
-        pieces = (p for s in self.segments for p in s.split(AT_ONCE))
-        return np.concatenate([self._brought(p, p.motion.on_tree.link_regressor()) for p in pieces])
+        out, end = np.empty((len(self), len(self.rows), len(self.robot.link_parameters))), 0
+        for piece in (p for s in self.segments for p in s.split()):
+            begin, end = end, end + len(piece)
+            out[begin:end] = self._brought(piece, piece.motion.on_tree.link_regressor())
+        return out
 
     def with_model(self, link_parameters: Array, effects: Sequence[Effect]) -> Regression:
         """The same regression, in which effects see a model: the tree with these link parameters and these effects."""
@@ -698,8 +712,7 @@ class Regression:
         for j, row in enumerate(self.rows):
             # most columns are zero in most rows: only the others are worth a filter
             used = np.flatnonzero(columns[:, row].any(axis=0))
-            for some in np.split(used, range(TOGETHER, len(used), TOGETHER)):
-                out[:, j, some] = segment.brought(columns[:, row, some])
+            out[:, j, used] = segment.brought(columns[:, row, used])
         return out
 
     @cached_property
@@ -735,52 +748,44 @@ class _Unfiltered:
         return self.basis.size // len(self.basis)
 
 
-def _through(segment: Segment, columns: Sequence[_Unfiltered]) -> list[tuple[Indices, Array]]:
+def _together(segment: Segment, width: int) -> int:
+    """How many times so many columns memory bears at once behind the low-pass of a segment."""
+    return max(1, int(FILTERED_BYTES / (8 * len(segment.motion) * width)))
+
+
+def _through(segment: Segment, columns: Iterable[_Unfiltered]) -> list[tuple[Indices, Array]]:
     """Columns behind the low-pass at the fit's samples, many together, as many as memory bears: joints, and (N, rows, k) each."""
-    most = max(TOGETHER, int(FILTERED_BYTES / (8 * len(segment.motion))))
-    groups: list[list[_Unfiltered]] = []
-    width = most
-    for c in columns:
-        width += c.width
-        if width > most:
-            groups.append([])
-            width = c.width
-        groups[-1].append(c)
+    most = _together(segment, 1)
     out: list[tuple[Indices, Array]] = []
-    for group in groups:
-        together = segment.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
-        ends = np.cumsum([c.width for c in group])
-        for c, end in zip(group, ends, strict=True):
-            x = together[:, end - c.width : end]
-            if c.weight is None:
-                out.append((c.rows, x.reshape(len(x), len(c.rows), c.basis.shape[2])))
-            else:
-                out.append((c.rows, c.weight[None, :, None] * x[:, None, :]))
-    return out
+    group: list[_Unfiltered] = []
+    for c in columns:
+        if group and sum(x.width for x in group) + c.width > most:
+            out += _brought_together(segment, group)
+            group = []
+        group.append(c)
+    return [*out, *_brought_together(segment, group)] if group else out
+
+
+def _brought_together(segment: Segment, group: Sequence[_Unfiltered]) -> Iterator[tuple[Indices, Array]]:
+    together = segment.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
+    ends = np.cumsum([c.width for c in group])
+    for c, end in zip(group, ends, strict=True):
+        x = together[:, end - c.width : end]
+        if c.weight is None:
+            yield c.rows, x.reshape(len(x), len(c.rows), c.basis.shape[2])
+        else:
+            yield c.rows, c.weight[None, :, None] * x[:, None, :]
+
+
+def _beside(parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:
+    """Columns of the same samples side by side: joints (rows,) and (N, rows, sum of k)."""
+    rows = np.unique(np.concatenate([r for r, _ in parts]))
+    wide = [np.zeros((len(x), len(rows), x.shape[2])) for _, x in parts]
+    for out, (here, columns) in zip(wide, parts, strict=True):
+        out[:, np.searchsorted(rows, here)] = columns
+    return rows, np.concatenate(wide, axis=2)
 
 
 def _without_coefficients(effect: Effect) -> Effect:
     """The effect without values of its coefficients, on which its columns do not depend."""
     return effect.with_coefficients(np.full(len(effect.coefficients), np.nan))
-
-
-def period_noise(residual: Array, recording: Recording) -> Array | None:
-    """Noise of a repeating experiment, from what differs between its periods.
-
-    Parameters
-    ----------
-    residual : array, shape (N, joints)
-        One row a sample of the recording.
-    recording : Recording
-
-    Returns
-    -------
-    array, shape (joints,), or None where the recording does not hold two whole periods
-        Root mean square, N m.
-    """
-    if recording.period_s is None:
-        return None
-    samples = round(recording.period_s * recording.sample_rate_hz)
-    if samples < 1 or len(residual) < 2 * samples:
-        return None
-    return np.sqrt(periods(residual, samples).var(axis=0, ddof=1).mean(axis=0))

@@ -136,7 +136,7 @@ class _Bilinear:
         logged = np.concatenate([s.torque for s in self.regression.segments])
         known = logged - self.regression.torque  # what stated payloads take
         if not self.model.links_fitted:
-            known = known + self.regression.link_columns @ self.model.link_parameters
+            known = known + self.regression.link_torque(self.model.link_parameters)
         x = self.model.columns
         gains, theta = self._start(x, logged, known)
         p = x.shape[2]
@@ -179,7 +179,7 @@ class _Bilinear:
         """Of theta and gains, allowing for coloured residuals."""
         spans = self.regression.spans
         longest = int(CORRELATION_S * self.regression.segments[0].rate_hz)
-        by_joint = ColumnsByJoint.of_dense(np.arange(columns.shape[2]), columns)
+        by_joint = ColumnsByJoint.of_dense(np.arange(columns.shape[2]), columns.transpose(1, 0, 2))
         absorbed = absorbed_each(by_joint, self.precision, solution.sigma**-2.0, spans, longest)
         spectra = residual_spectra(np.ascontiguousarray(rest.T), spans, absorbed, longest)
         return coloured_covariance(by_joint, self.precision, solution.sigma, spectra, spans)

@@ -80,7 +80,7 @@ def absorbed_each(
     kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
     to_basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
     pairs = zip(weight, columns.places, columns.columns, strict=True)
-    return [absorbed_by_fit(np.sqrt(w) * (x @ to_basis[at]), spans, longest) for w, at, x in pairs]
+    return [absorbed_by_fit(x @ (np.sqrt(w) * to_basis[at]), spans, longest) for w, at, x in pairs]
 
 
 def coloured_covariance(

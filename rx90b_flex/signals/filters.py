@@ -12,13 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
+from scipy.interpolate import CubicSpline
 
 from rx90b_flex.compiled.signals import forward_and_backward
+from rx90b_flex.pieces import AT_ONCE, in_pieces
 
 Array = NDArray[np.float64]
 
 # The filter's response to an impulse counts as over when its slowest part has fallen to this.
 _IMPULSE_END = 1e-3
+RINGS = 5  # times the length of that response, after which nothing is left of an end
 # FIR of `resample`: attenuation in dB and the band, as fractions of the lower Nyquist frequency.
 _RESAMPLE_ATTENUATION_DB = 100.0
 _RESAMPLE_PASS = 0.8
@@ -79,8 +82,12 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
             f"{filter_.padding + 1} or more are needed"
         )
     # as `scipy.signal.sosfiltfilt` does it, but that works the steady state out anew for every call
-    columns = np.ascontiguousarray(samples.reshape(len(samples), -1))
-    return forward_and_backward(columns, filter_.sections, filter_.steady, filter_.padding).reshape(samples.shape)
+    columns, beside = np.ascontiguousarray(samples.reshape(len(samples), -1)), RINGS * filter_.padding
+
+    def filtered(x: Array) -> Array:
+        return forward_and_backward(x, filter_.sections, filter_.steady, filter_.padding)
+
+    return in_pieces(filtered, columns, beside, max(AT_ONCE, beside)).reshape(samples.shape)
 
 
 def minimum_samples(cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> int:
@@ -393,6 +400,14 @@ def _position_spectrum(samples: Array, rate: float) -> tuple[Array, Array]:
     hz, spectrum = hz[1:-1], spectrum[1:-1]
     difference_gain = (2.0 * np.sin(np.pi * hz / rate)) ** 4
     return hz, spectrum / difference_gain[:, None]
+
+
+def half_a_sample_off(x: Array) -> tuple[Array, Array]:
+    """A signal (N, n) half a sample before and after, by cubic splines."""
+    at = np.arange(len(x))
+    splines = [CubicSpline(at, column) for column in x.T]
+    before, after = (np.stack([s(at + off) for s in splines], axis=1) for off in (-0.5, 0.5))
+    return before, after
 
 
 def periods(x: ArrayLike, period_samples: int) -> Array:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rx90b_flex.effects.motion import Array
+Array = NDArray[np.float64]
 
 AT_ONCE = 50_000  # samples
 
@@ -24,8 +25,11 @@ def in_pieces(work: Callable[[Array], Array], x: Array, beside: int, at_once: in
     """
     if len(x) <= at_once + beside:
         return work(x)
-    parts = []
+    out = np.empty(0)
     for begin in range(0, len(x), at_once):
         first, end = max(0, begin - beside), begin + at_once
-        parts.append(work(x[first : end + beside])[begin - first : end - first])
-    return np.concatenate(parts)
+        part = work(x[first : end + beside])[begin - first : end - first]
+        if begin == 0:
+            out = np.empty((len(x), *part.shape[1:]))
+        out[begin:end] = part
+    return out
