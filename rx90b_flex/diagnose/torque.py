@@ -144,8 +144,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return TorqueModel(reweighted(regression, model), self.data)
 
     def signature(self, model: TorqueModel, trial: TorqueTrial | None = None) -> Hashable:
-        """Types and places; of effects that may stand twice in one place, the shapes too, to a tenth."""
-        return frozenset((e.type_name(), e.place, _rounded(e)) for e in _with(model, trial.effects if trial else ()))
+        """Types, places and numbers of shapes; of effects that may stand twice in one place, the shapes too, to a tenth."""
+        effects = _with(model, trial.effects if trial else ())
+        return frozenset((e.type_name(), e.place, len(e.shape), _rounded(e)) for e in effects)
 
     def candidates(self, standing: Standing[TorqueModel, TorqueTrial]) -> Sequence[Candidates]:
         if standing.steps and self._at_floor(standing.model):

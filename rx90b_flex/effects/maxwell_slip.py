@@ -5,18 +5,20 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
+from rx90b_flex.effects.effect import Effect, Sites
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, Parameter, derived, linear
 from rx90b_flex.effects.presliding import DEFLECTION, deflection_range, lost_in_noise
 from rx90b_flex.effects.reversal import SHARP, reversal, reversal_slope
+from rx90b_flex.effects.stand_in import StandIn
 
 ELEMENTS = 2  # where none are stated
 AROUND = (0.7, 1.0, 1.4)  # times a smooth element's deflection: the middle of several that come to the same
@@ -97,13 +99,20 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, breaks_away=True, re
         grid = np.geomspace(1.5 * low, 0.5 * high, 6)
         step = max(1, len(grid) // (self.count + 1))
         starts = [grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))]
-        if left is not None and left.instead_of is not None:
+        if left is not None and left.instead_of is not None and len(left.instead_of.shape) > 1:
+            starts = [np.sort(np.append(left.instead_of.shape, one)) for one in grid]
+        elif left is not None and left.instead_of is not None:
             # elements that break away before and after one smooth element does
             steps = np.linspace(-0.5, 0.5, self.count) if self.count > 1 else np.zeros(1)
             smooth = left.instead_of.shape[0]
             pairs = [smooth * middle * ratio**steps for middle in AROUND for ratio in APART]
             starts += [np.clip(pair, low, high) for pair in pairs]
         return ShapeSearch(np.array(starts), independent=4, part=0.5)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        """In the place of a smooth element, and with one element more in that of several."""
+        return [form(joint=j) for form in (MaxwellSlipFriction, _OneMore) for j in sites.joints]
 
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:
@@ -126,3 +135,24 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, breaks_away=True, re
         out[1] = torque / deflection * (np.abs(part) < 1.0)
         out[2] = 0.0
         out[4] = part
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OneMore(
+    StandIn,
+    MaxwellSlipFriction,
+    replaces=("maxwell_slip_friction",),
+    needs=("maxwell_slip_friction",),
+):
+    """One element more than are looked for at first."""
+
+    in_files: ClassVar[type[Effect]] = MaxwellSlipFriction
+
+    @property
+    def count(self) -> int:
+        return ELEMENTS + 1
+
+    def in_tree(self, motion: Motion) -> Effect:
+        return MaxwellSlipFriction(
+            joint=self.joint, torques=self.torques, stiffnesses=self.stiffnesses, deflections=self.deflections
+        )
