@@ -298,6 +298,8 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
         study.Case("hidden", "held_friction", 10.0, 2300, "z1", "tanh_30", "ar"),
         # two elements on each joint, that break away near each other
         study.Case("hidden", "torque_gain", 1.0, 2310, "z1", "maxwell", "ar"),
+        # a third element on one of them
+        study.Case("hidden", "presliding_friction", 1.0, 6000, "ur10", "maxwell", "ar"),
     ],
     ids=lambda case: case.name,
 )

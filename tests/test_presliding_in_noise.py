@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rx90b_flex.diagnose.trial import added
+from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.hints import LeftOver
 from rx90b_flex.effects.maxwell_slip import MaxwellSlipFriction
 from rx90b_flex.effects.motion import Array, Motion
@@ -109,3 +111,20 @@ def test_two_elements_are_searched_near_those_that_one_smooth_one_stands_for(rob
     best = min(smooth, key=left)
     starts = true.shape_search(moved, LeftOver((), instead_of=best)).starts
     assert min(left(true.with_shape(start)) for start in starts) < 0.5 * left(best)
+
+
+def test_a_third_element_is_searched_beside_two_and_takes_their_place(robot: Robot) -> None:
+    moved = motion(robot, 1e-6, 1)
+    at = moved.joint("joint_1")
+    two = MaxwellSlipFriction(joint="joint_1", torques=(0.6, 0.4), deflections=(1e-3, 4e-3))
+    torque = two.basis(at) @ [0.6, 0.4] + 0.2 * PreslidingFriction(joint="joint_1", deflection=0.03).basis(at)[:, 0]
+    sites = Sites(robot.joints, robot.tip_frame)
+    (more,) = (e for e in MaxwellSlipFriction.everywhere(sites) if len(e.shape_parameters) == 3)
+    assert added([two], more) == (more,)
+
+    def left(effect: Effect) -> float:
+        basis = effect.columns(moved)[:, 0]
+        return float(np.sum((torque - basis @ np.linalg.lstsq(basis, torque, rcond=None)[0]) ** 2))
+
+    starts = more.shape_search(moved, LeftOver((), instead_of=two)).starts
+    assert min(left(more.with_shape(start)) for start in starts) < 0.5 * left(two)

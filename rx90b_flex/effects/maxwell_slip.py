@@ -11,8 +11,8 @@ import numpy as np
 
 from rx90b_flex.compiled.signals import maxwell
 from rx90b_flex.effects.curves import ManyCoefficients
-from rx90b_flex.effects.effect import Effect, Sites
-from rx90b_flex.effects.hints import LeftOver, ShapeSearch
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law_effect import RememberingLaw
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, Parameter, derived, linear
