@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 50_000  # samples
+AT_ONCE = 50_000  # samples; a signal that is longer is a long one
 
 
 def in_pieces(work: Callable[[Array], Array], x: Array, beside: int, at_once: int = AT_ONCE) -> Array:

@@ -128,3 +128,15 @@ def test_a_third_element_is_searched_beside_two_and_takes_their_place(robot: Rob
 
     starts = more.shape_search(moved, LeftOver((), instead_of=two)).starts
     assert min(left(more.with_shape(start)) for start in starts) < 0.5 * left(two)
+
+
+@pytest.mark.parametrize("declared", [1, 3, 4])
+def test_beside_another_number_of_elements_the_search_still_has_its_starts(robot: Robot, declared: int) -> None:
+    """A robot file may have any number, such as the three that an earlier search found."""
+    moved = motion(robot, 1e-6, 1)
+    known = MaxwellSlipFriction(
+        joint="joint_1", torques=(1.0,) * declared, deflections=tuple(1e-3 * 3.0 ** np.arange(declared))
+    )
+    for effect in MaxwellSlipFriction.everywhere(Sites(robot.joints, robot.tip_frame)):
+        starts = effect.shape_search(moved, LeftOver((), instead_of=known)).starts
+        assert len(starts) > 1 and starts.shape[1] == len(effect.shape_parameters)

@@ -33,7 +33,6 @@ from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.facts import counter_steps, found_period_s, sensible_cutoff_hz
 
 SCHEMA = 1
-PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's
 AT_REST = 0.01  # of a joint's fastest velocity in the recording: slower is at rest
 
 Progress = Callable[[str, float], None]

@@ -99,12 +99,13 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, breaks_away=True, re
         grid = np.geomspace(1.5 * low, 0.5 * high, 6)
         step = max(1, len(grid) // (self.count + 1))
         starts = [grid[i : i + step * self.count : step] for i in range(len(grid) - step * (self.count - 1))]
-        if left is not None and left.instead_of is not None and len(left.instead_of.shape) > 1:
-            starts = [np.sort(np.append(left.instead_of.shape, one)) for one in grid]
-        elif left is not None and left.instead_of is not None:
+        replaced = np.zeros(0) if left is None or left.instead_of is None else left.instead_of.shape
+        if 1 < len(replaced) == self.count - 1:
+            starts = [np.sort(np.append(replaced, one)) for one in grid]
+        elif len(replaced):
             # elements that break away before and after one smooth element does
             steps = np.linspace(-0.5, 0.5, self.count) if self.count > 1 else np.zeros(1)
-            smooth = left.instead_of.shape[0]
+            smooth = replaced[0]
             pairs = [smooth * middle * ratio**steps for middle in AROUND for ratio in APART]
             starts += [np.clip(pair, low, high) for pair in pairs]
         return ShapeSearch(np.array(starts), independent=4, part=0.5)

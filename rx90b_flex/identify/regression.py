@@ -17,6 +17,7 @@ from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
+from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
     Recording,
@@ -48,7 +49,6 @@ LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
 FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
-AT_ONCE = 50_000  # working samples whose regressors are held at a time
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
 FEWEST_KEPT, KEPT_BYTES = 16, 4e7  # of a long log fewer: so many, or what takes so much

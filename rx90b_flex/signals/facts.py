@@ -12,7 +12,7 @@ from rx90b_flex.signals.recording import Recording
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
 OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
 LOWEST_HZ = 1.0
-PRINTED = 1e3  # steps
+PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's
 SHORTEST_PERIOD_S = 0.5
 REPEATS = 2e-5  # squared difference of a motion to itself a period later, over twice its variance
 
