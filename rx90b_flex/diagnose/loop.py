@@ -230,12 +230,13 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                 continue
             alike = f" and {len(best.members) - 1} alike" if best.members else ""
             self.tell(f"adding {best.label}{alike}", _done(standing))
-            model, trials[place] = self.residual.refit(standing.model, best)
+            rivals = _others(trials, best)
+            model, found = self.residual.refit(standing.model, best)
+            trials[place] = found
             if model is None:
                 continue
-            rivals = _others(trials, best)
             errors = [self.residual.errors_of(m) for m in (standing.model, model)]
-            steps = [Addition(t, rivals, *errors) for t in self.residual.findings(best)]
+            steps = [Addition(t, rivals, *errors) for t in self.residual.findings(found)]
             more = self._added(standing, model, steps, len(steps))
             if more is not None:
                 return more

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,6 +16,7 @@ from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family, shows_by_its
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
+from rx90b_flex.effects.stand_in import of_usual_shape
 from rx90b_flex.identify.coloured import residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
@@ -186,7 +187,8 @@ class Search:
 
     def free(self, effect: Effect) -> Indices:
         """Places of the shape parameters that a trial is free to choose."""
-        return np.array([i for i, k in enumerate(shared_shapes(effect)) if k not in self._shared_values], dtype=np.intp)
+        named = zip(shared_shapes(effect), effect.shape_parameters.values(), strict=True)
+        return np.array([i for i, (k, p) in enumerate(named) if not (p.held or k in self._shared_values)], dtype=np.intp)
 
     def _shaped(self, effect: Effect, values: Array, free: Indices | None = None) -> Effect:
         """With other values of the free shapes, or of some of them."""
@@ -218,20 +220,22 @@ class Search:
         self.regression.forget_pieces()
         self.regression.forget_long()
         rough.sort(key=lambda item: -item.gain)
-        trials: list[TorqueTrial] = []
+        tried: dict[tuple[type[Effect], str], TorqueTrial] = {}
         # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
         for item in [
             *rough[:REFINED],
             *(r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN),
         ]:
-            if len(trials) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(trials):
+            if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):
                 break  # neither this one nor those behind it can win
-            trials.append(self._tried(item, bases[None]))
-        trials += self._families(rough, trials, bases[None]) if families else []
+            tried[type(item.effect), item.effect.label] = self._tried(item, bases[None])
+        trials = [*tried.values(), *(self._families(rough, tried, bases[None]) if families else [])]
         self.regression.forget()
         return sorted(trials, key=lambda t: -t.gain)
 
-    def _families(self, rough: Sequence[_Rough], known: Sequence[TorqueTrial], present: Base) -> list[TorqueTrial]:
+    def _families(
+        self, rough: Sequence[_Rough], tried: Mapping[tuple[type[Effect], str], TorqueTrial], present: Base
+    ) -> list[TorqueTrial]:
         """One law on several joints, for the types that a first look at all joints together likes best."""
         kinds: dict[type[Effect], list[_Rough]] = {}
         for item in rough:
@@ -240,8 +244,7 @@ class Search:
                 kinds.setdefault(kind, []).append(item)
         sums = {kind: sum(max(item.gain, 0.0) for item in items) for kind, items in kinds.items()}
         liked = sorted(kinds, key=lambda kind: -sums[kind])[:FAMILIES]
-        tried = {(type(t.effect), t.label): t for t in known}
-        sure = _sure(known)
+        sure = _sure(tried.values())
         fewest = max(2, len(self.sites.joints) / 2)
         out = []
         for kind in liked:
@@ -252,9 +255,9 @@ class Search:
             while left and len(members) + len(left) >= fewest:
                 item = left.pop()  # the weakest first: it tells soonest that they are too few
                 found = tried.get((type(item.effect), item.effect.label)) or self._tried(item, present)
-                members = [found, *members] if found.belongs(self.tests) else members
+                members = [found, *members] if found.belongs else members
             if len(members) >= fewest:
-                out.append(family(members, len(kinds)))
+                out.append(family(members, len(self.sites.joints), len(kinds)))
         return out
 
     def _tried(self, item: _Rough, present: Base) -> TorqueTrial:
@@ -466,8 +469,19 @@ class Search:
         return end.look.gain, self._shaped(effect, np.clip(back(end.x), low, high), free)
 
     def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> TorqueTrial:
-        """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests."""
-        effect = self._refined(effect, base)
+        """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests.
+
+        Where it cannot have the values that fit best, it is tried with those shapes held that have a usual value.
+        """
+        found = self._trial(self._refined(effect, base), base, present, tests)
+        plainer = None if found.lawful else of_usual_shape(effect)
+        if plainer is None:
+            return found
+        other = self._trial(self._best(plainer, base), base, present, tests)
+        return other if other.lawful else found
+
+    def _trial(self, effect: Effect, base: Base, present: Base, tests: int) -> TorqueTrial:
+        """Of an effect with its shape as it is."""
         k, s = len(effect.coefficients), len(self.free(effect))
         rows, beside = self.regression.compact([effect, *self._neighbours(effect)])
         columns = beside[:, :, :k]
@@ -519,6 +533,7 @@ class Search:
             )
             or _too_faint(columns @ beta, self.regression.torque[:, rows]),
             acting=int((d @ beta @ beta > shows_by_itself(colour)).sum()),
+            alone=min(1.0, p_value * effect.shape_search(self.longest).independent),
         )
 
     def _left_out(
@@ -676,7 +691,7 @@ class _Rough:
     glimpsed: bool = False
 
 
-def _sure(trials: Sequence[TorqueTrial]) -> float:
+def _sure(trials: Iterable[TorqueTrial]) -> float:
     """What the best of those that may be added gains at the least."""
     return max((t.sure_gain for t in trials if t.accepted), default=0.0)
 

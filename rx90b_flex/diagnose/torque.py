@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -15,10 +15,11 @@ from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import row_weights
-from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
-from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
+from rx90b_flex.diagnose.search import FAMILIES, Search, beside_motion, last_resorts, laws
+from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, family
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.stand_in import of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_sensors import sensors_to_use
@@ -189,12 +190,26 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return None, self.fallen(trial, "with everything fitted again none of its values is certain")
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
         if ends:
-            return None, dataclasses.replace(trial, lawful=False, objection=ends[0])
+            plainer = self._plainer(new, trial)
+            return self.refit(model, plainer) if plainer else (None, dataclasses.replace(trial, lawful=False, objection=ends[0]))
         if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
             return None, self.fallen(
                 trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
             )
         return new, trial
+
+    def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
+        """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
+        search = self.search(model)
+
+        def held(one: TorqueTrial) -> TorqueTrial:
+            effect = find(model, one.effect)
+            usual = of_usual_shape(effect) if search.at_bound(effect) else None
+            return one if usual is None else dataclasses.replace(one, effect=usual)
+
+        members = tuple(held(m) for m in trial.members)
+        new = dataclasses.replace(held(trial), members=members)
+        return new if any(a is not b for a, b in zip(new.effects, trial.effects, strict=True)) else None
 
     def fallen(self, trial: TorqueTrial, why: str) -> TorqueTrial:
         return dataclasses.replace(trial, objection=why)
@@ -206,7 +221,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """A family's members, of which was asked together what was asked of it; a declared effect that was left out for a while
         is none.
         """
-        told = [dataclasses.replace(t, p_value=min(t.p_value, trial.p_value)) for t in trial.members or (trial,)]
+        told = [
+            dataclasses.replace(t, p_value=min(t.p_value, trial.p_value), of_family=bool(trial.members))
+            for t in trial.members or (trial,)
+        ]
         return [t for t in told if t.label not in self._declared]
 
     def holds(self, model: TorqueModel, trial: TorqueTrial) -> bool:
@@ -242,12 +260,17 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if any(s.trial.effect.traits.last_resort for s in steps[older:]):
             return None
         search = self.search(standing.model)
+
+        @cache
+        def worth(i: int) -> TorqueTrial:
+            return search.without(find(standing.model, steps[i].trial.effect))
+
         for i, step in enumerate(steps):
             newest = i >= older
             if newest and latest == 1:
                 continue
-            worth = search.without(find(standing.model, step.trial.effect))
-            if not (worth.accepted or (newest and worth.belongs(search.tests))):
+            joints = len(self.sites.joints)
+            if not (worth(i).accepted or (worth(i).belongs and (newest or _sure_together(i, steps, worth, joints)))):
                 return step
         return None
 
@@ -366,6 +389,16 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if floor is None:
             return False
         return bool((np.array(model.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
+
+
+def _sure_together(at: int, steps: Sequence[Addition[TorqueTrial]], worth: Callable[[int], TorqueTrial], joints: int) -> bool:
+    """Whether an addition that came as one of several joints' and those with its law are sure together, each worth what it says."""
+    own = steps[at].trial
+    if not own.of_family:
+        return False
+    alike = [i for i, s in enumerate(steps) if s.trial.of_family and type(s.trial.effect).type_name() == own.effect.type_name()]
+    several = [w for w in map(worth, alike) if w.belongs]
+    return len(several) > 1 and family(several, joints, FAMILIES).p_value < SIGNIFICANCE
 
 
 def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -80,6 +80,10 @@ class TorqueTrial(Trial):
         Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
     acting : int
         Blocks in which its torque is large enough to show by itself.
+    alone : float
+        The p-value of a hypothesis that nobody had to search for: corrected for the shapes of this one effect alone.
+    of_family : bool
+        Whether it was added as one of several joints' that have one law.
     """
 
     effect: Effect
@@ -96,6 +100,8 @@ class TorqueTrial(Trial):
     members: tuple[TorqueTrial, ...] = ()
     small: str = ""
     acting: int = REPLICAS
+    alone: float = 1.0
+    of_family: bool = False
 
     @property
     def label(self) -> str:
@@ -172,15 +178,11 @@ class TorqueTrial(Trial):
             return f"of its gain {max(self.carried, 0.0):.0%} carries over to recordings that were left out as a whole"
         return self.objection
 
-    def belongs(self, tests: int) -> bool:
-        """Whether it may be one of a family: by itself as likely as a hypothesis that nobody had to search for."""
+    @property
+    def belongs(self) -> bool:
+        """Whether it may be one of a family: what others are sure of it need only help where it was held out."""
         return (
-            self.lawful
-            and self.gain > 0
-            and self.share > SMALLEST_GAIN
-            and not self.small
-            and self.p_value < MEMBER * tests
-            and self.worst <= 1.0
+            self.lawful and self.gain > 0 and self.share > SMALLEST_GAIN and not self.small and self.worst <= 1.0
         )
 
     def no_better_than(self, other: TorqueTrial) -> bool:
@@ -197,16 +199,15 @@ def shows_by_itself(colour: float) -> float:
     return (2.0 * GAIN_T) ** 2 * colour
 
 
-def family(members: Sequence[TorqueTrial], kinds: int) -> TorqueTrial:
-    """Several trials as one: gains add up, and Fisher's method puts their p-values together; `kinds` families were tried."""
-    chance = -2.0 * float(np.log(np.maximum([m.p_value for m in members], 1e-300)).sum())
-    gain = float(sum(m.gain for m in members))
+def family(members: Sequence[TorqueTrial], joints: int, kinds: int) -> TorqueTrial:
+    """Several trials as one: gains add up, p-values become that of their product, of so many `joints` and `kinds` that were tried."""
     touched_squares = sum(m.gain / m.share for m in members)
+    gain = float(sum(m.gain for m in members))
     return dataclasses.replace(
         members[0],
         gain=gain,
         block_gains=np.sum([m.block_gains for m in members], axis=0),
-        p_value=min(1.0, kinds * float(stats.chi2.sf(chance, 2 * len(members)))),
+        p_value=min(1.0, kinds * product_of_small([m.alone for m in members], joints)),
         size=sum(m.size for m in members),
         share=gain / touched_squares,
         colour=max(m.colour for m in members),
@@ -215,6 +216,21 @@ def family(members: Sequence[TorqueTrial], kinds: int) -> TorqueTrial:
         members=tuple(members),
         acting=max(m.acting for m in members),
     )
+
+
+def product_of_small(p_values: Sequence[float], tried: int) -> float:
+    """How likely the product of those p-values among so many that lie below `MEMBER` is as small as this one, by chance.
+
+    Source: D. V. Zaykin, L. A. Zhivotovsky, P. H. Westfall, B. S. Weir, "Truncated product method for combining P-values",
+    Genetic Epidemiology 22(2), 2002, equation 1.
+    """
+    product = -float(np.log(np.maximum(p_values, 1e-300)).sum())
+    out = 0.0
+    for k in range(1, tried + 1):
+        # of k that are small the product over MEMBER^k is that of k uniform ones, its logarithm Erlang distributed
+        small = stats.binom.pmf(k, tried, MEMBER)
+        out += float(small * stats.gamma.sf(max(product + k * np.log(MEMBER), 0.0), k))
+    return out
 
 
 def choose(trials: Sequence[TorqueTrial]) -> TorqueTrial | None:

@@ -15,6 +15,7 @@ from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
 from rx90b_flex.effects.reversal import DryFriction, Resolution, log_speed, turnover_range, turnover_shape
+from rx90b_flex.effects.stand_in import OfUsualShape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
@@ -224,6 +225,13 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
         own = np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
         return self.with_turnover(motion, own, independent=5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfUsualPower(OfUsualShape, StribeckFriction):
+    """How quickly it fades a log may not tell: where it does at the slowest speeds, a lower power with more torque comes to the same."""
+
+    in_files: ClassVar[type[Effect]] = StribeckFriction
 
 
 @dataclass(frozen=True, kw_only=True)

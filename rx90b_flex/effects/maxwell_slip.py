@@ -152,8 +152,3 @@ class _OneMore(
     @property
     def count(self) -> int:
         return ELEMENTS + 1
-
-    def in_tree(self, motion: Motion) -> Effect:
-        return MaxwellSlipFriction(
-            joint=self.joint, torques=self.torques, stiffnesses=self.stiffnesses, deflections=self.deflections
-        )

@@ -45,6 +45,8 @@ class Parameter:
         Where its value stands in the effect.
     usual : bool
         Whether `start` is what a shape parameter mostly is: where the data lead it astray a search holds it there.
+    held : bool
+        Whether a fit leaves it at its value, of which no more is known than what is usual.
     shared : bool
         Whether all effects of a joint have one value of that name; `start` where it is not known.
     """
@@ -58,6 +60,7 @@ class Parameter:
     rank: int = OTHER
     attribute: str = ""
     usual: bool = False
+    held: bool = False
     shared: bool = False
 
 

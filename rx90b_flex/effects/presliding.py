@@ -120,11 +120,6 @@ class _InPlaceOfASign(StandIn, PreslidingFriction, replaces=("coulomb_friction",
 
     in_files: ClassVar[type[Effect]] = PreslidingFriction
 
-    def in_tree(self, motion: Motion) -> Effect:
-        return PreslidingFriction(
-            joint=self.joint, torque=self.torque, stiffness=self.stiffness, deflection=self.deflection
-        )
-
 
 def lost_in_noise(deflection: float, at: JointMotion) -> str:
     """Why a log cannot tell hysteresis of so small a deflection, rad, in words; empty where it can.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.motion import Motion
+from rx90b_flex.effects.parameters import Parameter
 
 
 class StandIn(Effect):
@@ -19,9 +20,28 @@ class StandIn(Effect):
     def type_name(cls) -> str:
         return cls.in_files.type_name()
 
-    @abstractmethod
     def in_tree(self, motion: Motion) -> Effect:
         """What it stands for, with its values, on the tree of any sample of motion."""
+        return self.in_files(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self.in_files)})
+
+
+class OfUsualShape(StandIn):
+    """An effect for logs that do not tell all of its shape: what is `Parameter.usual` of it is held at its usual value."""
+
+    @property
+    def shape_parameters(self) -> Mapping[str, Parameter]:
+        return {n: dataclasses.replace(p, held=p.usual) for n, p in super().shape_parameters.items()}
+
+
+def of_usual_shape(effect: Effect) -> Effect | None:
+    """An effect with the shapes that have a usual value held there; None where its type has none, or they are held."""
+    for kind in OfUsualShape.__subclasses__():
+        if kind.in_files is type(effect):
+            own = effect.shape_parameters.values()
+            usual = [p.start if p.usual else x for p, x in zip(own, effect.shape, strict=True)]
+            values = {f.name: getattr(effect, f.name) for f in dataclasses.fields(kind)}
+            return kind(**values).with_shape(usual)
+    return None
 
 
 def as_in_files(effects: Sequence[Effect], motion: Motion) -> tuple[Effect, ...]:

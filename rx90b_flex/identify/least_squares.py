@@ -143,7 +143,8 @@ class Identification:
         """Inverse covariance of theta and the shape parameters before the data, (p + s, p + s): penalties, else zero."""
         out = np.zeros((len(self.theta) + len(self.shapes),) * 2)
         out[: len(self.theta), : len(self.theta)] = _beside_links(prior_precision(self.effects), self.first_column(0))
-        return out
+        held = self.shapes.precision(self.shapes.values(self.effects))
+        return out + np.diag(np.concatenate([np.zeros(len(self.theta)), held]))
 
     @property
     def information(self) -> Array:
@@ -632,7 +633,7 @@ class _Fit:
 
     def _stepped(self, rounds: int, moving: Mask) -> _Fit:
         """Steps in some of the shape parameters (s,)."""
-        return lowest(_Shaped(self, moving, self.solution.sigma), rounds).fit
+        return lowest(_Shaped(self, moving & ~self.shapes.held, self.solution.sigma), rounds).fit
 
     def shape_equations(self, sigma: Array) -> tuple[Array, Array]:
         """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
@@ -674,6 +675,7 @@ class _Fit:
         longest = int(CORRELATION_S * regression.segments[0].rate_hz)
         precision = np.zeros((size, size))
         precision[: len(self.precision), : len(self.precision)] = self.precision
+        precision += np.diag(np.concatenate([np.zeros(len(solution.theta)), self.shapes.precision(self.shape)]))
         counted = np.ascontiguousarray((residual / np.sqrt(regression.share)).T)
         uncertainty = Uncertainty(
             estimated,

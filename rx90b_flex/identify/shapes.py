@@ -12,6 +12,7 @@ from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Mask
 
 FARTHEST = 1.0  # step of a fit in a shape parameter's logarithm at the most
+USUAL = 0.4  # standard deviation of the logarithm of a shape that is held at what is usual: two of them from 0.45 to 2.2 times it
 AT_BOUND = 1.0e-3  # distance from an end of its range, in logarithms, within which a shape lies at that end
 
 
@@ -28,12 +29,15 @@ class Shapes:
     keys : tuple of (tuple of str or None)
         Name of the value that effects share, one a place.
     low, high : array, shape (s,)
+    held : array of bool, shape (s,)
+        Which a fit leaves as they are.
     """
 
     places: tuple[Indices, ...]
     keys: tuple[tuple[str, ...] | None, ...]
     low: Array
     high: Array
+    held: Mask
 
     @staticmethod
     def of(effects: Sequence[Effect], motion: Motion) -> Shapes:
@@ -41,19 +45,22 @@ class Shapes:
         places, keys = [], []
         low: list[float] = []
         high: list[float] = []
+        held: list[bool] = []
         for effect in effects:
             ends = effect.shape_range(motion)
             here = []
-            for key, a, b in zip(shared_shapes(effect), *ends, strict=True):
+            own = effect.shape_parameters.values()
+            for key, p, a, b in zip(shared_shapes(effect), own, *ends, strict=True):
                 if key is None or key not in keys:
                     keys.append(key)
                     low.append(float(a))
                     high.append(float(b))
+                    held.append(p.held)
                     here.append(len(keys) - 1)
                 else:
                     here.append(keys.index(key))
             places.append(np.array(here, dtype=np.intp))
-        return Shapes(tuple(places), tuple(keys), np.array(low), np.array(high))
+        return Shapes(tuple(places), tuple(keys), np.array(low), np.array(high), np.array(held, dtype=bool))
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -84,6 +91,10 @@ class Shapes:
     def per_step(self, values: Array) -> Array:
         """Change of the values per step in fitted coordinates, shape (s,)."""
         return np.where(self.positive, values, 1.0)
+
+    def precision(self, values: Array) -> Array:
+        """What is known of them before the data, inverse variances, shape (s,)."""
+        return np.where(self.held, (USUAL * self.per_step(values)) ** -2.0, 0.0)
 
     def at_bound(self, values: Array) -> Mask:
         """Which lie at an end of their range, shape (s,), bool."""
