@@ -20,7 +20,7 @@ REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is a
 FEWEST_REPLICAS = 2  # these are enough where it acts in no more than them
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
-MEMBER = 0.01  # p-value, not corrected, of a member
+MEMBER = 0.01  # p-value of one of a family, corrected for its own shapes alone, below which it counts as evidence of their law
 CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
 PHASE_CARRIED = (
     0.7  # of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less
