@@ -240,7 +240,7 @@ class Search:
         kinds: dict[type[Effect], list[_Rough]] = {}
         for item in rough:
             kind = type(item.effect)
-            if kind.traits.on == "joint" and not (kind.traits.repeats or kind.traits.multiplies):
+            if kind.traits.on == "joint" and kind.traits.of_make and not kind.traits.multiplies:
                 kinds.setdefault(kind, []).append(item)
         sums = {kind: sum(max(item.gain, 0.0) for item in items) for kind, items in kinds.items()}
         liked = sorted(kinds, key=lambda kind: -sums[kind])[:FAMILIES]

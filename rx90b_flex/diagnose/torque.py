@@ -152,7 +152,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def candidates(self, standing: Standing[TorqueModel, TorqueTrial]) -> Sequence[Candidates]:
         if standing.steps and self._at_floor(standing.model):
             return (Candidates(beside_motion, in_pairs=False, told=False),)
-        return Candidates(laws), Candidates(last_resorts, in_pairs=False, alone=True)
+        return Candidates(laws), Candidates(last_resorts, in_pairs=False)
 
     def trials(self, model: TorqueModel, some: Candidates, told: Callable[[float], None]) -> list[TorqueTrial]:
         return self.search(model, some.kinds).run(told, families=not some.alone)

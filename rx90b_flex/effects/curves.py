@@ -66,7 +66,7 @@ def along_curve(x: float, rate: float, parameters: Any, out: Any) -> None:
     out[2] = slope if over_rate > 0.0 else 0.0
 
 
-class _Curve(ManyCoefficients, last_resort=True):
+class _Curve(ManyCoefficients, last_resort=True, of_make=False):
     """A natural cubic spline through a torque at each knot, level beyond the last ones.
 
     A fit penalises how far it bends from knot to knot, ``integral h(x)^3 f''(x)^2 dx`` with the distance h of the two knots on

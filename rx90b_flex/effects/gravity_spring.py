@@ -116,7 +116,7 @@ class GravitySpring(LawEffect, behind_gear=True, part="spring"):
         return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in sites.joints]
 
 
-class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True):
+class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True, of_make=False):
     """A `GravitySpring` of unknown geometry: levers a and b from the axis to its ends, ``l^2 = a^2 + b^2 - 2 a b cos(q - angle)``."""
 
     in_files: ClassVar[type[Effect]] = GravitySpring

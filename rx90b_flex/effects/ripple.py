@@ -53,7 +53,7 @@ class SineEffect(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeriodicEffect(SineEffect, repeats=True):
+class PeriodicEffect(SineEffect, repeats=True, of_make=False):
     """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
 
     PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins

@@ -18,7 +18,9 @@ from rx90b_flex.effects.parameters import SPRING, Parameter, derived, linear
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpring(SumOfLaws, JointEffect, ShownAtRest, behind_gear=True, part="spring", scaled=((0, 1),)):
+class JointSpring(
+    SumOfLaws, JointEffect, ShownAtRest, behind_gear=True, part="spring", of_make=False, scaled=((0, 1),)
+):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 
     Linear in the stiffness and in ``preload = stiffness * rest_angle``. Where the model has a constant torque on

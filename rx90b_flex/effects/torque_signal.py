@@ -208,7 +208,7 @@ class MotorSaturation(LogEffect, JointEffect, needs_model=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineInterference(LogEffect, SineEffect, by_clock=True, repeats_with_motion=False, repeats=True):
+class LineInterference(LogEffect, SineEffect, by_clock=True, repeats_with_motion=False, repeats=True, of_make=False):
     """Mains or another fixed frequency in the torque signal, ``amplitude * sin(2 pi frequency_hz t + phase)``.
 
     The time is the file's, so that recordings of one clock share the phase.

@@ -43,6 +43,8 @@ class Traits:
         Effect types that must stand at the same place.
     repeats : bool
         It may stand twice in the same place.
+    of_make : bool
+        Joints of one make have it by one law, which they may show together; a spring or a tooth's place is one joint's own.
     replaces : tuple of str
         Effect types that it stands in for at the same place.
     refines : tuple of str
@@ -73,6 +75,7 @@ class Traits:
     coefficients_follow: bool = False
     needs: tuple[str, ...] = ()
     repeats: bool = False
+    of_make: bool = True
     replaces: tuple[str, ...] = ()
     refines: tuple[str, ...] = ()
     last_resort: bool = False
