@@ -22,7 +22,7 @@ from rx90b_flex.effects.stand_in import StandIn
 
 ELEMENTS = 2  # where none are stated
 AROUND = (0.7, 1.0, 1.4)  # times a smooth element's deflection: the middle of several that come to the same
-APART = (2.5, 6.0, 15.0)  # how many times the first one's deflection the last one's is
+APART = (2.5, 4.0, 6.0, 15.0)  # how many times the first one's deflection the last one's is
 
 
 @dataclass(frozen=True, kw_only=True)
