@@ -12,7 +12,8 @@ import numpy as np
 from scipy import linalg, stats
 
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, penalised_wald, solve_beside
-from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, family, shows_by_itself
+from rx90b_flex.diagnose.families import FAMILIES, family
+from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, off_a_joint, shows_by_itself, too_faint
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
@@ -30,7 +31,6 @@ from rx90b_flex.identify.penalty import parameters_used, prior_precision, smooth
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.levenberg import Damping, Iterate, lowest
 
-FAMILIES = 4  # laws that are tried on all joints together
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
 PARTS = 3  # of a single recording, left out in turn instead
@@ -50,7 +50,6 @@ BESIDE = 6  # harmonics of a repeating motion on either side of a line that it i
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
-FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
 BATCH_BYTES = 6e6  # of columns that are looked at together
 
 
@@ -188,7 +187,9 @@ class Search:
     def free(self, effect: Effect) -> Indices:
         """Places of the shape parameters that a trial is free to choose."""
         named = zip(shared_shapes(effect), effect.shape_parameters.values(), strict=True)
-        return np.array([i for i, (k, p) in enumerate(named) if not (p.held or k in self._shared_values)], dtype=np.intp)
+        return np.array(
+            [i for i, (k, p) in enumerate(named) if not (p.held or k in self._shared_values)], dtype=np.intp
+        )
 
     def _shaped(self, effect: Effect, values: Array, free: Indices | None = None) -> Effect:
         """With other values of the free shapes, or of some of them."""
@@ -529,9 +530,9 @@ class Search:
             objection,
             *self._left_out(base, present, (b, y, d), before, used * colour, gain),
             small=found.too_small(
-                _off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s, self.longest
+                off_a_joint(present.squares[rows], left_over[rows], gain), self.sample_s, self.longest
             )
-            or _too_faint(columns @ beta, self.regression.torque[:, rows]),
+            or too_faint(columns @ beta, self.regression.torque[:, rows]),
             acting=int((d @ beta @ beta > shows_by_itself(colour)).sum()),
             alone=min(1.0, p_value * effect.shape_search(self.longest).independent),
         )
@@ -694,28 +695,6 @@ class _Rough:
 def _sure(trials: Iterable[TorqueTrial]) -> float:
     """What the best of those that may be added gains at the least."""
     return max((t.sure_gain for t in trials if t.accepted), default=0.0)
-
-
-def _too_faint(torque: Array, measured: Array) -> str:
-    """That an effect's torque (N, joints) is less than a torque signal's own errors, in words; empty where it is not."""
-    part = float(np.sqrt((torque**2).mean(axis=0) / np.maximum((measured**2).mean(axis=0), 1e-300)).max())
-    return "" if part >= FAINTEST else f"its torque is {part:.1g} of a joint's, too little for a name"
-
-
-def _off_a_joint(before: Array, after: Array, gain: float) -> float:
-    """Part of the root mean square error that an effect takes off the joint for which it does most.
-
-    Parameters
-    ----------
-    before, after : array, shape (joints,)
-        Weighted squared errors on all rows, of the joints that it touches.
-    gain : float
-        On held-out blocks, over all of them: joints share in it as they do in the drop on all rows.
-    """
-    drop = before - after
-    whole = float(drop.sum())
-    shares = gain * drop / (whole * np.maximum(before, 1e-300)) if whole > 0 else np.zeros(1)
-    return float(1.0 - np.sqrt(np.clip(1.0 - shares.max(), 0.0, 1.0)))
 
 
 def _shuts_out(present: Effect, new: Effect) -> bool:

@@ -11,12 +11,13 @@ import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
 from rx90b_flex.diagnose.carried import rise
+from rx90b_flex.diagnose.families import sure_together
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import row_weights
-from rx90b_flex.diagnose.search import FAMILIES, Search, beside_motion, last_resorts, laws
-from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, family
+from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
+from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.effects.stand_in import of_usual_shape
@@ -191,7 +192,11 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
         if ends:
             plainer = self._plainer(new, trial)
-            return self.refit(model, plainer) if plainer else (None, dataclasses.replace(trial, lawful=False, objection=ends[0]))
+            return (
+                self.refit(model, plainer)
+                if plainer
+                else (None, dataclasses.replace(trial, lawful=False, objection=ends[0]))
+            )
         if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
             return None, self.fallen(
                 trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
@@ -270,7 +275,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             if newest and latest == 1:
                 continue
             joints = len(self.sites.joints)
-            if not (worth(i).accepted or (worth(i).belongs and (newest or _sure_together(i, steps, worth, joints)))):
+            if not (worth(i).accepted or (worth(i).belongs and (newest or sure_together(i, steps, worth, joints)))):
                 return step
         return None
 
@@ -389,16 +394,6 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if floor is None:
             return False
         return bool((np.array(model.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
-
-
-def _sure_together(at: int, steps: Sequence[Addition[TorqueTrial]], worth: Callable[[int], TorqueTrial], joints: int) -> bool:
-    """Whether an addition that came as one of several joints' and those with its law are sure together, each worth what it says."""
-    own = steps[at].trial
-    if not own.of_family:
-        return False
-    alike = [i for i, s in enumerate(steps) if s.trial.of_family and type(s.trial.effect).type_name() == own.effect.type_name()]
-    several = [w for w in map(worth, alike) if w.belongs]
-    return len(several) > 1 and family(several, joints, FAMILIES).p_value < SIGNIFICANCE
 
 
 def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
@@ -20,8 +18,8 @@ REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is a
 FEWEST_REPLICAS = 2  # these are enough where it acts in no more than them
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
-MEMBER = 0.01  # p-value of one of a family, corrected for its own shapes alone, below which it counts as evidence of their law
 CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
+FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
 PHASE_CARRIED = (
     0.7  # of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less
 )
@@ -181,9 +179,7 @@ class TorqueTrial(Trial):
     @property
     def belongs(self) -> bool:
         """Whether it may be one of a family: what others are sure of it need only help where it was held out."""
-        return (
-            self.lawful and self.gain > 0 and self.share > SMALLEST_GAIN and not self.small and self.worst <= 1.0
-        )
+        return self.lawful and self.gain > 0 and self.share > SMALLEST_GAIN and not self.small and self.worst <= 1.0
 
     def no_better_than(self, other: TorqueTrial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
@@ -199,40 +195,6 @@ def shows_by_itself(colour: float) -> float:
     return (2.0 * GAIN_T) ** 2 * colour
 
 
-def family(members: Sequence[TorqueTrial], joints: int, kinds: int) -> TorqueTrial:
-    """Several trials as one: gains add up, p-values become that of their product, of so many `joints` and `kinds` that were tried."""
-    touched_squares = sum(m.gain / m.share for m in members)
-    gain = float(sum(m.gain for m in members))
-    return dataclasses.replace(
-        members[0],
-        gain=gain,
-        block_gains=np.sum([m.block_gains for m in members], axis=0),
-        p_value=min(1.0, kinds * product_of_small([m.alone for m in members], joints)),
-        size=sum(m.size for m in members),
-        share=gain / touched_squares,
-        colour=max(m.colour for m in members),
-        lost=np.sum([m.lost for m in members], axis=0),
-        by_chance=np.sum([m.by_chance for m in members], axis=0),
-        members=tuple(members),
-        acting=max(m.acting for m in members),
-    )
-
-
-def product_of_small(p_values: Sequence[float], tried: int) -> float:
-    """How likely the product of those p-values among so many that lie below `MEMBER` is as small as this one, by chance.
-
-    Source: D. V. Zaykin, L. A. Zhivotovsky, P. H. Westfall, B. S. Weir, "Truncated product method for combining P-values",
-    Genetic Epidemiology 22(2), 2002, equation 1.
-    """
-    product = -float(np.log(np.maximum(p_values, 1e-300)).sum())
-    out = 0.0
-    for k in range(1, tried + 1):
-        # of k that are small the product over MEMBER^k is that of k uniform ones, its logarithm Erlang distributed
-        small = stats.binom.pmf(k, tried, MEMBER)
-        out += float(small * stats.gamma.sf(max(product + k * np.log(MEMBER), 0.0), k))
-    return out
-
-
 def choose(trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
     """The trial to add: the largest sure held-out gain, or a simpler one that the data cannot tell from it."""
     accepted = [t for t in trials if t.accepted]
@@ -242,6 +204,28 @@ def choose(trials: Sequence[TorqueTrial]) -> TorqueTrial | None:
     as_good = [t for t in accepted if t is best or (t.size <= best.size and best.no_better_than(t))]
     # where one block outweighs the others no gain is sure: of those that explain it alike, the one that they show too
     return min(as_good, key=lambda t: (t.size, -t.sure_gain, -t.gain_t))
+
+
+def too_faint(torque: Array, measured: Array) -> str:
+    """That an effect's torque (N, joints) is less than a torque signal's own errors, in words; empty where it is not."""
+    part = float(np.sqrt((torque**2).mean(axis=0) / np.maximum((measured**2).mean(axis=0), 1e-300)).max())
+    return "" if part >= FAINTEST else f"its torque is {part:.1g} of a joint's, too little for a name"
+
+
+def off_a_joint(before: Array, after: Array, gain: float) -> float:
+    """Part of the root mean square error that an effect takes off the joint for which it does most.
+
+    Parameters
+    ----------
+    before, after : array, shape (joints,)
+        Weighted squared errors on all rows, of the joints that it touches.
+    gain : float
+        On held-out blocks, over all of them: joints share in it as they do in the drop on all rows.
+    """
+    drop = before - after
+    whole = float(drop.sum())
+    shares = gain * drop / (whole * np.maximum(before, 1e-300)) if whole > 0 else np.zeros(1)
+    return float(1.0 - np.sqrt(np.clip(1.0 - shares.max(), 0.0, 1.0)))
 
 
 def added(effects: Sequence[Effect], new: Effect) -> tuple[Effect, ...]:

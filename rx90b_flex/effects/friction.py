@@ -229,7 +229,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
 
 @dataclass(frozen=True, kw_only=True)
 class _OfUsualPower(OfUsualShape, StribeckFriction):
-    """How quickly it fades a log may not tell: where it does at the slowest speeds, a lower power with more torque comes to the same."""
+    """How quickly it fades a log may not tell: with a lower power, more torque comes to the same above the slowest speeds."""
 
     in_files: ClassVar[type[Effect]] = StribeckFriction
 
