@@ -105,6 +105,10 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """The settled model with a trial's candidate, None where that does not help; and the trial, which may fall with it."""
         return self.settled(self.joined(model, trial)), trial
 
+    def unsure(self, model: ModelT, trial: TrialT) -> str:
+        """Why what a trial added is not certain in a model that holds it, in words; empty where it is."""
+        return ""
+
     def fallen(self, trial: TrialT, why: str) -> TrialT:
         """A trial that was accepted by itself and is not added all the same, with the reason."""
         return trial
@@ -257,7 +261,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                 continue
             whole = residual.settled(residual.joined(half, second))
             again = residual.worth(whole, first)
-            if not again.accepted:
+            if not again.accepted or any(residual.unsure(whole, t) for t in (first, second)):
                 continue
             before, between, after = (residual.errors_of(m) for m in (standing.model, half, whole))
             new = [

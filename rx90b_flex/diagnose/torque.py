@@ -187,21 +187,22 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         new = self.settled(new)
         if len(trial.effects) == 1 and self.worth(new, trial).p_value > SIGNIFICANCE:
             return None, self.fallen(trial, "with everything fitted again next to nothing of it is left")
-        if not any(_certain(new.identified, find(new, e)) for e in trial.effects):
-            return None, self.fallen(trial, "with everything fitted again none of its values is certain")
+        if text := self.unsure(new, trial):
+            return None, self.fallen(trial, text)
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
+        if ends and (plainer := self._plainer(new, trial)):
+            return self.refit(model, plainer)
         if ends:
-            plainer = self._plainer(new, trial)
-            return (
-                self.refit(model, plainer)
-                if plainer
-                else (None, dataclasses.replace(trial, lawful=False, objection=ends[0]))
-            )
+            return None, dataclasses.replace(trial, lawful=False, objection=ends[0])
         if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
             return None, self.fallen(
                 trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
             )
         return new, trial
+
+    def unsure(self, model: TorqueModel, trial: TorqueTrial) -> str:
+        certain = any(_certain(model.identified, find(model, e)) for e in trial.effects)
+        return "" if certain else "with everything fitted again none of its values is certain"
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
@@ -432,8 +433,9 @@ def _physical(effect: Effect) -> bool:
 
 
 def _certain(model: Identification, effect: Effect) -> bool:
-    """Whether any value of an effect is more than its uncertainty; one without values is told by its torque alone."""
-    values = model.estimates(model.effects.index(effect))
+    """Whether any value of an effect is more than its uncertainty, one that is held apart; without values its torque tells."""
+    held = {name for name, p in effect.shape_parameters.items() if p.held}
+    values = [e for e in model.estimates(model.effects.index(effect)) if e.name not in held]
     known = [(e.value, e.std) for e in values if e.value is not None and e.std is not None]
     return not known or any(abs(value) > CERTAIN * std for value, std in known)
 
