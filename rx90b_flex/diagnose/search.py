@@ -167,7 +167,7 @@ class Search:
                 if not len(effect.coefficients):
                     continue  # this motion leaves nothing to place
                 here = [e for e in self.model.effects if e.place == effect.place]
-                if not all(any(e.type_name() == needed for e in here) for needed in effect.traits.needs):
+                if effect.traits.needs and not any(e.type_name() in effect.traits.needs for e in here):
                     continue
                 if any(_shuts_out(e, effect) for e in here):
                     continue

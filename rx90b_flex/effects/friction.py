@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.effect import Effect, JointEffect
-from rx90b_flex.effects.hints import LeftOver, ShapeSearch
+from rx90b_flex.compiled.signals import dahl
+from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
+from rx90b_flex.effects.law_effect import LawEffect, RememberingLaw, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
-from rx90b_flex.effects.reversal import DryFriction, Resolution, log_speed, turnover_range, turnover_shape
-from rx90b_flex.effects.stand_in import OfUsualShape
+from rx90b_flex.effects.presliding import DEFLECTION, deflection_range
+from rx90b_flex.effects.reversal import (
+    SHARP,
+    DryFriction,
+    Resolution,
+    log_speed,
+    reversal,
+    reversal_slope,
+    turnover_range,
+    turnover_shape,
+)
+from rx90b_flex.effects.stand_in import OfUsualShape, OtherForm
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
 TINY = 1e-300  # rad/s, in place of standstill, where sign over speed counts for nothing
+HYSTERESIS = ("presliding_friction", "maxwell_slip_friction")
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
@@ -225,6 +237,70 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
         own = np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
         return self.with_turnover(motion, own, independent=5)
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        """By speed alone, and beside hysteresis along an angle."""
+        return [form(joint=j) for form in (StribeckFriction, _AlongAngle) for j in sites.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribeck_friction",), needs=HYSTERESIS):
+    """Stribeck friction whose sign turns over along an angle and is kept at rest, as the hysteresis beside it does.
+
+    Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for control of systems with friction", IEEE
+    Transactions on Automatic Control 40(3), 1995, whose bristles give way at a torque that fades with speed.
+    """
+
+    form_of: ClassVar[type[Effect]] = StribeckFriction
+    stated_by: ClassVar[str] = "deflection"
+
+    turnover: float | None = None  # it has none
+    deflection: float | None = shape("rad", start=1e-3, lower=DEFLECTION.lower, upper=DEFLECTION.upper)
+
+    def at(self, motion: Motion) -> JointMotion:
+        return JointForce.at(self, motion)
+
+    def shape_range(self, motion: Motion) -> Array:
+        out = self.own_range(motion)
+        out[:, -1] = deflection_range(motion.joint(self.joint, self.port_kind))
+        return out
+
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        (low, _, short), (high, _, long) = self.shape_range(motion)
+        each = np.geomspace(1.5 * low, 0.35 * high, 6), (1.0, 2.0), np.geomspace(1.5 * short, 0.2 * long, 5)
+        return ShapeSearch(np.stack(np.meshgrid(*each), axis=-1).reshape(-1, 3), independent=8)
+
+    def basis(self, at: JointMotion) -> Array:
+        velocity, power, deflection = self.known_shape()
+        direction = dahl(at.q, deflection) if at.follows else reversal(at.v, SHARP)
+        return (direction * np.exp(-np.exp(power * (log_speed(at) - np.log(velocity)))))[:, None]
+
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(at.q), 1))
+        return zero, reversal_slope(at.v, SHARP)[:, None], zero
+
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        """It remembers its direction: `dahl` from one step to the next."""
+        torque, velocity, power, deflection = parameters[0], parameters[1], parameters[2], parameters[3]
+        before, part = parameters[6], parameters[7]
+        direction = np.sign(x - before)
+        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        size = np.abs(rate)
+        faded = (size / velocity) ** power
+        left = torque * np.exp(-faded)
+        out[0] = left * part
+        out[1] = left / deflection * (1.0 - part * np.sign(rate))
+        out[2] = -left * part * power * faded / np.maximum(size, TINY) * np.sign(rate)
+        out[4] = part
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfUsualPowerAlongAngle(OfUsualShape, _AlongAngle):
+    """The same where a log does not tell how quickly it fades."""
+
+    in_files: ClassVar[type[Effect]] = _AlongAngle
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import ClassVar
 
 from rx90b_flex.effects.effect import Effect
@@ -23,6 +23,23 @@ class StandIn(Effect):
     def in_tree(self, motion: Motion) -> Effect:
         """What it stands for, with its values, on the tree of any sample of motion."""
         return self.in_files(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self.in_files)})
+
+
+class OtherForm(Effect):
+    """An effect in another form under the same name, which a robot file asks for by one parameter more."""
+
+    form_of: ClassVar[type[Effect]]
+    stated_by: ClassVar[str]  # the parameter
+
+    @classmethod
+    def type_name(cls) -> str:
+        return cls.form_of.type_name()
+
+
+def form_stated(kind: type[Effect], names: Container[str]) -> type[Effect]:
+    """The form of an effect type that a table with these keys states."""
+    forms = (f for f in OtherForm.__subclasses__() if f.form_of is kind and f.stated_by in names)
+    return next(forms, kind)
 
 
 class OfUsualShape(StandIn):

@@ -10,6 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects.effect import Effect, FrameEffect
 from rx90b_flex.effects.parameters import Parameter
+from rx90b_flex.effects.stand_in import form_stated
 from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
 from rx90b_flex.files.keys import check_keys, close_match
 
@@ -68,7 +69,7 @@ def effect_from_table(
         kind = str(table["type"])
         why = brought(EFFECTS, _why_no_type).why_missing(kind) or f"; {close_match(kind, list(types))}"
         raise ValueError(f"{where}: unknown effect type {table['type']!r}{why}")
-    cls = types[table["type"]]
+    cls = form_stated(types[table["type"]], table)
     where = f"{where} ({cls.type_name()})"
     key = {"robot": "", "robot or joint": "joint"}.get(cls.traits.on, cls.traits.on)
     check_keys(table, ["type", *filter(None, [key]), *cls.parameters(), *choices(cls)], where)

@@ -40,7 +40,7 @@ class Traits:
     coefficients_follow : bool
         From its shape, in a fit; a search may leave them free.
     needs : tuple of str
-        Effect types that must stand at the same place.
+        Effect types of which one must stand at the same place.
     repeats : bool
         It may stand twice in the same place.
     of_make : bool
