@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -14,8 +15,8 @@ from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, RememberingLaw, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
-from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
-from rx90b_flex.effects.presliding import DEFLECTION, deflection_range
+from rx90b_flex.effects.parameters import FRICTION, choice, given, linear, shape
+from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.reversal import (
     SHARP,
     DryFriction,
@@ -31,7 +32,7 @@ from rx90b_flex.effects.stand_in import OfUsualShape, OtherForm
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
 TINY = 1e-300  # rad/s, in place of standstill, where sign over speed counts for nothing
-HYSTERESIS = ("presliding_friction", "maxwell_slip_friction")
+SMALLEST = 1e-9  # rad, along which a sign turns over at once
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
@@ -233,10 +234,13 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         out[2] = left * (slope - power * faded * (sign / np.maximum(size, TINY)))
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        return self.with_turnover(motion, self._own_starts(motion), independent=5)
+
+    def _own_starts(self, motion: Motion) -> Array:
+        """Starts of velocity and power, (M, 2)."""
         low, high = self.own_range(motion)[:, 0]
         velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
-        own = np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
-        return self.with_turnover(motion, own, independent=5)
+        return np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
 
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
@@ -245,8 +249,8 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribeck_friction",), needs=HYSTERESIS):
-    """Stribeck friction whose sign turns over along an angle and is kept at rest, as the hysteresis beside it does.
+class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribeck_friction",)):
+    """Stribeck friction whose sign turns over along an angle and is kept at rest, as that of `presliding_friction` beside it.
 
     Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for control of systems with friction", IEEE
     Transactions on Automatic Control 40(3), 1995, whose bristles give way at a torque that fades with speed.
@@ -256,24 +260,31 @@ class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribe
     stated_by: ClassVar[str] = "deflection"
 
     turnover: float | None = None  # it has none
-    deflection: float | None = shape("rad", start=1e-3, lower=DEFLECTION.lower, upper=DEFLECTION.upper)
+    deflection: float | None = given("rad")
+
+    def beside(self, others: Sequence[Effect]) -> Effect | None:
+        smooth = (e for e in others if isinstance(e, PreslidingFriction) and e.deflection is not None)
+        return next((dataclasses.replace(self, deflection=e.deflection) for e in smooth), None)
 
     def at(self, motion: Motion) -> JointMotion:
         return JointForce.at(self, motion)
 
+    def law_shape(self, motion: Motion) -> Array:
+        return np.append(self.known_shape(), self._angle)
+
+    @property
+    def _angle(self) -> float:
+        return SMALLEST if self.deflection is None else self.deflection
+
     def shape_range(self, motion: Motion) -> Array:
-        out = self.own_range(motion)
-        out[:, -1] = deflection_range(motion.joint(self.joint, self.port_kind))
-        return out
+        return self.own_range(motion)
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
-        (low, _, short), (high, _, long) = self.shape_range(motion)
-        each = np.geomspace(1.5 * low, 0.35 * high, 6), (1.0, 2.0), np.geomspace(1.5 * short, 0.2 * long, 5)
-        return ShapeSearch(np.stack(np.meshgrid(*each), axis=-1).reshape(-1, 3), independent=8)
+        return ShapeSearch(self._own_starts(motion), independent=5)
 
     def basis(self, at: JointMotion) -> Array:
-        velocity, power, deflection = self.known_shape()
-        direction = dahl(at.q, deflection) if at.follows else reversal(at.v, SHARP)
+        velocity, power = self.known_shape()
+        direction = dahl(at.q, self._angle) if at.follows else reversal(at.v, SHARP)
         return (direction * np.exp(-np.exp(power * (log_speed(at) - np.log(velocity)))))[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:

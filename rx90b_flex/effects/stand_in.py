@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from abc import abstractmethod
 from collections.abc import Container, Mapping, Sequence
 from typing import ClassVar
 
+import numpy as np
+
 from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.motion import Motion
 from rx90b_flex.effects.parameters import Parameter
 
@@ -35,6 +40,10 @@ class OtherForm(Effect):
     def type_name(cls) -> str:
         return cls.form_of.type_name()
 
+    @abstractmethod
+    def beside(self, others: Sequence[Effect]) -> Effect | None:
+        """As it is beside other effects in its place, where a search tries it; None: it is not."""
+
 
 def form_stated(kind: type[Effect], names: Container[str]) -> type[Effect]:
     """The form of an effect type that a table with these keys states."""
@@ -48,6 +57,14 @@ class OfUsualShape(StandIn):
     @property
     def shape_parameters(self) -> Mapping[str, Parameter]:
         return {n: dataclasses.replace(p, held=p.usual) for n, p in super().shape_parameters.items()}
+
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        """From the same starts but for what is held, which makes fewer of them."""
+        found, own = super().shape_search(motion, left), [p for p in self.shape_parameters.values() if not p.shared]
+        starts = np.where([p.held for p in self.shape_parameters.values()], self.shape, found.starts)
+        free = sum(not p.held for p in own)
+        independent = math.ceil(found.independent ** (free / len(own)))
+        return dataclasses.replace(found, starts=np.unique(starts, axis=0), independent=independent)
 
 
 def of_usual_shape(effect: Effect) -> Effect | None:
