@@ -12,7 +12,7 @@ from rx90b_flex.diagnose.loop import Addition
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial
 
 FAMILIES = 4  # laws that are tried on all joints together
-MEMBER = 0.01  # p-value of one of a family, corrected for its own shapes alone, below which it counts as evidence of their law
+MEMBER = 0.05  # p-value of one of a family, corrected for its own shapes alone, below which it counts as evidence of their law
 
 
 def family(members: Sequence[TorqueTrial], joints: int, kinds: int) -> TorqueTrial:

@@ -20,7 +20,7 @@ from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.effects.stand_in import of_usual_shape
+from rx90b_flex.effects.stand_in import OtherForm, of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_sensors import sensors_to_use
@@ -273,7 +273,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
         for i, step in enumerate(steps):
             newest = i >= older
-            if newest and latest == 1:
+            if (newest and latest == 1) or _leaned_on(find(standing.model, step.trial.effect), standing.model.effects):
                 continue
             joints = len(self.sites.joints)
             if not (worth(i).accepted or (worth(i).belongs and (newest or sure_together(i, steps, worth, joints)))):
@@ -395,6 +395,12 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if floor is None:
             return False
         return bool((np.array(model.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
+
+
+def _leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:
+    """Whether another effect in its place is one that only stands beside it."""
+    others = [e for e in effects if e.place == effect.place and e is not effect]
+    return any(isinstance(e, OtherForm) and e.beside(others) is None for e in others)
 
 
 def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:
