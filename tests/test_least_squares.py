@@ -14,8 +14,10 @@ import pytest
 from scipy import stats
 
 from rx90b_flex.effects import Effect, effect_from_table
+from rx90b_flex.effects.stand_in import of_usual_shape
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.shapes import USUAL
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
 
@@ -381,6 +383,20 @@ def test_a_fit_ends_at_the_same_shape_from_wherever_it_starts(arm, robot, start)
         one, other = far[f"elbow.stribeck_friction.{name}"], near[f"elbow.stribeck_friction.{name}"]
         # steps end where they gain 1e-7 of the squares of some 3000 samples: 0.02 standard deviations
         assert one.value == pytest.approx(other.value, rel=0, abs=0.05 * other.std)
+
+
+@pytest.mark.parametrize("power", [0.7, 1.5])
+def test_a_shape_that_is_held_at_what_is_usual_counts_as_known_no_better_than_that(arm, robot, power):
+    usual = of_usual_shape(on("elbow", "stribeck_friction", torque=1.0, velocity=0.2, power=1.0))
+    assert usual is not None
+    for seed in range(4):
+        noise = ind.white(np.random.default_rng([8, seed]), 1600, NOISE)
+        hidden = ind.hidden("stribeck_friction", 1, STRIBECK | {"power": power})
+        found = estimates(identify(data(arm, robot, noise, hidden), [*FRICTION, usual], fit_links=False))
+        held = found["elbow.stribeck_friction.power"]
+        assert held.value == 1.0 and 0.0 < held.std <= USUAL
+        for name in ("torque", "velocity"):
+            assert_within(found[f"elbow.stribeck_friction.{name}"], STRIBECK[name])
 
 
 @pytest.mark.parametrize("power", [0.5, 1.6])

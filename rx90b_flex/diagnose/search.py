@@ -17,7 +17,7 @@ from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, off_a_joint, shows_b
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
-from rx90b_flex.effects.stand_in import OtherForm, of_usual_shape
+from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.coloured import residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import (
@@ -171,7 +171,7 @@ class Search:
                     continue
                 if any(_shuts_out(e, effect) for e in here):
                     continue
-                new = effect.beside(here) if isinstance(effect, OtherForm) else effect
+                new = as_beside(effect, here)
                 if new is None:
                     continue
                 replaced = next((e for e in here if e.type_name() in new.traits.stands_for), None)

@@ -20,7 +20,7 @@ from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.effects.stand_in import OtherForm, of_usual_shape
+from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.torque_sensors import sensors_to_use
@@ -400,7 +400,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 def _leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:
     """Whether another effect in its place is one that only stands beside it."""
     others = [e for e in effects if e.place == effect.place and e is not effect]
-    return any(isinstance(e, OtherForm) and e.beside(others) is None for e in others)
+    return any(as_beside(e, others) is None for e in others)
 
 
 def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:

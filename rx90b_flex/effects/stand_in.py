@@ -51,6 +51,11 @@ def form_stated(kind: type[Effect], names: Container[str]) -> type[Effect]:
     return next(forms, kind)
 
 
+def as_beside(effect: Effect, others: Sequence[Effect]) -> Effect | None:
+    """An effect as a search tries it beside others in its place; None: it is not."""
+    return effect.beside(others) if isinstance(effect, OtherForm) else effect
+
+
 class OfUsualShape(StandIn):
     """An effect for logs that do not tell all of its shape: what is `Parameter.usual` of it is held at its usual value."""
 

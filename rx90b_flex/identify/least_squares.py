@@ -670,12 +670,12 @@ class _Fit:
         derivatives = self.columns(self._by_shape.merged().shifted(len(solution.theta)))
         size = len(solution.theta) + len(self.shape)
         # what follows from a shape has neither a part in the noise nor a covariance of its own
-        free = np.flatnonzero(~np.concatenate([self.follows, np.zeros(len(self.shape), dtype=bool)]))
+        free = np.flatnonzero(~np.concatenate([self.follows, self.shapes.held]))
         estimated = derivatives if len(free) == size else derivatives.kept(free, size)
+        held = self.shapes.precision(self.shape)
         longest = int(CORRELATION_S * regression.segments[0].rate_hz)
         precision = np.zeros((size, size))
         precision[: len(self.precision), : len(self.precision)] = self.precision
-        precision += np.diag(np.concatenate([np.zeros(len(solution.theta)), self.shapes.precision(self.shape)]))
         counted = np.ascontiguousarray((residual / np.sqrt(regression.share)).T)
         uncertainty = Uncertainty(
             estimated,
@@ -687,6 +687,8 @@ class _Fit:
             spans,
             longest,
             with_covariance,
+            derivatives,
+            np.concatenate([np.zeros(len(solution.theta)), np.divide(1.0, held, out=0.0 * held, where=held > 0.0)]),
         )
         return Identification(
             self.valued,

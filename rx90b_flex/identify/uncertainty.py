@@ -38,6 +38,10 @@ class Uncertainty:
         Longest correlation to allow for, samples.
     known : bool
         Whether a covariance is wanted; else it is zero.
+    held : ColumnsByJoint
+        Derivatives by what the fit leaves as it is, in all p + s places.
+    variance : array, shape (p + s,)
+        Of that, before the data; elsewhere zero.
     """
 
     estimated: ColumnsByJoint
@@ -49,6 +53,8 @@ class Uncertainty:
     spans: tuple[slice, ...]
     longest: int
     known: bool
+    held: ColumnsByJoint
+    variance: Array
 
     @cached_property
     def absorbed(self) -> list[Array]:
@@ -67,7 +73,21 @@ class Uncertainty:
         if self.known:
             own = coloured_covariance(self.estimated, self.precision, self.sigma, self.spectra, self.spans)
             out[np.ix_(self.free, self.free)] = own
+            out += self._of_held
         return out
+
+    @property
+    def _of_held(self) -> Array:
+        """What is not known of what the fit leaves as it is, and what that does to the rest; (p + s, p + s)."""
+        at = np.flatnonzero(self.variance)
+        moved = np.zeros((self.size, len(at)))
+        if len(at):
+            weight, own = self.sigma**-2.0, self.estimated.gram(self.sigma**-2.0, len(self.free)) + self.precision
+            across = self.held.gram(weight, self.size)[np.ix_(self.free, at)]
+            zero = np.zeros(len(own))
+            moved[self.free] = -solve_weighted(own, zero, zero)[1] @ across
+            moved[at, np.arange(len(at))] = 1.0
+        return (moved * self.variance[at]) @ moved.T
 
 
 def absorbed_each(
