@@ -54,6 +54,7 @@ class Iterate(ABC):
 
 
 USUAL = Damping()
+SURELY = 10.0  # times what a step is from one that lost, it would have to change of that for it to be worth a try
 Place = TypeVar("Place", bound=Iterate)
 
 
@@ -64,13 +65,16 @@ def descent(at: Place, evaluations: int, damping: Damping = USUAL, patience: int
     while evaluations > 0 and idle < patience:
         curvature, fall = at.equations()
         better, enough = at, at.enough
+        failed: tuple[Array, float] | None = None  # the latest step that did not help, and what it lost
         while evaluations > 0 and now < MOST:
             step = damped_step(curvature, fall, now)
-            other = at.moved(step)
             evaluations -= 1
-            if other.goal < at.goal:
-                better = other
-                break
+            if failed is None or not _as_bad(step, *failed, curvature, fall):
+                other = at.moved(step)
+                if other.goal < at.goal:
+                    better = other
+                    break
+                failed = step, other.goal - at.goal
             if enough < 0.0 or step @ (2.0 * fall - curvature @ step) <= enough:  # no other try is worth while
                 break
             now *= damping.rise
@@ -80,6 +84,14 @@ def descent(at: Place, evaluations: int, damping: Damping = USUAL, patience: int
         now = damping.begin if better is at else max(now / damping.fall, LEAST)
         at = better.renewed()
         yield at
+
+
+def _as_bad(step: Array, other: Array, lost: float, curvature: Array, fall: Array) -> bool:
+    """Whether a step is so near to another one, which lost something, that it cannot but lose too: it need not be tried."""
+    apart = step - other
+    part = np.sqrt(max(float(apart @ curvature @ apart), 0.0) / max(float(other @ curvature @ other), 1e-300))
+    missed = lost + float(other @ (2.0 * fall - curvature @ other))  # what its gain was to be, too
+    return bool(SURELY * part * missed < lost)
 
 
 def damped_step(curvature: Array, fall: Array, damping: float) -> Array:
