@@ -234,7 +234,7 @@ class Search:
                 break  # neither this one nor those behind it can win
             tried[type(item.effect), item.effect.label] = self._tried(item, bases[None])
         trials = [*tried.values(), *(self._families(rough, tried, bases[None]) if families else [])]
-        self.regression.forget()
+        self.regression.round_over()
         return sorted(trials, key=lambda t: -t.gain)
 
     def _families(

@@ -9,7 +9,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
@@ -17,6 +16,7 @@ from rx90b_flex.effects.effect import of_motion_alone
 from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
+from rx90b_flex.identify.first_looks import FirstLooks
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
@@ -42,7 +42,6 @@ EDGE_PERIODS = 1.0
 STANDING_S = 0.2  # within which the angle of a joint that stands still
 STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the log's noise
 MAD_TO_STD = 1.4826  # of a normal distribution
-FIRST_LOOK_BYTES = 1e8  # of columns kept for a search's next round
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
 LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
@@ -495,7 +494,20 @@ class Regression:
         """Fewer and shorter ones, which tell shapes and effects apart that show all the time; None where they are no less work."""
         # of a log that is not long some effect asks the tree at all samples anyway
         working = sum(len(s.motion) for s in self.segments)
-        return self._pieces(GLIMPSE / working, of_whole=working <= LOOKED_AT)
+        found = self._pieces(GLIMPSE / working, of_whole=working <= LOOKED_AT)
+        if found is not None:
+            found[0].__dict__["_first_looks"] = self._first_looks_of_glimpse
+        return found
+
+    @property
+    def _all_first_looks(self) -> tuple[FirstLooks, ...]:
+        return self._first_looks, self._first_looks_of_excerpt, self._first_looks_of_glimpse
+
+    def round_over(self) -> None:
+        """Give back what a round of a search leaves that another one would not ask for."""
+        self.forget()
+        for looks in self._all_first_looks:
+            looks.round_over()
 
     def forget_long(self) -> None:
         """Give back what effects worked out of a long motion, which holds more than it takes to work it out again."""
@@ -509,8 +521,9 @@ class Regression:
             segment.__dict__.pop("sampled", None)
         self.forget_pieces()
         if first_looks:
-            for kept in (self._first_looks, self._first_looks_of_excerpt, self._columns_kept):
-                kept.clear()
+            for looks in self._all_first_looks:
+                looks.clear()
+            self._columns_kept.clear()
             if len(self.longest) > AT_ONCE:
                 self.__dict__.pop("_untouched_links", None)
 
@@ -551,7 +564,7 @@ class Regression:
     def _untouched(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         """As `compact`, before `row_weights`."""
         if leading and all(of_motion_alone(e) for e in effects):
-            return self._remembered(effects)
+            return self._first_looks.columns(effects, lambda new: self._made(new, False))
         if not leading and len(effects) == 1 and of_motion_alone(effects[0]):
             return self._kept(effects[0])
         return self._made(effects, leading)
@@ -602,25 +615,16 @@ class Regression:
         return rows, out
 
     @cached_property
-    def _first_looks_of_excerpt(self) -> dict[Effect, tuple[Indices, NDArray[np.float32]]]:
-        return {}
+    def _first_looks(self) -> FirstLooks:
+        return FirstLooks()
 
     @cached_property
-    def _first_looks(self) -> dict[Effect, tuple[Indices, NDArray[np.float32]]]:
-        return {}
+    def _first_looks_of_excerpt(self) -> FirstLooks:
+        return FirstLooks()
 
-    def _remembered(self, effects: Sequence[Effect]) -> tuple[Indices, Array]:
-        """As `compact`, for columns that do not depend on the model: every round of a search asks for them again."""
-        known = self._first_looks
-        if 4 * len(self) * len(known) > FIRST_LOOK_BYTES:
-            known.clear()
-        new = [e for e in dict.fromkeys(effects) if e not in known]
-        if new:
-            rows, columns = self._made(new, False)
-            ends = np.cumsum([len(e.coefficients) for e in new])[:-1]
-            known.update(zip(new, ((rows, x) for x in np.split(columns.astype(np.float32), ends, axis=2)), strict=True))
-        together = known[effects[0]][0]
-        return together, np.concatenate([known[e][1] for e in effects], axis=2, dtype=float)
+    @cached_property
+    def _first_looks_of_glimpse(self) -> FirstLooks:
+        return FirstLooks()
 
     @cached_property
     def _columns_kept(self) -> dict[Effect, tuple[Indices, Array]]:
@@ -701,7 +705,7 @@ class Regression:
 
     def _sharing(self, other: Regression) -> Regression:
         """Another regression on the same motion, with the columns that depend on motion alone."""
-        kept = ("_first_looks", "_first_looks_of_excerpt", "_columns_kept")
+        kept = ("_first_looks", "_first_looks_of_excerpt", "_first_looks_of_glimpse", "_columns_kept")
         other.__dict__.update({name: getattr(self, name) for name in kept})
         if "_untouched_links" in self.__dict__:
             other.__dict__["_untouched_links"] = self._untouched_links
