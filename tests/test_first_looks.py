@@ -1,4 +1,4 @@
-"""Columns that every round of a search asks for: the same from memory, no more of them than there is room, none that nobody asks for."""
+"""Columns that every round of a search asks for: the same from memory, and no more of them than there is room for."""
 
 import numpy as np
 import pytest
