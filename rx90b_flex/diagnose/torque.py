@@ -185,8 +185,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if not all(_physical(find(new, e)) for e in trial.effects):
             return None, self.fallen(trial, "with everything fitted again it has a value that it cannot have")
         new = self.settled(new)
-        if len(trial.effects) == 1 and self.worth(new, trial).p_value > SIGNIFICANCE:
-            return None, self.fallen(trial, "with everything fitted again next to nothing of it is left")
+        worth = self.worth(new, trial) if len(trial.effects) == 1 else None
+        if worth is not None and (worth.p_value > SIGNIFICANCE or worth.small):
+            return None, self.fallen(trial, worth.small or "with everything fitted again next to nothing of it is left")
         if text := self.unsure(new, trial):
             return None, self.fallen(trial, text)
         ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
