@@ -236,11 +236,6 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         return self.with_turnover(motion, self._own_starts(motion), independent=5)
 
-    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
-        turned = self.turnover is not None and self.velocity is not None and self.velocity < self.turnover
-        within = "it fades before its sign has turned over: it is how dry friction turns over"
-        return super().too_small(part, sample_s, motion) or (within if turned else "")
-
     def _own_starts(self, motion: Motion) -> Array:
         """Starts of velocity and power, (M, 2)."""
         low, high = self.own_range(motion)[:, 0]
@@ -324,6 +319,11 @@ class _OfUsualPower(OfUsualShape, StribeckFriction):
     """How quickly it fades a log may not tell: with a lower power, more torque comes to the same above the slowest speeds."""
 
     in_files: ClassVar[type[Effect]] = StribeckFriction
+
+    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
+        turned = self.turnover is not None and self.velocity is not None and self.velocity < self.turnover
+        within = "it fades before its sign has turned over: it is how dry friction turns over"
+        return super().too_small(part, sample_s, motion) or (within if turned else "")
 
 
 @dataclass(frozen=True, kw_only=True)
