@@ -34,6 +34,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.shapes import USUAL
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated
 from rx90b_flex.robot import Robot, load_robot
@@ -422,7 +423,7 @@ class _Ended:
             known,
             "" if known else str(explainable),
             self._if_not_possible(),
-            (*cautions, *links_off, *constants, *_sensor_words(declared, model)),
+            (*cautions, *links_off, *constants, *_sensor_words(declared, model), *_held_words(model)),
         )
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
@@ -546,3 +547,15 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
         if e.traits.multiplies and e.joints[0] in sensors
     ]
     return tuple(words)
+
+
+def _held_words(model: Identification) -> tuple[str, ...]:
+    """What these recordings do not tell of an effect's shape, so that it is held at its usual value."""
+    held = [
+        (e, n, x)
+        for e in model.effects
+        for (n, p), x in zip(e.shape_parameters.items(), e.shape, strict=True)
+        if p.held
+    ]
+    words = "these recordings do not tell its {}, which is held at {:g}, as usual; intervals count it as known to a factor of {:.2g}"
+    return tuple(f"{e.label}: {words.format(name, value, np.exp(USUAL))}." for e, name, value in held)

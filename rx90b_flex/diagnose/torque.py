@@ -401,7 +401,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 def _leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:
     """Whether another effect in its place is one that only stands beside it."""
     others = [e for e in effects if e.place == effect.place and e is not effect]
-    return any(as_beside(e, others) is None for e in others)
+    return any(as_beside(e, others) is None and as_beside(e, [*others, effect]) is not None for e in others)
 
 
 def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:
