@@ -216,6 +216,14 @@ REFUSED = {
         effect("stribeck_friction", joint='"elbow"', torque=1, velocity=0, power=1),
         "velocity is 0; expected 1e-09 to 1000 rad/s",
     ),
+    "a Stribeck friction that turns over along no angle": (
+        effect("stribeck_friction", joint='"elbow"', torque=1, velocity=0.1, power=1, deflection=0),
+        "deflection is 0; expected at least 1e-09 rad",
+    ),
+    "a Stribeck friction that turns over in two ways": (
+        effect("stribeck_friction", joint='"elbow"', torque=1, deflection=0.001, turnover=0.01),
+        "unknown key 'turnover'",
+    ),
     "an effect that is declared twice": (
         COULOMB + COULOMB,
         "effect 2: elbow.coulomb_friction is declared twice",

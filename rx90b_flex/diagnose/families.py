@@ -58,10 +58,7 @@ def sure_together(
     own = steps[at].trial
     if not own.of_family:
         return False
-    alike = [
-        i
-        for i, s in enumerate(steps)
-        if s.trial.of_family and type(s.trial.effect).type_name() == own.effect.type_name()
-    ]
+    law = own.effect.type_name()
+    alike = (i for i, s in enumerate(steps) if s.trial.of_family and s.trial.effect.type_name() == law)
     several = [w for w in map(worth, alike) if w.belongs]
     return len(several) > 1 and family(several, joints, FAMILIES).p_value < SIGNIFICANCE

@@ -244,7 +244,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             more = self._added(standing, model, steps, len(steps))
             if more is not None:
                 return more
-            trials[place] = self.residual.fallen(best, "without what it makes needless the model is no better")
+            trials[place] = self.residual.fallen(found, "without what it makes needless the model is no better")
         return None
 
     def _two_together(

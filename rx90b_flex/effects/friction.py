@@ -190,6 +190,9 @@ class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction, replaces=("vis
 class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
     """Asperity part of equation 3.53, ``torque * exp(-(|v|/velocity)^power) * sign(v)``: it fades with speed.
 
+    With a ``deflection`` (rad; in place of ``turnover``) its sign is that of `presliding_friction` with such a deflection: it turns
+    over along that angle and is kept at rest.
+
     Signature
     ---------
     A bump at low speed on both sides of zero velocity, gone above a few times ``velocity``.
@@ -260,7 +263,7 @@ class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribe
     stated_by: ClassVar[str] = "deflection"
 
     turnover: float | None = None  # it has none
-    deflection: float | None = given("rad")
+    deflection: float | None = given("rad", lower=SMALLEST)
 
     def beside(self, others: Sequence[Effect]) -> Effect | None:
         smooth = (e for e in others if isinstance(e, PreslidingFriction) and e.deflection is not None)

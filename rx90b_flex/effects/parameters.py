@@ -88,9 +88,9 @@ def choice(*values: str) -> Any:
     return dataclasses.field(default=values[0], metadata={"choice": values})
 
 
-def given(unit: str, *, size: int = 1) -> Any:
+def given(unit: str, *, lower: float = -np.inf, size: int = 1) -> Any:
     """Field of an effect: stated geometry."""
-    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "given", size=size)})
+    return dataclasses.field(default=None, metadata={"parameter": Parameter(unit, "given", lower, size=size)})
 
 
 @dataclass(frozen=True, kw_only=True)
