@@ -18,7 +18,7 @@ from rx90b_flex.effects.stand_in import of_usual_shape
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import USUAL
-from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.robot import LINK_PARAMETERS, Robot, load_robot
 from rx90b_flex.signals import Recording
 
 RATE_HZ = 100.0
@@ -135,6 +135,36 @@ def test_parameters_that_the_motion_does_not_tell_are_named_and_get_no_value(arm
     assert 0 < told.sum() < len(told)
     assert [e.name for e in links if e.value is None] == [e.name for e, t in zip(links, told, strict=True) if not t]
     assert all((e.value is None) == (e.std is None) for e in links)
+
+
+@pytest.mark.parametrize("quarter", ["1.5708", "1.570796", "1.570796327"])
+def test_a_quarter_turn_in_a_few_digits_gives_no_link_a_moment_that_it_cannot_show(tmp_path, quarter):
+    """The shoulder's axis is level but for the digits: the first moment along it turns neither joint."""
+    text = ind.TWO_JOINTS.replace(
+        '<axis xyz="0 1 0"/>', f'<origin xyz="0 0 0" rpy="{quarter} 0 {quarter}"/><axis xyz="0 0 1"/>'
+    ).replace("two_joints", "level")
+    turning = """<link name="column"><inertial><mass value="9"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>
+      </inertial></link><joint name="turning" type="revolute"><parent link="base"/><child link="column"/>
+      <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="5" effort="100"/></joint>"""
+    text = text.replace('<link name="base"/>', f'<link name="base"/>{turning}')
+    text = text.replace('<parent link="base"/><child link="upper"/>', '<parent link="column"/><child link="upper"/>')
+    text = text.replace('<origin xyz="0 0 0" rpy', '<origin xyz="0 0.35 0.6" rpy')
+    (tmp_path / "level.urdf").write_text(text)
+    level = load_robot(tmp_path / "level.urdf")
+    joints = level.joints
+    m = ind.harmonics(np.random.default_rng(12), 3, period_s=20.0, rate_hz=RATE_HZ, speed=2.0)
+    noise = ind.white(np.random.default_rng(13), 2000, (0.3, 0.3, 0.15))
+    item = ind.run(ind.Arm("", pin.buildModelFromXML(text)), "identification", m, [], noise)
+    recording = Recording("run", "identification", m.time, RATE_HZ, joints, m.q, item.torque)
+    model = identify(Regression.of(level, [recording], None), [], fit_links=True)
+    names = [f"{link}.{name}" for link, _ in level.bodies for name in LINK_PARAMETERS]
+    found = {e.name: e for e in model.link_estimates()}
+    fitted = dict(zip(names, model.link_parameters, strict=True))
+    assert found["upper.s_z"].value is None
+    assert fitted["upper.s_z"] == pytest.approx(level.link_parameters[names.index("upper.s_z")], abs=1e-6)
+    assert np.abs(model.link_parameters).max() < 20.0
+    left = model.residual.std(axis=0)
+    np.testing.assert_allclose(left, (0.3, 0.3, 0.15), rtol=0.05)
 
 
 def test_a_model_predicts_other_motion_as_well_as_its_own_although_parameters_are_undetermined(arm, robot):

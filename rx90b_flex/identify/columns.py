@@ -8,7 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.motion import Array, Indices, Mask
+from rx90b_flex.robot import LINK_UNITS
+
+DIGITS = 1.0e-5  # of the longest column of the same unit: what is shorter comes from the digits of the tree's angles
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,3 +109,14 @@ class ColumnsByJoint:
         for j, (at, x) in enumerate(zip(self.places, self.columns, strict=True)):
             out[:, j, at] = x
         return out
+
+
+def beyond_digits(lengths: Array) -> Mask:
+    """Which of the links' columns, of these lengths (10 * bodies,), are more than the digits of the tree's angles, or zero.
+
+    A tree that writes a quarter turn as 1.5708 tilts its axes by 4e-6: a first moment that gravity should not turn then has a column,
+    to which a fit would give millions of kg m.
+    """
+    kinds = np.array(LINK_UNITS * (len(lengths) // len(LINK_UNITS)))
+    longest = {unit: lengths[kinds == unit].max() for unit in LINK_UNITS}
+    return np.asarray((lengths == 0.0) | (lengths > DIGITS * np.array([longest[unit] for unit in kinds])))

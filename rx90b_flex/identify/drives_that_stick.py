@@ -60,7 +60,7 @@ def _pauses(regression: Regression, joint: str) -> Mask:
 def _smooth(regression: Regression, joint: str) -> Array:
     """Columns (N, k) of what a joint's torque has beside dry friction."""
     place, at = regression.joints.index(joint), regression.robot.layout.index(joint)
-    links = regression.link_columns[:, place]
+    links = regression.links_in(place)
     own = [
         s.brought(np.stack([s.motion.v[:, at], s.motion.a[:, at], np.ones(len(s.motion))], axis=1))
         for s in regression.segments

@@ -403,8 +403,10 @@ class _Fit:
         torque = self.regression.torque
         if self.by_links is not None and self.about is not None:
             torque = torque + self.factors * (self.by_links @ self.about)
-        if not self.fit_links:
-            torque = torque - self.factors * self.regression.link_torque(self.regression.robot.link_parameters)
+        links = self.regression.robot.link_parameters
+        fitted = self.regression.links_shown if self.fit_links else np.zeros(len(links), dtype=bool)
+        if not fitted.all():
+            torque = torque - self.factors * self.regression.link_torque(np.where(fitted, 0.0, links))
         gains = [e for e in self.effects if e.traits.multiplies and e.known]
         if gains:
             torque = np.array(torque)
@@ -415,7 +417,8 @@ class _Fit:
     @property
     def _link_columns(self) -> Iterator[Array]:
         """Of the links, with what effects change by them; of each row (N, 10 * bodies)."""
-        for i, (factor, columns) in enumerate(zip(self.factors, self.regression.link_columns_by_row, strict=True)):
+        for i, factor in enumerate(self.factors):
+            columns = self.regression.links_in(i)
             seen = columns if self.by_links is None else columns + self.by_links[:, i]
             yield seen if (self.factors == 1.0).all() else seen * factor
 

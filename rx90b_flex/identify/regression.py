@@ -13,8 +13,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.effect import of_motion_alone
-from rx90b_flex.effects.motion import STICKS, Array, Held, Indices
+from rx90b_flex.effects.motion import STICKS, Array, Held, Indices, Mask
 from rx90b_flex.identify.carried import carried_parameters
+from rx90b_flex.identify.columns import beyond_digits
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.identify.first_looks import FirstLooks
 from rx90b_flex.pieces import AT_ONCE
@@ -399,10 +400,7 @@ class Regression:
 
     def _with_segments(self, segments: tuple[Segment, ...], held: tuple[Held, ...]) -> Regression:
         """The same motion with friction held in these sticks."""
-        other = dataclasses.replace(self, segments=segments, sticking=held)
-        if "_untouched_links" in self.__dict__:
-            other.__dict__["_untouched_links"] = self._untouched_links
-        return other
+        return self._with_links_of(dataclasses.replace(self, segments=segments, sticking=held))
 
     @property
     def motors(self) -> Regression:
@@ -670,22 +668,26 @@ class Regression:
                     out[span, : len(self.joints)] += part[:, : len(self.joints)]
                     if effect.traits.behind_gear:
                         out[span, len(self.joints) :] += part[:, len(self.joints) :]
-        return self._counted(out, np.arange(len(self.rows)))
+        return self._counted(out * self.links_shown, np.arange(len(self.rows)))
 
     @property
     def link_columns(self) -> Array:
         """Columns of the links, shape (N, rows, 10 * bodies)."""
-        return self._counted(self._untouched_links, np.arange(len(self.rows)))
+        return np.stack([self.links_in(i) for i in range(len(self.rows))], axis=1)
 
-    @property
-    def link_columns_by_row(self) -> Iterator[Array]:
-        """The same one row after the other, each (N, 10 * bodies)."""
-        for i in range(len(self.rows)):
-            yield self._counted(self._untouched_links[:, i : i + 1], np.array([i]))[:, 0]
+    def links_in(self, row: int) -> Array:
+        """The same in one row, (N, 10 * bodies)."""
+        own = self._counted(self._untouched_links[:, row : row + 1], np.array([row]))[:, 0]
+        return own if self.links_shown.all() else own * self.links_shown
 
     def link_torque(self, link_parameters: Array) -> Array:
         """What the links ask for, (N, rows), N m."""
         return self._counted((self._untouched_links @ link_parameters)[:, :, None], np.arange(len(self.rows)))[:, :, 0]
+
+    @cached_property
+    def links_shown(self) -> Mask:
+        """Which of the links' parameters are to be fitted, (10 * bodies,)."""
+        return beyond_digits(np.sqrt(np.einsum("nrp,nrp->p", self._untouched_links, self._untouched_links)))
 
     @cached_property
     def _untouched_links(self) -> Array:
@@ -705,10 +707,12 @@ class Regression:
 
     def _sharing(self, other: Regression) -> Regression:
         """Another regression on the same motion, with the columns that depend on motion alone."""
-        kept = ("_first_looks", "_first_looks_of_excerpt", "_first_looks_of_glimpse", "_columns_kept")
-        other.__dict__.update({name: getattr(self, name) for name in kept})
-        if "_untouched_links" in self.__dict__:
-            other.__dict__["_untouched_links"] = self._untouched_links
+        for name in ("_first_looks", "_first_looks_of_excerpt", "_first_looks_of_glimpse", "_columns_kept"):
+            other.__dict__[name] = getattr(self, name)
+        return self._with_links_of(other)
+
+    def _with_links_of(self, other: Regression) -> Regression:
+        other.__dict__.update({n: self.__dict__[n] for n in ("_untouched_links", "links_shown") if n in self.__dict__})
         return other
 
     def _brought(self, segment: Segment, columns: Array) -> Array:
