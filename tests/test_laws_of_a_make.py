@@ -4,7 +4,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from independent import Arm, Array, Motion, Torque, run, ur10, white, write_files
+from independent import (
+    Arm,
+    Array,
+    Motion,
+    Torque,
+    friction,
+    harmonics,
+    hidden,
+    run,
+    two_joints,
+    ur10,
+    white,
+    write_files,
+)
 from scipy import stats
 
 import rx90b_flex as rf
@@ -105,3 +118,22 @@ def test_a_product_of_small_p_values_is_no_smaller_than_chance_makes_it(tried):
     for level in (0.05, 0.01) if tried > 2 else (0.01,):
         below = int((p < level).sum())
         assert stats.binomtest(below, len(p), level).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("power", [None, 1.4])
+def test_a_declared_power_that_a_log_does_not_tell_stays_as_declared_or_usual(tmp_path, power):
+    """The dry friction of the shoulder fades within the slowest speeds of a quick motion."""
+    arm, more = two_joints(tmp_path), {} if power is None else {"power": power}
+    declared = [{"type": t, "joint": j} for j in arm.joints for t in ("coulomb_friction", "viscous_friction")]
+    declared.append({"type": "stribeck_friction", "joint": "shoulder", "torque": 0.5, "velocity": 0.005, **more})
+    fading = hidden("stribeck_friction", 0, {"torque": 1.0, "velocity": 0.005, "power": 1.4})
+    runs = []
+    for seed, role in enumerate(("identification", "validation")):
+        rng = np.random.default_rng([23, seed])
+        m = harmonics(rng, 2, period_s=15.0, speed=2.0)
+        runs.append(run(arm, role, m, [friction((2.0, 1.0), (3.0, 1.5)), fading], white(rng, len(m.time), (0.1, 0.05))))
+    result = rf.close_loop(write_files(tmp_path, arm, declared, runs))
+    (written,) = (e for e in result.model.effects if e.type_name() == "stribeck_friction")
+    assert written.power == (1.0 if power is None else power)
+    assert any("shoulder.stribeck_friction" in text and "power" in text for text in result.cautions)
+    assert not result.effects

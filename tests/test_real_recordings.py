@@ -114,7 +114,8 @@ def test_no_held_out_error_grows(closed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("held_out", ("A", "B"))
-def test_no_held_out_error_grows_with_another_recording_held_out_either(held_out):
+def test_no_held_out_error_grows_with_another_recording_held_out_nor_closing_again(held_out, tmp_path):
+    """Closed again on the robot that was written there is nothing to find, and the error is what it was."""
     campaign = load_campaign(data_folder("kr300_encoders") / "campaign.toml")
     roles = tuple(
         dataclasses.replace(r, role="validation" if r.name == held_out else "identification")
@@ -123,3 +124,9 @@ def test_no_held_out_error_grows_with_another_recording_held_out_either(held_out
     closed = rf.close_loop(dataclasses.replace(campaign, recordings=roles))
     assert {r.role for r in roles} == {"validation", "identification"}
     assert closed.after.validation.relative_error <= closed.before.validation.relative_error
+    write_result(closed, tmp_path)
+    written = {"robot": str(tmp_path / "robot.toml"), "robot_source": tmp_path / "robot.toml"}
+    again = rf.close_loop(dataclasses.replace(campaign, recordings=roles, **written))
+    first, second = closed.after.validation.relative_error, again.before.validation.relative_error
+    assert second == pytest.approx(first, rel=0.02)
+    assert again.after.validation.relative_error <= second

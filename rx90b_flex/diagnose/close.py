@@ -550,12 +550,14 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
 
 
 def _held_words(model: Identification) -> tuple[str, ...]:
-    """What these recordings do not tell of an effect's shape, so that it is held at its usual value."""
-    held = [
-        (e, n, x)
-        for e in model.effects
-        for (n, p), x in zip(e.shape_parameters.items(), e.shape, strict=True)
-        if p.held
-    ]
-    words = "these recordings do not tell its {}, which is held at {:g}, as usual; intervals count it as known to a factor of {:.2g}"
-    return tuple(f"{e.label}: {words.format(name, value, np.exp(USUAL))}." for e, name, value in held)
+    """What these recordings do not tell of effects' shapes, so that it is held at its usual value; a line a value."""
+    held: dict[tuple[str, float], list[str]] = {}
+    for e in model.effects:
+        for (name, p), x in zip(e.shape_parameters.items(), e.shape, strict=True):
+            if p.held:
+                held.setdefault((name, float(x)), []).append(e.label)
+    return tuple(
+        f"{', '.join(labels)}: these recordings do not tell {'its' if len(labels) == 1 else 'their'} {name}, which is held at "
+        f"{value:g}; intervals count it as known to a factor of {np.exp(USUAL):.2g}."
+        for (name, value), labels in held.items()
+    )

@@ -23,6 +23,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.shapes import USUAL
 from rx90b_flex.identify.torque_sensors import sensors_to_use
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign
@@ -142,8 +143,23 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def declared(self) -> TorqueModel:
         regression = self.data.regression
-        model = identify(regression, regression.robot.effects, fit_links=self.fit_links)
-        return TorqueModel(reweighted(regression, model), self.data)
+        model = reweighted(regression, identify(regression, regression.robot.effects, fit_links=self.fit_links))
+        held = [self._held_if_untold(model, e) for e in model.effects]
+        if any(a is not b for a, b in zip(held, model.effects, strict=True)):
+            again = identify(model.regression, held, fit_links=self.fit_links, start=model)
+            model = reweighted(regression, again)
+        return TorqueModel(model, self.data)
+
+    def _held_if_untold(self, model: Identification, effect: Effect) -> Effect:
+        """A declared effect, its shapes of usual value held where the data tells less of them than what is usual."""
+        stated = next(e for e in self.data.regression.robot.effects if e.label == effect.label)
+        held = of_usual_shape(effect, stated)
+        if held is None:
+            return effect
+        names = {name for name, p in held.shape_parameters.items() if p.held}
+        found = [e for e in model.estimates(model.effects.index(effect)) if e.name in names]
+        told = all(e.value is not None and e.std is not None and e.std < USUAL * abs(e.value) for e in found)
+        return effect if told and not Search(model, self.sites).at_bound(effect) else held
 
     def signature(self, model: TorqueModel, trial: TorqueTrial | None = None) -> Hashable:
         """Types, places and numbers of shapes; of effects that may stand twice in one place, the shapes too, to a tenth."""

@@ -72,14 +72,18 @@ class OfUsualShape(StandIn):
         return dataclasses.replace(found, starts=np.unique(starts, axis=0), independent=independent)
 
 
-def of_usual_shape(effect: Effect) -> Effect | None:
-    """An effect with the shapes that have a usual value held there; None where its type has none, or they are held."""
+def of_usual_shape(effect: Effect, stated: Effect | None = None) -> Effect | None:
+    """An effect with the shapes that have a usual value held there; None where its type has none, or they are held.
+
+    Where a robot file has `stated` the effect, they are held at what it says.
+    """
     for kind in OfUsualShape.__subclasses__():
         if kind.in_files is type(effect):
-            own = effect.shape_parameters.values()
-            usual = [p.start if p.usual else x for p, x in zip(own, effect.shape, strict=True)]
+            own = list(effect.shape_parameters.values())
+            known = np.full(len(own), np.nan) if stated is None else stated.shape
+            held = np.where(np.isnan(known), [p.start for p in own], known)
             values = {f.name: getattr(effect, f.name) for f in dataclasses.fields(kind)}
-            return kind(**values).with_shape(usual)
+            return kind(**values).with_shape(np.where([p.usual for p in own], held, effect.shape))
     return None
 
 
