@@ -12,6 +12,7 @@ import numpy as np
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import NormalEquations, solve_weighted
+from rx90b_flex.identify.penalty import parameters_used
 
 LEAK = 0.02  # of a recording that is left out as a whole
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
@@ -203,8 +204,7 @@ def solve_beside(left: Array, own: Array, score: Array, precision: Array | None 
     precision : array, shape (k, k), optional
         Of the coefficients before the data: they are penalised.
     """
-    scale = np.sqrt(np.maximum(np.diagonal(own, axis1=-2, axis2=-1), 1e-300))
-    scaled = (left if precision is None else left + precision) / (scale[..., :, None] * scale[..., None, :])
+    scale, scaled = _scaled(left if precision is None else left + precision, own)
     if scaled.shape[-1] == 1:  # most of them
         values, vectors = scaled[..., 0], np.ones_like(scaled)
     else:
@@ -213,6 +213,19 @@ def solve_beside(left: Array, own: Array, score: Array, precision: Array | None 
     kept = values > DETERMINED
     along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
     return np.asarray((vectors @ along[..., None])[..., 0] / scale)
+
+
+def _scaled(left: Array, own: Array) -> tuple[Array, Array]:
+    """Lengths of columns (..., k), and a Gram matrix (..., k, k) with them taken out."""
+    scale = np.sqrt(np.maximum(np.diagonal(own, axis1=-2, axis2=-1), 1e-300))
+    return scale, left / (scale[..., :, None] * scale[..., None, :])
+
+
+def parameters_told(left: Array, own: Array, precision: Array) -> float:
+    """How many parameters the coefficients of `solve_beside` come to: combinations that the base wholly explains are none."""
+    if precision.any():
+        return parameters_used(left, precision)
+    return float((np.linalg.eigvalsh(_scaled(left, own)[1]) > DETERMINED).sum())
 
 
 def penalised_wald(bread: Array, meat: Array, own: Array, precision: Array, beta: Array) -> tuple[float, int, Array]:

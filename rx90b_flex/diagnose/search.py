@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg, stats
 
-from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, penalised_wald, solve_beside
+from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, parameters_told, penalised_wald, solve_beside
 from rx90b_flex.diagnose.families import FAMILIES, family
 from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, off_a_joint, shows_by_itself, too_faint
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
@@ -27,7 +27,7 @@ from rx90b_flex.identify.least_squares import (
     identify,
     shared_values,
 )
-from rx90b_flex.identify.penalty import parameters_used, prior_precision, smoothed
+from rx90b_flex.identify.penalty import prior_precision, smoothed
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.levenberg import Damping, Iterate, lowest
 
@@ -501,7 +501,7 @@ class Search:
                 effect, d.sum(axis=0), lambda e: float(self._held_out(base, b, y, d, prior_precision([e])).sum())
             )
         before = prior_precision([effect])
-        used = parameters_used(left, before)
+        used = parameters_told(left, d.sum(axis=0), before)
         size += round(used) - k
         beta = solve_beside(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta, before)
         block_gains = present.held_out - self._held_out(base, b, y, d, before)

@@ -168,9 +168,13 @@ class _SearchedSpring(_SpringOfTwoLevers, part="spring", replaces=("gravity_spri
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         angles = np.pi * (2.0 * np.arange(ANGLES) / ANGLES - 1.0)
+        replaced = None if left is None else left.instead_of
+        if isinstance(replaced, _SpringOfTwoLevers):  # whose angle is known to more than these tell apart
+            _, angle = replaced.geometry()
+            angles = np.append(angles, [angle, angle - np.sign(angle) * np.pi])
         starts = np.stack(np.meshgrid(angles, RATIOS), axis=-1).reshape(-1, 2)
-        # neighbouring angles are much alike
-        return ShapeSearch(starts, independent=ANGLES // 2, spread=np.array([0.4, 0.15]))
+        # neighbouring angles are much alike, and a refinement finds the ratio from any
+        return ShapeSearch(starts, independent=ANGLES // 2, spread=np.array([0.45, 0.6]))
 
     def geometry(self) -> tuple[float, float]:
         angle, ratio = self.shape

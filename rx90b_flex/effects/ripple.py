@@ -76,6 +76,12 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
             orders = every[np.unique(np.concatenate(best))] if best else every[:0]
         return ShapeSearch(orders[:, None], max(1, len(every) // 2), spread=np.array([0.5 * step]))
 
+    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
+        """A sine of which a joint shows less than a period may be any curve over its angle."""
+        shown = self.shape[0] * self._range(motion) / (2.0 * np.pi)
+        curve = f"the joint's range shows {shown:.2g} of a period, which any curve may have"
+        return super().too_small(part, sample_s, motion) or (curve if shown < 1.0 else "")
+
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
         """How its torque may grow and shrink along a motion, each (N,): the weights of the spectra that a search looks at."""
         return (np.ones_like(at.q),)
