@@ -19,13 +19,14 @@ from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
+from rx90b_flex.diagnose.low_pass import beyond_model
 from rx90b_flex.diagnose.moving import MovingErrors
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find
+from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find, predict
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
@@ -423,8 +424,25 @@ class _Ended:
             known,
             "" if known else str(explainable),
             self._if_not_possible(),
-            (*cautions, *links_off, *constants, *_sensor_words(declared, model), *_held_words(model)),
+            (
+                *cautions,
+                *links_off,
+                *constants,
+                *self._beyond_model(),
+                *_sensor_words(declared, model),
+                *_held_words(model),
+            ),
         )
+
+    def _beyond_model(self) -> tuple[str, ...]:
+        """That a low-pass would serve a log which has none."""
+        if self.residual.campaign.cutoff_hz is not None or self.residual.at_floor(self.standing.model):
+            return ()
+        replays, model = self.residual.data.identification, self.standing.model.possible
+        predicted = [predict(r, model) for r in replays]
+        rates = [r.recording.sample_rate_hz for r in replays]
+        found = beyond_model([r.torque for r in replays], predicted, rates)
+        return () if found is None else (found.words,)
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
         """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.

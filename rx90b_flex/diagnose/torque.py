@@ -167,7 +167,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return frozenset((e.type_name(), e.place, len(e.shape), _rounded(e)) for e in effects)
 
     def candidates(self, standing: Standing[TorqueModel, TorqueTrial]) -> Sequence[Candidates]:
-        if standing.steps and self._at_floor(standing.model):
+        if standing.steps and self.at_floor(standing.model):
             return (Candidates(beside_motion, in_pairs=False, told=False),)
         return Candidates(laws), Candidates(last_resorts, in_pairs=False)
 
@@ -407,7 +407,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         after, before = (m.errors.identification.relative_error for m in (other, model))
         return other if after < before else model
 
-    def _at_floor(self, model: TorqueModel) -> bool:
+    def at_floor(self, model: TorqueModel) -> bool:
+        """Whether no more than the noise between repeats of a motion is left."""
         floor = self.data.noise_floor(model.identified, self.campaign)
         if floor is None:
             return False

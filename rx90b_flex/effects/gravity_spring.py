@@ -151,7 +151,7 @@ class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True, of_make=False):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SearchedSpring(_SpringOfTwoLevers, part="spring", replaces=("gravity_spring",)):
+class _SearchedSpring(_SpringOfTwoLevers, part="spring", replaces=("gravity_spring", "joint_spring")):
     """``(pull + slack / sqrt(1 - ratio cos(q - angle))) sin(q - angle)``, ratio 2ab/(a^2 + b^2): any spring between two levers."""
 
     pull: float | None = linear("N m", lower=0.0, rank=SPRING)
