@@ -401,7 +401,9 @@ class _Ended:
         explainable = yardstick(self.declared.possible, held_out.weighted(None), compared_with, after.validation)
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
-        doubtful, found = bool(cautions) or in_doubt, bool(standing.steps)
+        beyond = self._beyond_model()
+        doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
+        found = bool(standing.steps)
         remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)

@@ -40,7 +40,7 @@ class Remains:
     where : sequence of Dependence
         Signals that the residual still depends on.
     doubtful : bool
-        Whether the data holds what a rigid tree cannot have.
+        Whether the data holds what a rigid tree cannot have, or mostly noise whose size is not known.
     spread : array, shape (joints,), or None
         Standard deviation of the measured torque on validation, N m; None where errors have no size to go by.
     """
