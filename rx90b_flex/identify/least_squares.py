@@ -359,7 +359,7 @@ def _circled(fit: _Fit, links: Array, regression: Regression, together: bool = F
                 break
         else:
             return fit if large else seeing(fit.link_parameters)
-        done = part == 1.0 and fit.misfit - further.misfit < SAME_MISFIT
+        done = fit.misfit - further.misfit < SAME_MISFIT
         fit, links = further, on_the_way
         if done:
             break
