@@ -427,26 +427,32 @@ class Search:
         return out
 
     def _refined(self, effect: Effect, base: Base) -> Effect:
-        """The shapes that gain most: from the best of a first look, and from others where several shapes make valleys."""
+        """The shapes that gain most."""
+        return self._valleys(effect, base)[0]
+
+    def _valleys(self, effect: Effect, base: Base) -> list[Effect]:
+        """The same, and behind them those that gain hardly less: from all starts of a first look where shapes make valleys."""
         free = self.free(effect)
         if not len(free):
-            return effect
+            return [effect]
         tried = [self._refined_from(effect, base, free)]
         for gain, other in self._other_starts.get(effect, ()):
             if UNREFINED * gain > AS_GOOD * max(known for known, _ in tried):  # else it cannot win
                 tried.append(self._refined_from(other, base, free))
         # one that ran into an end of its range explains a little more by playing another effect's part
-        best = max(tried, key=lambda pair: pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))[1]
+        tried.sort(key=lambda pair: -pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))
+        most = tried[0][0]
+        best, *others = (e for gain, e in tried if gain >= AS_GOOD * most)
         if not self.at_bound(best):
-            return best
+            return [best, *others]
         # beside what is wrong elsewhere a power may run anywhere: with its usual value it is tried, with all else it is fitted again
         usual = {i: p.start for i, p in enumerate(effect.shape_parameters.values()) if p.usual}
         held = np.array([i for i in free if i in usual], dtype=np.intp)
         if len(held) in (0, len(free)):
-            return best
+            return [best, *others]
         plainer = self._shaped(effect, np.array([usual[i] for i in held]), held)
         _, plain = self._refined_from(plainer, base, np.setdiff1d(free, held))
-        return best if self.at_bound(plain) else plain
+        return [best if self.at_bound(plain) else plain, *others]
 
     def _reach(self, effect: Effect) -> Array:
         """How far the best shape may lie from an effect's, shape (s,)."""
@@ -475,9 +481,15 @@ class Search:
     def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> TorqueTrial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests.
 
-        Where it cannot have the values that fit best, it is tried with those shapes held that have a usual value.
+        Where it cannot have the values that fit best, others are tried that fit hardly worse, then those shapes held that have a
+        usual value.
         """
-        found = self._trial(self._refined(effect, base), base, present, tests)
+        valleys = self._valleys(effect, base)
+        found = self._trial(valleys[0], base, present, tests)
+        for shaped in valleys[1:] if not found.lawful else ():
+            other = self._trial(shaped, base, present, tests)
+            if other.lawful:
+                return other
         plainer = None if found.lawful else of_usual_shape(effect)
         if plainer is None:
             return found
