@@ -31,6 +31,7 @@ def family(members: Sequence[TorqueTrial], joints: int, kinds: int) -> TorqueTri
         by_chance=np.sum([m.by_chance for m in members], axis=0),
         members=tuple(members),
         acting=max(m.acting for m in members),
+        left=sum(m.left for m in members),
     )
 
 

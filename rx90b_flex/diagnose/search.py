@@ -549,6 +549,7 @@ class Search:
             )
             or too_faint(columns @ beta, self.regression.torque[:, rows]),
             acting=int((d @ beta @ beta > shows_by_itself(colour)).sum()),
+            left=float(left_over[rows].sum()),
             alone=min(1.0, p_value * effect.shape_search(self.longest).independent),
         )
 

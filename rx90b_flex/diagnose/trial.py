@@ -17,7 +17,10 @@ GAIN_T = 2.0  # held-out gain over its standard error, as `Trial.gain_t` has it
 REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is absent from others and gains spread;
 FEWEST_REPLICAS = 2  # these are enough where it acts in no more than them
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
-JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters
+JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters,
+LEAVES_AS_LITTLE = (
+    1.2  # unless it leaves so many times the squared error: of a strong effect the rest may be all that is left
+)
 CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
 FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
 PHASE_CARRIED = (
@@ -78,6 +81,8 @@ class TorqueTrial(Trial):
         Of a family: one law on several joints, one hypothesis. `effect` is then the first member's.
     acting : int
         Blocks in which its torque is large enough to show by itself.
+    left : float
+        Weighted squared error of the joints that it touches with it in the model.
     alone : float
         The p-value of a hypothesis that nobody had to search for: corrected for the shapes of this one effect alone.
     of_family : bool
@@ -98,6 +103,7 @@ class TorqueTrial(Trial):
     members: tuple[TorqueTrial, ...] = ()
     small: str = ""
     acting: int = REPLICAS
+    left: float = np.inf
     alone: float = 1.0
     of_family: bool = False
 
@@ -183,6 +189,8 @@ class TorqueTrial(Trial):
 
     def no_better_than(self, other: TorqueTrial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
+        if other.effect.joints == self.effect.joints and other.left > LEAVES_AS_LITTLE * self.left:
+            return False
         if other.gain >= JUST_AS_GOOD * self.gain:
             return True
         difference = self.block_gains - other.block_gains
