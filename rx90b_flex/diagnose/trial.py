@@ -189,7 +189,8 @@ class TorqueTrial(Trial):
 
     def no_better_than(self, other: TorqueTrial) -> bool:
         """Whether held-out blocks cannot tell that this one explains more than the other."""
-        if other.effect.joints == self.effect.joints and other.left > LEAVES_AS_LITTLE * self.left:
+        alike = other.effect.joints == self.effect.joints and not (self.members or other.members)
+        if alike and other.left > LEAVES_AS_LITTLE * self.left:
             return False
         if other.gain >= JUST_AS_GOOD * self.gain:
             return True
