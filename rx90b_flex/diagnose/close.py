@@ -430,7 +430,7 @@ class _Ended:
                 *cautions,
                 *links_off,
                 *constants,
-                *self._beyond_model(),
+                *beyond,
                 *_sensor_words(declared, model),
                 *_held_words(model),
             ),
@@ -570,7 +570,7 @@ def _sensor_words(declared: Identification, model: Identification) -> tuple[str,
 
 
 def _held_words(model: Identification) -> tuple[str, ...]:
-    """What these recordings do not tell of effects' shapes, so that it is held at its usual value; a line a value."""
+    """What these recordings do not tell of effects' shapes, so that it is held at a usual or stated value; a line a value."""
     held: dict[tuple[str, float], list[str]] = {}
     for e in model.effects:
         for (name, p), x in zip(e.shape_parameters.items(), e.shape, strict=True):

@@ -441,8 +441,8 @@ class Search:
                 tried.append(self._refined_from(other, base, free))
         # one that ran into an end of its range explains a little more by playing another effect's part
         tried.sort(key=lambda pair: -pair[0] * (AS_GOOD if self.at_bound(pair[1]) else 1.0))
-        most = tried[0][0]
-        best, *others = (e for gain, e in tried if gain >= AS_GOOD * most)
+        (most, best), *less = tried
+        others = [e for gain, e in less if gain >= AS_GOOD * most]
         if not self.at_bound(best):
             return [best, *others]
         # beside what is wrong elsewhere a power may run anywhere: with its usual value it is tried, with all else it is fitted again

@@ -18,9 +18,7 @@ REPLICAS = 3  # held-out blocks that show an effect by themselves, where it is a
 FEWEST_REPLICAS = 2  # these are enough where it acts in no more than them
 AS_GOOD = 0.95  # a simpler effect with this part of the best gain is preferred, if blocks cannot tell them apart
 JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is no reason for more parameters,
-LEAVES_AS_LITTLE = (
-    1.2  # unless it leaves so many times the squared error: of a strong effect the rest may be all that is left
-)
+LEAVES_AS_LITTLE = 1.2  # unless it leaves so many times the squared error: that may be all that a strong effect leaves
 CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
 FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
 PHASE_CARRIED = (
