@@ -142,6 +142,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     gains: frozenset[str] = frozenset()
 
     def declared(self) -> TorqueModel:
+        return self._beginning
+
+    @cached_property
+    def _beginning(self) -> TorqueModel:
         regression = self.data.regression
         model = reweighted(regression, identify(regression, regression.robot.effects, fit_links=self.fit_links))
         held = [self._held_if_untold(model, e) for e in model.effects]
@@ -328,7 +332,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return (best.rival, new) if _weighted_better(new, model) and not self.spoils(new, model) else None
 
     def burden(self, standing: Standing[TorqueModel, TorqueTrial]) -> tuple[Addition[TorqueTrial], TorqueTrial] | None:
-        """Of the additions after which the held-out error was larger than before, the one that raises it most surely."""
+        """Of the additions after which the held-out error was larger than before, the one that raises it most surely; where all
+        together leave more than the declared model does, the one without which least is left.
+        """
         worst: tuple[float, Addition[TorqueTrial], str] | None = None
         for step in standing.steps:
             if step.after.validation.relative_error <= step.before.validation.relative_error:
@@ -344,9 +350,25 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                     f"it raises the error of {found[0]}, which was not fitted: {less:.4f} -> {more:.4f}",
                 )
         if worst is None:
+            worst = self._too_much(standing)
+        if worst is None:
             return None
         _, step, why = worst
         return step, dataclasses.replace(step.trial, lawful=False, objection=why)
+
+    def _too_much(
+        self, standing: Standing[TorqueModel, TorqueTrial]
+    ) -> tuple[float, Addition[TorqueTrial], str] | None:
+        """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
+        declared, now = (m.errors.validation.relative_error for m in (self._beginning, standing.model))
+        if now <= declared:
+            return None
+        lesser = [(standing.model, s.trial, self.without(standing.model, s.trial)) for s in standing.steps]
+        errors = [model.errors.validation.relative_error for _, _, (model, _) in lesser]
+        best = int(np.argmin(errors))
+        self._lesser[:] = [lesser[best]]
+        why = f"what was added left more than the declared model where it was not fitted: {declared:.4f} -> {now:.4f}"
+        return errors[best], standing.steps[best], f"{why}; {errors[best]:.4f} without it"
 
     def compared(self, model: TorqueModel, step: Addition[TorqueTrial]) -> list[Comparison]:
         """An addition against each of its rivals that is worth it, in its place in a model."""
