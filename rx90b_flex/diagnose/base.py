@@ -111,13 +111,8 @@ class Base:
         return self._grouped[key]
 
     def _of_groups(self, groups: Sequence[Indices]) -> Base:
-        normal = self.shared.normal
-        gram, cross, power, counts = (
-            np.array([x[at].sum(axis=0) for at in groups])
-            for x in (normal.gram, normal.cross, normal.power, normal.counts)
-        )
         other = dataclasses.replace(self, shared=dataclasses.replace(self.shared), leak=LEAK)
-        other.shared.__dict__["normal"] = NormalEquations(gram, cross, power, counts)
+        other.shared.__dict__["normal"] = self.shared.normal.grouped(groups)
         return other
 
     @cached_property

@@ -110,8 +110,8 @@ class Search:
 
     @cached_property
     def target(self) -> Array:
-        """Torque that the model's columns explain, shape (N, joints)."""
-        theta = np.concatenate([self.model.theta, np.zeros(len(self.model.shapes))])
+        """Torque that the model's columns explain, beyond what penalties pull them to, shape (N, joints)."""
+        theta = np.concatenate([self.model.theta, np.zeros(len(self.model.shapes))]) - self.model.centre
         return np.asarray(self.model.residual + self.model.derivatives.times(theta).T)
 
     @cached_property
@@ -133,7 +133,7 @@ class Search:
         """The present model without `replaced`, and with effects beside it that are not in it."""
         model = self.model
         # what shapes may still do to the model's torque counts with its columns: no candidate is credited with that
-        theta = np.concatenate([model.theta, np.zeros(len(model.shapes))])
+        theta = np.concatenate([model.theta, np.zeros(len(model.shapes))]) - model.centre
         kept = np.arange(len(theta))
         if replaced is not None:
             index = model.effects.index(replaced)

@@ -22,6 +22,7 @@ from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
+from rx90b_flex.identify.near_tree import chosen
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import USUAL
 from rx90b_flex.identify.torque_sensors import sensors_to_use
@@ -148,6 +149,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def _beginning(self) -> TorqueModel:
         regression = self.data.regression
         model = reweighted(regression, identify(regression, regression.robot.effects, fit_links=self.fit_links))
+        model = self._near_tree(model)
         held = [self._held_if_untold(model, e) for e in model.effects]
         if any(a is not b for a, b in zip(held, model.effects, strict=True)):
             again = identify(model.regression, held, fit_links=self.fit_links, start=model)
@@ -195,7 +197,22 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return self._identified(_with(model, trial.effects), model, trial.effects)
 
     def settled(self, model: TorqueModel) -> TorqueModel:
-        return TorqueModel(reweighted(self.data.regression, model.identified), self.data)
+        return TorqueModel(self._near_tree(reweighted(self.data.regression, model.identified)), self.data)
+
+    def _near_tree(self, model: Identification) -> Identification:
+        """With links as near the tree's values as parts of the log like it that are left out."""
+        if not model.links_fitted:
+            return model
+        search = self.search(TorqueModel(model, self.data))
+        links, shared = model.regression.robot.link_parameters, search.shared
+        normal = shared.normal
+        if not model.links_near:  # not about the tree's values yet
+            normal = normal.about(np.pad(links, (0, len(shared.precision) - len(links))))
+        near, _ = chosen(normal, search.longest_parts, model.solution.sigma, shared.precision, links)
+        if near == model.links_near:
+            return model
+        other = identify(model.regression, model.effects, fit_links=True, start=model, links_near=near)
+        return reweighted(self.data.regression, other)
 
     def refit(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel | None, TorqueTrial]:
         new = self.joined(model, trial)

@@ -14,6 +14,7 @@ from rx90b_flex.effects import Effect
 from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.effects.stand_in import as_in_files
+from rx90b_flex.identify import near_tree
 from rx90b_flex.identify.coloured import Spectrum
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import (
@@ -79,6 +80,8 @@ class Identification:
     links_fitted : bool
     shapes : Shapes
         Where the effects' shape parameters stand among the s.
+    links_near : float
+        Strength with which links were kept near the tree's values (`near_tree`).
     fit : _Fit or None
         What it ended with, to be asked how far shapes may be off; None where no effect's would tell more than the covariance.
     """
@@ -93,6 +96,7 @@ class Identification:
     derivatives: ColumnsByJoint
     links_fitted: bool
     shapes: Shapes
+    links_near: float = 0.0
     fit: _Fit | None = field(default=None, repr=False)
 
     @property
@@ -142,9 +146,20 @@ class Identification:
     def precision(self) -> Array:
         """Inverse covariance of theta and the shape parameters before the data, (p + s, p + s): penalties, else zero."""
         out = np.zeros((len(self.theta) + len(self.shapes),) * 2)
-        out[: len(self.theta), : len(self.theta)] = _beside_links(prior_precision(self.effects), self.first_column(0))
+        out[: len(self.theta), : len(self.theta)] = _with_links(self.effects, self._own_links, self.links_near)
         held = self.shapes.precision(self.shapes.values(self.effects))
         return out + np.diag(np.concatenate([np.zeros(len(self.theta)), held]))
+
+    @property
+    def _own_links(self) -> Array:
+        """The tree's values of the links that are fitted, (links,)."""
+        return self.regression.robot.link_parameters if self.links_fitted else np.zeros(0)
+
+    @property
+    def centre(self) -> Array:
+        """What `precision` pulls to, (p + s,)."""
+        rest = len(self.theta) + len(self.shapes) - len(self._own_links)
+        return np.concatenate([self._own_links * (self.links_near > 0.0), np.zeros(rest)])
 
     @property
     def information(self) -> Array:
@@ -232,12 +247,16 @@ class Identification:
     def link_estimates(self) -> tuple[Estimate, ...]:
         """Link parameters with standard deviations; None where the data does not determine one by itself."""
         robot = self.regression.robot
+        before = np.full(len(self.link_parameters), np.inf)
+        if self.links_near:  # what the data tell next to nothing of is the tree's
+            before = near_tree.SHOWN * near_tree.deviations(self._own_links) / np.sqrt(self.links_near)
         out = []
         for b, (link, _) in enumerate(robot.bodies):
             for c, (name, unit) in enumerate(zip(LINK_PARAMETERS, LINK_UNITS, strict=True)):
                 i = 10 * b + c
-                if self.links_fitted and self.solution.determined[i]:
-                    std = float(np.sqrt(max(self.covariance[i, i], 0.0)))
+                known = self.links_fitted and self.solution.determined[i]
+                std = float(np.sqrt(max(self.covariance[i, i], 0.0))) if known else np.inf
+                if known and std < before[i]:
                     out.append(Estimate(f"{link}.{name}", float(self.link_parameters[i]), std, unit))
                 else:
                     out.append(Estimate(f"{link}.{name}", None, None, unit))
@@ -251,6 +270,7 @@ def identify(
     fit_links: bool,
     start: Identification | None = None,
     with_covariance: bool = True,
+    links_near: float | None = None,
 ) -> Identification:
     """Identify a model: weighted least squares over base parameters, shapes by variable projection.
 
@@ -265,6 +285,8 @@ def identify(
         Whether the links' inertial parameters are fitted or kept.
     start : Identification, optional
         Earlier fit of nearly the same model, whose links give the transmission's load.
+    links_near : float, optional
+        Strength with which links are kept near the tree's values (`near_tree`); as at the start where not given.
 
     Returns
     -------
@@ -274,7 +296,10 @@ def identify(
     links = regression.robot.link_parameters if start is None else start.link_parameters
     circular = any(e.traits.needs_load or e.traits.needs_model for e in effects)
     known = effects if start is None else start.effects
-    fit = _Fit.of(regression.with_model(links, known) if circular else regression, effects, fit_links).smoothed()
+    if links_near is None:
+        links_near = 0.0 if start is None else start.links_near
+    seen = regression.with_model(links, known) if circular else regression
+    fit = _Fit.of(seen, effects, fit_links, links_near).smoothed()
     # shapes that an earlier fit of all these effects settled need no order among them
     together = start is not None and {e.label for e in effects} <= {e.label for e in start.effects}
     if any(e.traits.coefficients_follow and len(e.shape) for e in effects):
@@ -374,14 +399,15 @@ class _Fit:
     effects: tuple[Effect, ...]
     fit_links: bool
     shapes: Shapes
+    links_near: float = 0.0
     # links (10 * bodies,) about which effects change with the links; None: they see them as they are
     about: Array | None = None
     by_links: Array | None = None  # by so much, (N, rows, 10 * bodies)
 
     @staticmethod
-    def of(regression: Regression, effects: Sequence[Effect], fit_links: bool) -> _Fit:
+    def of(regression: Regression, effects: Sequence[Effect], fit_links: bool, links_near: float = 0.0) -> _Fit:
         shapes = Shapes.of(effects, regression.longest)
-        return _Fit(regression, shapes.put(effects, shapes.values(effects)), fit_links, shapes)
+        return _Fit(regression, shapes.put(effects, shapes.values(effects)), fit_links, shapes, links_near)
 
     @cached_property
     def factors(self) -> Array:
@@ -502,12 +528,23 @@ class _Fit:
 
     @cached_property
     def solution(self) -> Solution:
-        return fit_weighted(self.normal, self.prior, precision=self.precision)
+        return fit_weighted(self.normal, self.prior, precision=self.precision, centre=self.centre)
 
     @cached_property
     def precision(self) -> Array:
         """Inverse covariance of the coefficients before the data, shape (p, p): penalties, else zero."""
-        return _beside_links(prior_precision(self.effects), self._offset)
+        return _with_links(self.effects, self._own_links, self.links_near)
+
+    @cached_property
+    def _own_links(self) -> Array:
+        """The tree's values of the links that are fitted, (links,)."""
+        return self.regression.robot.link_parameters if self.fit_links else np.zeros(0)
+
+    @property
+    def centre(self) -> Array:
+        """What `precision` pulls to, (p,)."""
+        rest = sum(len(e.coefficients) for e in self.effects)
+        return np.concatenate([self._own_links * (self.links_near > 0.0), np.zeros(rest)])
 
     def smoothed(self) -> _Fit:
         """With strengths of penalties that were not chosen yet, each by what is predicted of blocks that are held out."""
@@ -527,7 +564,7 @@ class _Fit:
         own = np.einsum("j,jpq->pq", sigma**-2.0, normal.total[0])[np.ix_(at, at)]
 
         def held_out(effect: Effect) -> float:
-            return squares_held_out(normal, self.prior, sigma, of(effect).precision)
+            return squares_held_out(normal, self.prior, sigma, of(effect).precision, self.centre)
 
         return of(smoothed(self.effects[index], own, held_out))
 
@@ -561,11 +598,14 @@ class _Fit:
     def with_effect(self, effect: Effect) -> _Fit:
         """With an effect in the place of the one of its label."""
         return _Fit.of(
-            self.regression, [effect if e.label == effect.label else e for e in self.effects], self.fit_links
+            self.regression,
+            [effect if e.label == effect.label else e for e in self.effects],
+            self.fit_links,
+            self.links_near,
         )
 
     def seen_by(self, regression: Regression) -> _Fit:
-        return _Fit(regression, self.valued, self.fit_links, self.shapes)
+        return _Fit(regression, self.valued, self.fit_links, self.shapes, self.links_near)
 
     def changing_with(self, links: Array) -> _Fit:
         """With effects that change with the links, about those (10 * bodies,) that they see."""
@@ -621,7 +661,7 @@ class _Fit:
 
     def cost(self, sigma: Array) -> float:
         """Sum of squares over given variances, at the best coefficients."""
-        return squares_left(self.normal, self.prior, sigma, self.precision)
+        return squares_left(self.normal, self.prior, sigma, self.precision, self.centre)
 
     def refined(self, rounds: int = 100, together: bool = False) -> _Fit:
         """Levenberg-Marquardt steps in the shape parameters, coefficients projected out (variable projection).
@@ -704,6 +744,7 @@ class _Fit:
             derivatives,
             self.fit_links,
             self.shapes,
+            self.links_near,
             self if any(e.traits.coefficients_follow for e in self.effects) else None,
         )
 
@@ -736,6 +777,9 @@ class _Shaped(Iterate):
         return dataclasses.replace(self, sigma=self.fit.solution.sigma)
 
 
-def _beside_links(precision: Array, links: int) -> Array:
-    """A precision of the effects' coefficients with the links' before them, of which nothing is known."""
-    return np.pad(precision, ((links, 0), (links, 0)))
+def _with_links(effects: Sequence[Effect], links: Array, strength: float) -> Array:
+    """Precision of coefficients before the data, links (l,) first, which are the tree's values."""
+    out = np.pad(prior_precision(effects), ((len(links), 0), (len(links), 0)))
+    if strength:
+        out[np.diag_indices(len(links))] = near_tree.precision(links, strength)
+    return out

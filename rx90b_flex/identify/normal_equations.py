@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.columns import ColumnsByJoint
 
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
@@ -68,6 +68,17 @@ class NormalEquations:
     def total(self) -> tuple[Array, Array, Array]:
         """Sums over blocks of gram, cross and power."""
         return self.gram.sum(axis=0), self.cross.sum(axis=0), self.power.sum(axis=0)
+
+    def about(self, values: Array) -> NormalEquations:
+        """Of the torque less that of some values of the parameters (p,)."""
+        taken = self.gram @ values
+        power = self.power + (taken - 2.0 * self.cross) @ values
+        return NormalEquations(self.gram, self.cross - taken, power, self.counts)
+
+    def grouped(self, groups: Sequence[Indices]) -> NormalEquations:
+        """With blocks put together."""
+        arrays = (self.gram, self.cross, self.power, self.counts)
+        return NormalEquations(*(np.array([x[at].sum(axis=0) for at in groups]) for x in arrays))
 
     def squares(self, theta: Array) -> Array:
         """Sum of squared errors of each joint, shape (joints,)."""
@@ -155,6 +166,7 @@ def fit_weighted(
     sigma: Array | None = None,
     rounds: int = 12,
     precision: Array | None = None,
+    centre: Array | None = None,
 ) -> Solution:
     """Weighted least squares, one weight a joint from its own residual, iterated.
 
@@ -166,10 +178,13 @@ def fit_weighted(
     sigma : array, shape (joints,), optional
         Fixed residual standard deviations; they are iterated where not given.
     precision : array, shape (p, p), optional
-        Inverse covariance of the coefficients about zero before the data: a penalty.
+        Inverse covariance of the coefficients before the data: a penalty.
+    centre : array, shape (p,), optional
+        What it pulls to; zero where not given.
     """
     gram, cross, power = normal.total
     before = np.zeros((len(prior), len(prior))) if precision is None else precision
+    pulled = 0.0 if centre is None else before @ centre
     samples = int(normal.counts.sum())
     fixed = sigma is not None
     # noise-free data must not make one joint's weight infinite
@@ -178,7 +193,7 @@ def fit_weighted(
 
     def weighted() -> tuple[Array, Array]:
         weight = current**-2.0
-        return np.tensordot(weight, gram, axes=1) + before, weight @ cross
+        return np.tensordot(weight, gram, axes=1) + before, weight @ cross + pulled
 
     last = weighted()
     for _ in range(0 if fixed else rounds):
@@ -193,19 +208,20 @@ def fit_weighted(
     return Solution(theta, current, inverse, null, scale)
 
 
-def squares_left(normal: NormalEquations, prior: Array, sigma: Array, precision: Array) -> float:
-    """Sum of squares over given variances, and of the penalty by a precision (p, p), at the best coefficients."""
+def squares_left(normal: NormalEquations, prior: Array, sigma: Array, precision: Array, centre: Array) -> float:
+    """Sum of squares over given variances, and of the penalty by a precision (p, p) about a centre, at the best coefficients."""
     gram, cross, _ = normal.total
     weight = sigma**-2.0
-    theta = _coefficients(np.tensordot(weight, gram, axes=1) + precision, weight @ cross, prior)
-    return float(normal.squares(theta) @ weight + theta @ precision @ theta)
+    pulled = weight @ cross + precision @ centre
+    theta = _coefficients(np.tensordot(weight, gram, axes=1) + precision, pulled, prior)
+    return float(normal.squares(theta) @ weight + (theta - centre) @ precision @ (theta - centre))
 
 
-def squares_held_out(normal: NormalEquations, prior: Array, sigma: Array, precision: Array) -> float:
-    """Sum of squares over given variances on each block at the coefficients that are best on the others."""
+def squares_held_out(normal: NormalEquations, prior: Array, sigma: Array, precision: Array, centre: Array) -> float:
+    """Sum of squares over given variances on each block at the coefficients that are best on the others; arguments as above."""
     weight = sigma**-2.0
     grams, crosses = np.einsum("j,bjpq->bpq", weight, normal.gram), np.einsum("j,bjp->bp", weight, normal.cross)
-    gram, cross = grams.sum(axis=0) + precision, crosses.sum(axis=0)
+    gram, cross = grams.sum(axis=0) + precision, crosses.sum(axis=0) + precision @ centre
     left = float((normal.power @ weight).sum())
     for g, c in zip(grams, crosses, strict=True):
         theta = _coefficients(gram - g, cross - c, prior)
