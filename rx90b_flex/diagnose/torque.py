@@ -197,7 +197,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return self._identified(_with(model, trial.effects), model, trial.effects)
 
     def settled(self, model: TorqueModel) -> TorqueModel:
-        return TorqueModel(self._near_tree(reweighted(self.data.regression, model.identified)), self.data)
+        return TorqueModel(reweighted(self.data.regression, model.identified), self.data)
 
     def _near_tree(self, model: Identification) -> Identification:
         """With links as near the tree's values as parts of the log like it that are left out."""

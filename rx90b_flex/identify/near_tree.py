@@ -9,29 +9,34 @@ import numpy as np
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.normal_equations import NormalEquations, squares_held_out
 
-KNOWN = 0.3  # of a body's mass, to which the tree's values are known at strength one; lengths by its radius of gyration
-SMALLEST_M = 0.03  # of such a radius
+KNOWN = 0.3  # of a body's mass, to which the tree's values are known at strength one
+SMALLEST_M = 0.03  # of a radius of gyration
 # Strengths that are tried: from next to nothing to masses that are known to 0.3 %.
 STRENGTHS = (0.0, *np.geomspace(1e-2, 1e4, 13))
-AS_GOOD = 1.01  # times the least squares held out, within which less strength is as good
+AS_GOOD = 1.02  # times the least squares held out, within which none is as good
 SHOWN = 0.5  # of its deviation before the data, below which a parameter's value is the data's and not the tree's
 
 
 def deviations(links: Array) -> Array:
     """Of links' parameters before the data, at strength one, (10 * bodies,); infinite for bodies without a mass.
 
+    Lengths count by the robot's radius of gyration, and all inertias by the mean body's: drives' rotors, seen through the gears,
+    are inertias too, and on wrists larger than the links'.
+
     Parameters
     ----------
     links : array, shape (10 * bodies,)
-        The tree's: mass, first moments, inertias about the body's origin; kg, kg m, kg m^2.
+        The tree's: mass, first moments, inertias about the body's origin (diagonal first); kg, kg m, kg m^2.
     """
     bodies = links.reshape(-1, 10)
-    mass, trace = bodies[:, 0], bodies[:, 4:7].sum(axis=1)
+    mass = bodies[:, 0]
     solid = mass > 0.0
-    square = np.where(solid, np.maximum(trace, 0.0) / (2.0 * np.where(solid, mass, 1.0)), 0.0)
-    radius = np.maximum(np.sqrt(square), SMALLEST_M)
-    each = np.stack([np.ones_like(radius), *[radius] * 3, *[radius**2] * 6], axis=1)
-    return np.asarray(np.where(solid, KNOWN * mass, np.inf)[:, None] * each).ravel()
+    if not solid.any():
+        return np.full(len(links), np.inf)
+    radius = np.sqrt(max(bodies[solid, 4:7].sum(), 0.0) / (2.0 * mass[solid].sum()))
+    radius = max(float(radius), SMALLEST_M)
+    each = np.column_stack([mass] + [mass * radius] * 3 + [np.full(len(mass), mass[solid].mean() * radius**2)] * 6)
+    return np.asarray(np.where(solid[:, None], KNOWN * each, np.inf)).ravel()
 
 
 def precision(links: Array, strength: float) -> Array:
@@ -42,7 +47,7 @@ def precision(links: Array, strength: float) -> Array:
 def chosen(
     normal: NormalEquations, parts: Sequence[Indices], sigma: Array, before: Array, links: Array
 ) -> tuple[float, float]:
-    """The strength that predicts best what is left out, the least of those that do as well, and its error over that of none.
+    """The strength that predicts best what is left out, none where that does as well, and its error over that of none.
 
     Parameters
     ----------
@@ -63,5 +68,5 @@ def chosen(
         whole[own] = precision(links, strength)
         left.append(squares_held_out(grouped, none, sigma, whole, none))
     squares = np.array(left)
-    best = int(np.flatnonzero(squares <= AS_GOOD * squares.min())[0])
+    best = 0 if squares[0] <= AS_GOOD * squares.min() else int(np.argmin(squares))
     return float(STRENGTHS[best]), float(np.sqrt(squares[best] / squares[0]))
