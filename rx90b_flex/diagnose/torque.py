@@ -200,7 +200,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return TorqueModel(reweighted(self.data.regression, model.identified), self.data)
 
     def _near_tree(self, model: Identification) -> Identification:
-        """With links as near the tree's values as parts of the log like it that are left out."""
+        """With links as near the tree's values as blocks of the log like it that are left out."""
         if not model.links_fitted:
             return model
         search = self.search(TorqueModel(model, self.data))
@@ -208,7 +208,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         normal = shared.normal
         if not model.links_near:  # not about the tree's values yet
             normal = normal.about(np.pad(links, (0, len(shared.precision) - len(links))))
-        near, _ = chosen(normal, search.longest_parts, model.solution.sigma, shared.precision, links)
+        near, _ = chosen(normal, model.solution.sigma, shared.precision, links)
         if near == model.links_near:
             return model
         other = identify(model.regression, model.effects, fit_links=True, start=model, links_near=near)

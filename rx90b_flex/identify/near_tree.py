@@ -1,19 +1,17 @@
-"""How near a fit keeps links to the values of the tree, as far as parts of the log that are left out like it."""
+"""How near a fit keeps links to the values of the tree: as near as blocks of the log like it that are left out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.normal_equations import NormalEquations, squares_held_out
 
 KNOWN = 0.3  # of a body's mass, to which the tree's values are known at strength one
 SMALLEST_M = 0.03  # of a radius of gyration
 # Strengths that are tried: from next to nothing to masses that are known to 0.3 %.
 STRENGTHS = (0.0, *np.geomspace(1e-2, 1e4, 13))
-AS_GOOD = 1.02  # times the least squares held out, within which none is as good
+AS_GOOD = 1.02  # times the least squares held out, within which less strength is as good
 SHOWN = 0.5  # of its deviation before the data, below which a parameter's value is the data's and not the tree's
 
 
@@ -44,29 +42,25 @@ def precision(links: Array, strength: float) -> Array:
     return np.asarray(strength * deviations(links) ** -2.0)
 
 
-def chosen(
-    normal: NormalEquations, parts: Sequence[Indices], sigma: Array, before: Array, links: Array
-) -> tuple[float, float]:
-    """The strength that predicts best what is left out, none where that does as well, and its error over that of none.
+def chosen(normal: NormalEquations, sigma: Array, before: Array, links: Array) -> tuple[float, float]:
+    """The least strength that predicts blocks which are left out as well as any, and its error over that of none.
 
     Parameters
     ----------
     normal : NormalEquations
         By block, of the torque about the tree's values.
-    parts : sequence of arrays of int
-        Blocks that are left out together.
     sigma : array, shape (joints,)
     before : array, shape (p, p)
         Penalties of what is no link's.
     links : array, shape (10 * bodies,)
         The tree's, whose places are the first.
     """
-    grouped, own, none = normal.grouped(parts), np.diag_indices(len(links)), np.zeros(len(before))
+    own, none = np.diag_indices(len(links)), np.zeros(len(before))
     left = []
     for strength in STRENGTHS:
         whole = before.copy()
         whole[own] = precision(links, strength)
-        left.append(squares_held_out(grouped, none, sigma, whole, none))
+        left.append(squares_held_out(normal, none, sigma, whole, none))
     squares = np.array(left)
-    best = 0 if squares[0] <= AS_GOOD * squares.min() else int(np.argmin(squares))
+    best = int(np.flatnonzero(squares <= AS_GOOD * squares.min())[0])
     return float(STRENGTHS[best]), float(np.sqrt(squares[best] / squares[0]))
