@@ -163,10 +163,13 @@ class Identification:
 
     @property
     def information(self) -> Array:
-        """Weighted Gram matrix of all coefficients with their penalties, shape (p, p)."""
+        """Weighted Gram matrix of all coefficients with the effects' penalties, shape (p, p).
+
+        Without what keeps links near the tree: bodies that are made possible go where the data are harmed least.
+        """
         size = len(self.theta)
-        whole = self.derivatives.gram(self.solution.sigma**-2.0, size + len(self.shapes)) + self.precision
-        return whole[:size, :size]
+        whole = self.derivatives.gram(self.solution.sigma**-2.0, size + len(self.shapes))
+        return whole[:size, :size] + _with_links(self.effects, self._own_links, 0.0)
 
     def with_rest(self, change: Array) -> tuple[Effect, ...]:
         """The effects with their coefficients changed; shape (p - links,)."""
