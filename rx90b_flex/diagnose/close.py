@@ -290,7 +290,10 @@ def close_loop(
 
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
     """The result with the flexibilities that second encoders show, its errors those of the robot that has them."""
-    gears = gear_deflections(result.source, result.campaign, result.model)
+    model = result.model
+    if model.links_near:  # what passes the gears is asked of the recordings alone
+        model = identify(model.regression, model.effects, fit_links=True, start=model, links_near=0.0)
+    gears = gear_deflections(result.source, result.campaign, model)
     if not any(g.parameters for g in gears):
         return dataclasses.replace(result, deflection=gears)
     robot = identified_robot(result.source, result.model, result.joints)
