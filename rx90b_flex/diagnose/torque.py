@@ -32,6 +32,7 @@ from rx90b_flex.signals import Campaign
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
+WORSE_HELD_OUT = 1.005  # error held out over the declared model's: less comes from joints that an addition does not touch
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
@@ -378,7 +379,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     ) -> tuple[float, Addition[TorqueTrial], str] | None:
         """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
         declared, now = (m.errors.validation.relative_error for m in (self._beginning, standing.model))
-        if now <= declared:
+        if now <= WORSE_HELD_OUT * declared:
             return None
         lesser = [(standing.model, s.trial, self.without(standing.model, s.trial)) for s in standing.steps]
         errors = [model.errors.validation.relative_error for _, _, (model, _) in lesser]
