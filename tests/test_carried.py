@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
 from rx90b_flex.diagnose.carried import rise
 from rx90b_flex.diagnose.output import closed_loop_json
 
@@ -52,6 +53,55 @@ def test_a_hose_that_stays_is_found(tmp_path):
     result = rf.close_loop(campaign(tmp_path, spring_held_out=True))
     assert {e.effect.type_name() for e in result.effects} == {"gear_ripple", "joint_spring"}
     assert result.last_round.taken_out == ()
+
+
+def progressive_spring(motion: ind.Motion, load: np.ndarray) -> np.ndarray:
+    """A spring between two anchors on the elbow whose rate grows with its length; not of the catalogue."""
+    far, near, angle = 0.42, 0.16, -0.9
+    turned = motion.q[:, 1] - angle
+    length = np.sqrt(far**2 + near**2 - 2.0 * far * near * np.cos(turned))
+    force = 40.0 * (length - 0.35) + 900.0 * (length - 0.35) ** 3
+    return np.stack([np.zeros(len(turned)), force * far * near * np.sin(turned) / length], axis=1)
+
+
+def spring_campaign(folder: Path, seed: int) -> Path:
+    """Held out goes to angles that no fitted recording has: what fits there says little here."""
+    arm = ind.two_joints(folder)
+    declared = [{"type": kind, "joint": j} for j in arm.joints for kind in ("coulomb_friction", "viscous_friction")]
+    runs = []
+    for i, role in enumerate(("identification", "identification", "validation")):
+        rng = np.random.default_rng([seed, i])
+        m = ind.harmonics(rng, 2, period_s=10.0)
+        noise = ind.white(rng, len(m.time), (0.05, 0.05))
+        runs.append(ind.run(arm, role, m, [ind.friction([1.0, 0.6], [2.0, 1.1]), progressive_spring], noise))
+    return ind.write_files(folder, arm, declared, runs, cutoff_hz=15.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [32, 36, 37])
+def test_what_was_added_never_leaves_more_held_out_than_the_declared_model(tmp_path, seed):
+    result = rf.close_loop(spring_campaign(tmp_path, seed))
+    before, after = (e.validation.relative_error for e in (result.before, result.after))
+    assert after <= 1.005 * before
+    if seed == 32:
+        assert any("elbow reaches positions that no fitted recording has" in c for c in result.cautions)
+    for gone in result.last_round.taken_out:
+        assert gone.objection
+
+
+def test_error_where_no_fitted_recording_was_is_said_to_be_there():
+    rng = np.random.default_rng(5)
+    fitted = {"positions": rng.uniform(-1.0, 1.0, (500, 2)), "speeds": rng.uniform(-2.0, 2.0, (500, 2))}
+    held_out = {"positions": rng.uniform(-1.5, 1.5, (600, 2)), "speeds": rng.uniform(-1.9, 1.9, (600, 2))}
+    far = np.maximum(np.abs(held_out["positions"]) - 1.0, 0.0)
+    noise = 0.05 * rng.normal(size=far.shape)
+    (said,) = beyond_fitted(("waist", "elbow"), fitted, held_out, noise + far * [0.0, 10.0])
+    assert said.startswith("Held out, elbow reaches positions")
+    part = (np.abs(held_out["positions"][:, 1]) > np.abs(fitted["positions"][:, 1]).max()).mean()
+    assert f"{part:.0%} of the samples" in said
+    assert beyond_fitted(("waist", "elbow"), fitted, held_out, noise) == ()
+    everywhere = held_out["positions"] + noise  # a model that is wrong everywhere is no matter of where it was fitted
+    assert beyond_fitted(("waist", "elbow"), fitted, held_out, everywhere) == ()
 
 
 @pytest.mark.parametrize("seed", range(3))

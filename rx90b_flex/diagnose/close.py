@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.diagnose.alternatives import Alternative
+from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
@@ -438,6 +439,7 @@ class _Ended:
                 *_sensor_words(declared, model),
                 *_held_words(model),
                 *_near_words(model),
+                *self._beyond_fitted(),
             ),
         )
 
@@ -450,6 +452,16 @@ class _Ended:
         rates = [r.recording.sample_rate_hz for r in replays]
         found = beyond_model([r.torque for r in replays], predicted, rates)
         return () if found is None else (found.words,)
+
+    def _beyond_fitted(self) -> tuple[str, ...]:
+        """Where what is left is error of extrapolation."""
+        data, model = self.residual.data, self.standing.model
+        fitted, held_out = (
+            {"positions": np.concatenate([r.position for r in x]), "speeds": np.concatenate([r.velocity for r in x])}
+            for x in (data.identification, data.validation)
+        )
+        left = [r.torque - predicted for r, predicted in zip(data.validation, model.validation, strict=True)]
+        return beyond_fitted(self.residual.campaign.joints, fitted, held_out, np.concatenate(left))
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
         """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.

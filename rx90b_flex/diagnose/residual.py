@@ -79,6 +79,11 @@ class ReplayedTorques:
         """Velocity of the recording's joints, shape (N, joints), rad/s."""
         return self._of_joints(self.segment.motion.v)
 
+    @property
+    def position(self) -> Array:
+        """Position of the recording's joints, shape (N, joints), rad or m."""
+        return self._of_joints(self.segment.motion.q)
+
     def _of_joints(self, x: Array) -> Array:
         """Of coordinates (N, n) those of the recording's joints; no copy where these are all of them in order."""
         rows = np.array([self.robot.layout.index(j) for j in self.recording.joints])

@@ -32,7 +32,9 @@ from rx90b_flex.signals import Campaign
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
-WORSE_HELD_OUT = 1.005  # error held out over the declared model's: less comes from joints that an addition does not touch
+WORSE_HELD_OUT = (
+    1.005  # error held out over the declared model's: less comes from joints that an addition does not touch
+)
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
