@@ -100,7 +100,9 @@ def test_error_where_no_fitted_recording_was_is_said_to_be_there():
     part = (np.abs(held_out["positions"][:, 1]) > np.abs(fitted["positions"][:, 1]).max()).mean()
     assert f"{part:.0%} of the samples" in said
     assert beyond_fitted(("waist", "elbow"), fitted, held_out, noise) == ()
-    everywhere = np.sign(held_out["positions"]) + noise  # a model that is wrong everywhere is no matter of where it was fitted
+    everywhere = (
+        np.sign(held_out["positions"]) + noise
+    )  # a model that is wrong everywhere is no matter of where it was fitted
     assert beyond_fitted(("waist", "elbow"), fitted, held_out, everywhere) == ()
 
 

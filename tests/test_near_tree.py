@@ -16,6 +16,7 @@ from rx90b_flex.identify import near_tree
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
+from rx90b_flex.view.report import write_report
 
 JOINTS = tuple(ind.ur10().joints)
 COULOMB, VISCOUS = (8.0, 8.0, 5.0, 1.5, 1.2, 0.8), (12.0, 12.0, 8.0, 2.0, 1.5, 1.0)
@@ -111,7 +112,9 @@ def test_logs_near_a_urdf_predict_others_better_the_shorter_they_are_and_the_bet
     assert max(ratios) < 1.03
 
 
-def test_the_loop_says_that_links_were_kept_near(tmp_path):
+def test_the_report_says_that_links_were_kept_near(tmp_path):
     result = rf.close_loop(campaign(tmp_path, 0, 1.0, 4.0))
-    said = [c for c in result.cautions if "near the URDF's values" in c]
-    assert len(said) == (1 if result.model.links_near else 0)
+    assert result.model.links_near > 0.0
+    write_report(result, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "near the URDF&#39;s values, masses to" in page or "near the URDF's values, masses to" in page

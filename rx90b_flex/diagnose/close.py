@@ -35,7 +35,6 @@ from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
-from rx90b_flex.identify.near_tree import KNOWN
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import USUAL
 from rx90b_flex.identify.torque_scale import resolved
@@ -438,7 +437,6 @@ class _Ended:
                 *beyond,
                 *_sensor_words(declared, model),
                 *_held_words(model),
-                *_near_words(model),
                 *self._beyond_fitted(),
             ),
         )
@@ -597,14 +595,4 @@ def _held_words(model: Identification) -> tuple[str, ...]:
         f"{', '.join(labels)}: these recordings do not tell {'its' if len(labels) == 1 else 'their'} {name}, which is held at "
         f"{value:g}; intervals count it as known to a factor of {np.exp(USUAL):.2g}."
         for (name, value), labels in held.items()
-    )
-
-
-def _near_words(model: Identification) -> tuple[str, ...]:
-    """That links were kept near the tree's values, and how near."""
-    if not model.links_near:
-        return ()
-    return (
-        f"The links were fitted near the URDF's values, masses to {KNOWN / np.sqrt(model.links_near):.1%} where these recordings say "
-        "little: blocks of them that are left out are predicted better so.",
     )

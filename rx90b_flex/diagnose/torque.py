@@ -380,8 +380,12 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         self, standing: Standing[TorqueModel, TorqueTrial]
     ) -> tuple[float, Addition[TorqueTrial], str] | None:
         """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
-        declared, now = (m.errors.validation.relative_error for m in (self._beginning, standing.model))
-        if now <= WORSE_HELD_OUT * declared:
+        known = self._beginning.errors.validation, standing.model.errors.validation
+        declared, now = (e.relative_error for e in known)
+        each = np.log(np.maximum([e.torque_rms for e in known], 1e-300)).sum(
+            axis=1
+        )  # a small joint's name counts like a large one's
+        if now <= declared or (now <= WORSE_HELD_OUT * declared and each[1] < each[0]):
             return None
         lesser = [(standing.model, s.trial, self.without(standing.model, s.trial)) for s in standing.steps]
         errors = [model.errors.validation.relative_error for _, _, (model, _) in lesser]

@@ -21,6 +21,7 @@ from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.hints import SMALLEST_PART
 from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.identify.near_tree import KNOWN
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.view import plots
@@ -510,6 +511,12 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
     asked = f"p < {SIGNIFICANCE:g}, corrected for {result.last_round.tests} independent trials a round"
     declared = "; ".join(effect_words(e) for e in result.source.effects)
     links = "identified, over base parameters" if result.model.links_fitted else "known: kept from the URDF"
+    if result.model.links_near:
+        deviation = KNOWN / np.sqrt(result.model.links_near)
+        links += (
+            f"; near the URDF's values, masses to {deviation:.1%} where the recordings say little: "
+            "blocks that are left out are predicted better so"
+        )
     return [
         ("Campaign", campaign.path.name),
         ("Robot", result.robot),
