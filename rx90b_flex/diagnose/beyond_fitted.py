@@ -26,7 +26,7 @@ def beyond_fitted(
     fitted, held_out : dict of arrays (N, joints) and (M, joints)
         Of all recordings of a role, by what is compared: ``positions``, ``speeds``.
     left : array, shape (M, joints)
-        Torque error on the held-out ones, N m.
+        Torque error on the held-out ones, N m (N).
     """
     out = []
     for j, joint in enumerate(joints):
@@ -37,10 +37,11 @@ def beyond_fitted(
             if not outside.any() or outside.all():
                 continue
             there, elsewhere = np.sqrt(squares[outside].mean()), np.sqrt(squares[~outside].mean())
-            if squares[outside].sum() > LARGE * squares.sum() and there > np.sqrt(TIMES) * elsewhere:
+            times = there / max(elsewhere, 1e-300)
+            if squares[outside].sum() > LARGE * squares.sum() and times > np.sqrt(TIMES):
                 out.append(
-                    f"Held out, {joint} reaches {what} that no fitted recording has, in {outside.mean():.0%} of the samples: there "
-                    f"{there:.3g} N m are left, elsewhere {elsewhere:.3g}. What was fitted says little of that."
+                    f"Held out, {joint} reaches {what} that no fitted recording has, in {outside.mean():.0%} of the samples: "
+                    f"errors there are {times:.2g} times those elsewhere. What was fitted says little of that."
                 )
                 break
     return tuple(out)

@@ -32,9 +32,7 @@ from rx90b_flex.signals import Campaign
 MOST_EFFECTS = 24  # a loop that adds more than this explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
-WORSE_HELD_OUT = (
-    1.005  # error held out over the declared model's: less comes from joints that an addition does not touch
-)
+WORSE_HELD_OUT = 1.005  # the same held out, over the declared model's, where the joints' own errors fall on average
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
@@ -203,16 +201,13 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return TorqueModel(reweighted(self.data.regression, model.identified), self.data)
 
     def _near_tree(self, model: Identification) -> Identification:
-        """With links as near the tree's values as blocks of the log like it that are left out."""
+        """A model of free links, these as near the tree's values as blocks of the log like it that are left out."""
         if not model.links_fitted:
             return model
-        search = self.search(TorqueModel(model, self.data))
-        links, shared = model.regression.robot.link_parameters, search.shared
-        normal = shared.normal
-        if not model.links_near:  # not about the tree's values yet
-            normal = normal.about(np.pad(links, (0, len(shared.precision) - len(links))))
-        near, _ = chosen(normal, model.solution.sigma, shared.precision, links)
-        if near == model.links_near:
+        links, shared = model.regression.robot.link_parameters, self.search(TorqueModel(model, self.data)).shared
+        about_tree = shared.normal.about(np.pad(links, (0, len(shared.precision) - len(links))))
+        near = chosen(about_tree, model.solution.sigma, shared.precision, links)
+        if not near:
             return model
         other = identify(model.regression, model.effects, fit_links=True, start=model, links_near=near)
         return reweighted(self.data.regression, other)
@@ -382,9 +377,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
         known = self._beginning.errors.validation, standing.model.errors.validation
         declared, now = (e.relative_error for e in known)
-        each = np.log(np.maximum([e.torque_rms for e in known], 1e-300)).sum(
-            axis=1
-        )  # a small joint's name counts like a large one's
+        # a small joint's name is no matter of a large one's noise
+        each = np.log(np.maximum([e.torque_rms for e in known], 1e-300)).sum(axis=1)
         if now <= declared or (now <= WORSE_HELD_OUT * declared and each[1] < each[0]):
             return None
         lesser = [(standing.model, s.trial, self.without(standing.model, s.trial)) for s in standing.steps]

@@ -158,8 +158,7 @@ class Identification:
     @property
     def centre(self) -> Array:
         """What `precision` pulls to, (p + s,)."""
-        rest = len(self.theta) + len(self.shapes) - len(self._own_links)
-        return np.concatenate([self._own_links * (self.links_near > 0.0), np.zeros(rest)])
+        return _pulled_to(self._own_links, self.links_near, len(self.theta) + len(self.shapes))
 
     @property
     def information(self) -> Array:
@@ -546,8 +545,7 @@ class _Fit:
     @property
     def centre(self) -> Array:
         """What `precision` pulls to, (p,)."""
-        rest = sum(len(e.coefficients) for e in self.effects)
-        return np.concatenate([self._own_links * (self.links_near > 0.0), np.zeros(rest)])
+        return _pulled_to(self._own_links, self.links_near, len(self.prior))
 
     def smoothed(self) -> _Fit:
         """With strengths of penalties that were not chosen yet, each by what is predicted of blocks that are held out."""
@@ -785,4 +783,12 @@ def _with_links(effects: Sequence[Effect], links: Array, strength: float) -> Arr
     out = np.pad(prior_precision(effects), ((len(links), 0), (len(links), 0)))
     if strength:
         out[np.diag_indices(len(links))] = near_tree.precision(links, strength)
+    return out
+
+
+def _pulled_to(links: Array, strength: float, size: int) -> Array:
+    """What that precision pulls to, (size,): links with a strength to the tree's values, all else to zero."""
+    out = np.zeros(size)
+    if strength:
+        out[: len(links)] = links
     return out

@@ -42,8 +42,8 @@ def precision(links: Array, strength: float) -> Array:
     return np.asarray(strength * deviations(links) ** -2.0)
 
 
-def chosen(normal: NormalEquations, sigma: Array, before: Array, links: Array) -> tuple[float, float]:
-    """The least strength that predicts blocks which are left out as well as any, and its error over that of none.
+def chosen(normal: NormalEquations, sigma: Array, before: Array, links: Array) -> float:
+    """The least strength that predicts blocks which are left out as well as any.
 
     Parameters
     ----------
@@ -62,5 +62,4 @@ def chosen(normal: NormalEquations, sigma: Array, before: Array, links: Array) -
         whole[own] = precision(links, strength)
         left.append(squares_held_out(normal, none, sigma, whole, none))
     squares = np.array(left)
-    best = int(np.flatnonzero(squares <= AS_GOOD * squares.min())[0])
-    return float(STRENGTHS[best]), float(np.sqrt(squares[best] / squares[0]))
+    return float(STRENGTHS[np.flatnonzero(squares <= AS_GOOD * squares.min())[0]])
