@@ -41,7 +41,7 @@ def beyond_fitted(
             if squares[outside].sum() > LARGE * squares.sum() and times > np.sqrt(TIMES):
                 out.append(
                     f"Held out, {joint} reaches {what} that no fitted recording has, in {outside.mean():.0%} of the samples: "
-                    f"errors there are {times:.2g} times those elsewhere. What was fitted says little of that."
+                    f"errors there are {times:.0f} times those elsewhere. What was fitted says little of that."
                 )
                 break
     return tuple(out)
