@@ -9,14 +9,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.compiled.signals import dahl
-from rx90b_flex.effects.effect import Effect, JointEffect, JointForce
+from rx90b_flex.effects.along_angle import AlongAngle
+from rx90b_flex.effects.effect import Effect, JointEffect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law import Law
-from rx90b_flex.effects.law_effect import LawEffect, RememberingLaw, SumOfLaws
+from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
-from rx90b_flex.effects.parameters import FRICTION, choice, given, linear, shape
-from rx90b_flex.effects.presliding import PreslidingFriction
+from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
 from rx90b_flex.effects.reversal import (
     SHARP,
     DryFriction,
@@ -27,12 +26,11 @@ from rx90b_flex.effects.reversal import (
     turnover_range,
     turnover_shape,
 )
-from rx90b_flex.effects.stand_in import OfUsualShape, OtherForm
+from rx90b_flex.effects.stand_in import OfUsualShape, forms_of
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
 TINY = 1e-300  # rad/s, in place of standstill, where sign over speed counts for nothing
-SMALLEST = 1e-9  # rad, along which a sign turns over at once
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
 
 
@@ -221,7 +219,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         return out
 
     def basis(self, at: JointMotion) -> Array:
-        velocity, power, _ = self.known_shape()
+        velocity, power = self.known_shape()[:2]
         return (self.direction(at) * np.exp(-np.exp(power * (log_speed(at) - np.log(velocity)))))[:, None]
 
     @staticmethod
@@ -237,22 +235,19 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         out[2] = left * (slope - power * faded * (sign / np.maximum(size, TINY)))
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
-        return self.with_turnover(motion, self._own_starts(motion), independent=5)
-
-    def _own_starts(self, motion: Motion) -> Array:
-        """Starts of velocity and power, (M, 2)."""
         low, high = self.own_range(motion)[:, 0]
         velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
-        return np.array([[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)])
+        starts = [[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)]
+        return self.with_turnover(motion, np.array(starts), independent=5)
 
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         """By speed alone, and beside hysteresis along an angle."""
-        return [form(joint=j) for form in (StribeckFriction, _AlongAngle) for j in sites.joints]
+        return [form(joint=j) for form in forms_of(StribeckFriction) for j in sites.joints]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribeck_friction",)):
+class _StribeckAlongAngle(AlongAngle, StribeckFriction, replaces=("stribeck_friction",)):
     """Stribeck friction whose sign turns over along an angle and is kept at rest, as that of `presliding_friction` beside it.
 
     Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for control of systems with friction", IEEE
@@ -260,39 +255,6 @@ class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribe
     """
 
     form_of: ClassVar[type[Effect]] = StribeckFriction
-    stated_by: ClassVar[str] = "deflection"
-
-    turnover: float | None = None  # it has none
-    deflection: float | None = given("rad", lower=SMALLEST)
-
-    def beside(self, others: Sequence[Effect]) -> Effect | None:
-        smooth = (e for e in others if isinstance(e, PreslidingFriction) and e.deflection is not None)
-        return next((dataclasses.replace(self, deflection=e.deflection) for e in smooth), None)
-
-    def at(self, motion: Motion) -> JointMotion:
-        return JointForce.at(self, motion)
-
-    def law_shape(self, motion: Motion) -> Array:
-        return np.append(self.known_shape(), self._angle)
-
-    @property
-    def _angle(self) -> float:
-        return SMALLEST if self.deflection is None else self.deflection
-
-    def shape_range(self, motion: Motion) -> Array:
-        return self.own_range(motion)
-
-    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
-        return ShapeSearch(self._own_starts(motion), independent=5)
-
-    def basis(self, at: JointMotion) -> Array:
-        velocity, power = self.known_shape()
-        direction = dahl(at.q, self._angle) if at.follows else reversal(at.v, SHARP)
-        return (direction * np.exp(-np.exp(power * (log_speed(at) - np.log(velocity)))))[:, None]
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        zero = np.zeros((len(at.q), 1))
-        return zero, reversal_slope(at.v, SHARP)[:, None], zero
 
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
@@ -311,10 +273,10 @@ class _AlongAngle(OtherForm, RememberingLaw, StribeckFriction, replaces=("stribe
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OfUsualPowerAlongAngle(OfUsualShape, _AlongAngle):
+class _OfUsualPowerAlongAngle(OfUsualShape, _StribeckAlongAngle):
     """The same where a log does not tell how quickly it fades."""
 
-    in_files: ClassVar[type[Effect]] = _AlongAngle
+    in_files: ClassVar[type[Effect]] = _StribeckAlongAngle
 
 
 @dataclass(frozen=True, kw_only=True)

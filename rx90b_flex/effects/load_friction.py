@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.effects.along_angle import AlongAngle
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion
 from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
+from rx90b_flex.effects.stand_in import forms_of
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadFriction(LawEffect, DryFriction, needs_load=True):
     """Gear friction, ``coefficient * |load| * sign(v)``; the load is the torque that the links ask of the joint.
 
-    The load comes from the tree as it is known, so the column is linear in the coefficient alone.
+    The load comes from the tree as it is known, so the column is linear in the coefficient alone. With a ``deflection`` (rad; in
+    place of ``turnover``) its sign turns over along that angle and is kept at rest, as that of hysteresis beside it.
 
     Signature
     ---------
@@ -50,3 +56,28 @@ class LoadFriction(LawEffect, DryFriction, needs_load=True):
         out[1] = 0.0
         out[2] = size * (1.0 - sign * sign) / turnover
         out[3] = coefficient * np.sign(load) * sign
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        """By direction alone, and beside hysteresis along an angle."""
+        return [form(joint=j) for form in forms_of(LoadFriction) for j in sites.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LoadFrictionAlongAngle(AlongAngle, LoadFriction, replaces=("load_friction",)):
+    """Load friction whose sign turns over along an angle and is kept at rest, as that of hysteresis beside it."""
+
+    form_of: ClassVar[type[Effect]] = LoadFriction
+
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        coefficient, deflection, load = parameters[0], parameters[1], parameters[3]
+        before, part = parameters[4], parameters[5]
+        direction = np.sign(x - before)
+        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        size = coefficient * np.abs(load)
+        out[0] = size * part
+        out[1] = size / deflection * (1.0 - part * np.sign(rate))
+        out[2] = 0.0
+        out[3] = coefficient * np.sign(load) * part
+        out[4] = part

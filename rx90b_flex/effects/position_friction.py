@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.effects.hints import LeftOver, ShapeSearch
+from rx90b_flex.effects.along_angle import AlongAngle
+from rx90b_flex.effects.effect import Effect
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import derived, shape
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect
+from rx90b_flex.effects.stand_in import forms_of
 
 
 @dataclass(frozen=True, kw_only=True)
-class PositionFriction(PeriodicEffect, DryFriction, LawEffect, repeats=False):
+class PositionFriction(PeriodicEffect, LawEffect, DryFriction, repeats=False):
     """Dry friction that changes with the angle, ``amplitude * sin(order * q + phase) * sign(v)``, order cycles a joint turn.
+
+    With a ``deflection`` (rad; in place of ``turnover``) its sign turns over along that angle and is kept at rest, as that of
+    hysteresis beside it.
 
     Signature
     ---------
@@ -50,12 +57,16 @@ class PositionFriction(PeriodicEffect, DryFriction, LawEffect, repeats=False):
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """As of a ripple, for a residual that changes sign with the direction."""
-        if left is not None:
-            left = replace(left, residual=[(m, x * np.sign(m.joint(self.joint).v)) for m, x in left.residual])
-        found = PeriodicEffect.shape_search(self, motion, left)
+        found = self._orders(motion, left)
         low, high = turnover_range(motion.joint(self.joint))
         starts = np.concatenate([found.starts, np.full((len(found.starts), 1), np.sqrt(low * high))], axis=1)
         return replace(found, starts=starts, spread=np.r_[found.spread, 0.3 * self.sharpness])
+
+    def _orders(self, motion: Motion, left: LeftOver | None) -> ShapeSearch:
+        """How its order is searched for."""
+        if left is not None:
+            left = replace(left, residual=[(m, x * np.sign(m.joint(self.joint).v)) for m, x in left.residual])
+        return PeriodicEffect.shape_search(self, motion, left)
 
     def basis(self, at: JointMotion) -> Array:
         # as the law has it, without the slopes: a search over orders asks for it most
@@ -69,3 +80,31 @@ class PositionFriction(PeriodicEffect, DryFriction, LawEffect, repeats=False):
         out[0] = (sine * s + cosine * c) * sign
         out[1] = order * (sine * c - cosine * s) * sign
         out[2] = (sine * s + cosine * c) * (1.0 - sign * sign) / turnover
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        """By direction alone, and beside hysteresis along an angle."""
+        return [form(joint=j) for form in forms_of(PositionFriction) for j in sites.joints]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PositionFrictionAlongAngle(AlongAngle, PositionFriction, replaces=("position_friction",), repeats=False):
+    """Position friction whose sign turns over along an angle and is kept at rest, as that of hysteresis beside it."""
+
+    form_of: ClassVar[type[Effect]] = PositionFriction
+
+    def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
+        return self._orders(motion, left)
+
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        sine, cosine, order, deflection = parameters[0], parameters[1], parameters[2], parameters[3]
+        before, part = parameters[6], parameters[7]
+        direction = np.sign(x - before)
+        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        s, c = np.sin(order * x), np.cos(order * x)
+        size = sine * s + cosine * c
+        out[0] = size * part
+        out[1] = order * (sine * c - cosine * s) * part + size / deflection * (1.0 - part * np.sign(rate))
+        out[2] = 0.0
+        out[4] = part

@@ -45,10 +45,19 @@ class OtherForm(Effect):
         """As it is beside other effects in its place, where a search tries it; None: it is not."""
 
 
+def forms_of(kind: type[Effect]) -> list[type[Effect]]:
+    """An effect type and its other forms."""
+    known, found = [OtherForm], [kind]
+    while known:
+        known += (form := known.pop()).__subclasses__()
+        if form.__dict__.get("form_of") is kind:
+            found.append(form)
+    return found
+
+
 def form_stated(kind: type[Effect], names: Container[str]) -> type[Effect]:
     """The form of an effect type that a table with these keys states."""
-    forms = (f for f in OtherForm.__subclasses__() if f.form_of is kind and f.stated_by in names)
-    return next(forms, kind)
+    return next((f for f in forms_of(kind)[1:] if f.stated_by in names), kind)  # type: ignore[attr-defined]
 
 
 def as_beside(effect: Effect, others: Sequence[Effect]) -> Effect | None:
