@@ -57,6 +57,7 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
     """Something periodic in the joint angle, ``amplitude * sin(order * q + phase)``, order cycles a joint turn."""
 
     PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins
+    SHOWN: ClassVar[float] = 1.0  # periods that a joint's travel shows at the least
     HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
@@ -80,7 +81,7 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
         """A sine of which a joint shows less than a period may be any curve over its angle."""
         shown = self.shape[0] * self._range(motion) / (2.0 * np.pi)
         curve = f"the joint's range shows {shown:.2g} of a period, which any curve may have"
-        return super().too_small(part, sample_s, motion) or (curve if shown < 1.0 else "")
+        return super().too_small(part, sample_s, motion) or (curve if shown < self.SHOWN else "")
 
     def weights(self, at: JointMotion) -> tuple[Array, ...]:
         """How its torque may grow and shrink along a motion, each (N,): the weights of the spectra that a search looks at."""
