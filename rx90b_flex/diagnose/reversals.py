@@ -5,9 +5,8 @@ that turns at once look much alike, and their torques differ by the whole step. 
 at the velocity of the fit and at that of positions which keep another octave, on the samples and half a sample beside them,
 for a step between two samples has an instant of its own. Hysteresis, which goes by angles, is asked for along both angles, and
 along those that a counter may have rounded where a joint stands: no mean makes that smaller, and all rows of a rest share it. What
-they differ by behind the low-pass is a standard deviation that a row has beside its noise. Where a joint comes to rest or leaves it,
-the filter rounds its velocity in the same way each time, and noise makes friction smaller in the mean: such rows err alike, and all
-of a joint tell as much as one. It depends on motion and present model, not on what is tried beside it.
+they differ by behind the low-pass is a standard deviation that a row has beside its noise. It depends on motion and present
+model, not on what is tried beside it.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array, Mask, with_forces
+from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import STANDING_S, Regression, Segment
 from rx90b_flex.pieces import AT_ONCE
@@ -43,37 +42,25 @@ def row_weights(regression: Regression, model: Identification) -> Array:
     steep = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
     seen = motors.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.segments, motors.segments, strict=True)
-    by_velocity, by_angle = (np.concatenate(x) for x in zip(*(_doubt(s, first, steep) for s, first in pairs), strict=True))
-    beside_rests = np.concatenate([_beside_rests(s) for s in motors.segments])
-    alike = np.where(beside_rests, np.sqrt(beside_rests.sum(axis=0)), 1.0)
-    doubt = np.hypot(by_velocity * alike, by_angle)[:, motors.rows]
+    doubt = np.concatenate([_doubt(s, first, steep) for s, first in pairs])[:, motors.rows]
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
-def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> tuple[Array, Array]:
-    """What the torque may be off for want of velocities and of angles; after the low-pass, each (N, n), N m.
+def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
+    """What the torque may be off for want of the motion; after the low-pass, (N, n), N m.
 
     `measured` is the same segment whatever the model, with another guess at angle and velocity.
     """
-    along = np.zeros((len(segment), segment.motion.q.shape[1]))
     if segment.cutoff_hz is None:
-        return along, along
+        return np.zeros((len(segment), segment.motion.q.shape[1]))
     by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
     pairs = zip(segment.split(), measured.split(), strict=True)
     envelope = np.concatenate([_envelope(part, first, steep) for part, first in pairs])
     if by_angle:
-        along = _along_angles(segment, measured.wider[0], by_angle)
+        envelope = np.hypot(envelope, _along_angles(segment, measured.wider[0], by_angle))
         if len(segment.motion) > AT_ONCE:
             del measured.__dict__["wider"]
-    return envelope, along
-
-
-def _beside_rests(segment: Segment) -> Mask:
-    """Where a joint is about to stand still or has just stood, at the fit's samples, (N, n)."""
-    still = segment.motion.v == 0.0
-    window = 1 + 2 * round(STANDING_S * segment.rate_hz * segment.factor)
-    near = ndimage.maximum_filter1d(still.astype(np.uint8), window, axis=0, mode="nearest") > 0
-    return np.asarray((near & ~still)[:: segment.factor][segment.kept])
+    return np.asarray(envelope)
 
 
 def _envelope(segment: Segment, measured: Segment, steep: list[Effect]) -> Array:

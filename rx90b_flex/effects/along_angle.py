@@ -61,7 +61,7 @@ class AlongAngle(OtherForm, RememberingLaw, DryFriction):
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
         """As of the form that turns over within a velocity, at once."""
         sharp = {f.name: getattr(self, f.name) for f in dataclasses.fields(self.form_of)} | {"turnover": SHARP}
-        return self.form_of(**sharp).slopes(at)  # type: ignore[attr-defined, no-any-return]
+        return self.form_of(**sharp).slopes(at)  # type: ignore[attr-defined]
 
 
 def _deflection(effect: Effect) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -17,12 +16,9 @@ from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
 from rx90b_flex.effects.reversal import (
-    SHARP,
     DryFriction,
     Resolution,
     log_speed,
-    reversal,
-    reversal_slope,
     turnover_range,
     turnover_shape,
 )

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from abc import abstractmethod
 from collections.abc import Container, Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.motion import Motion
 from rx90b_flex.effects.parameters import Parameter
+
+E = TypeVar("E", bound=Effect)
 
 
 class StandIn(Effect):
@@ -45,9 +47,10 @@ class OtherForm(Effect):
         """As it is beside other effects in its place, where a search tries it; None: it is not."""
 
 
-def forms_of(kind: type[Effect]) -> list[type[Effect]]:
+def forms_of(kind: type[E]) -> list[type[E]]:
     """An effect type and its other forms."""
-    known, found = [OtherForm], [kind]
+    found = [kind]
+    known: list[Any] = [OtherForm]
     while known:
         known += (form := known.pop()).__subclasses__()
         if form.__dict__.get("form_of") is kind:

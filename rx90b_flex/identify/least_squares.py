@@ -729,6 +729,7 @@ class _Fit:
             solution.sigma,
             counted,
             spans,
+            lambda: regression.alike,
             longest,
             with_covariance,
             derivatives,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +18,7 @@ from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.columns import beyond_digits
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
 from rx90b_flex.identify.first_looks import FirstLooks
+from rx90b_flex.identify.many_columns import Unfiltered, at_once, through
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import (
@@ -48,7 +49,6 @@ LOOKED_AT = 30_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 PIECES = 4  # of a recording in an excerpt
-FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
 FEWEST_KEPT, KEPT_BYTES = 16, 4e7  # of a long log fewer: so many, or what takes so much
@@ -123,6 +123,14 @@ class Segment:
     def half_a_sample_off(self) -> tuple[Array, Array]:
         """The velocity of `wider` half a working sample before and after, each (N_working, joints); rad/s."""
         return filters.half_a_sample_off(self.wider[1])
+
+    @property
+    def beside_rests(self) -> Mask:
+        """Where a joint is about to stand still or has just stood, at the fit's samples, (N, joints) in tree order."""
+        still = self.motion.v == 0.0
+        window = 1 + 2 * round(STANDING_S * self.rate_hz * self.factor)
+        near = maximum_filter1d(still.astype(np.uint8), window, axis=0, mode="nearest") > 0
+        return np.asarray((near & ~still)[:: self.factor][self.kept])
 
     def sticking(self, held: Sequence[Held]) -> Segment:
         """The same, with friction held in no other sticks (`Motion.sticking`)."""
@@ -450,6 +458,19 @@ class Regression:
         row_weights = np.ones((len(self), len(self.joints))) if self.row_weights is None else self.row_weights
         return np.hstack([row_weights, np.concatenate(there)])
 
+    @property
+    def alike(self) -> Array:
+        """Variance that rows have in common over that of the noise, each (N, rows) times the number of those it is common to.
+
+        Where a joint comes to rest or leaves it, the filter rounds its velocity in the same way each time, and noise makes its
+        friction smaller in the mean: what such rows are off beside their noise (`row_weights`) is alike, whatever their number.
+        """
+        out = np.zeros((len(self), len(self.rows)))
+        if self.row_weights is not None:
+            beside = np.concatenate([s.beside_rests for s in self.segments])[:, self.rows[: len(self.joints)]]
+            out[:, : len(self.joints)] = beside * beside.sum(axis=0) * (1.0 - self.row_weights**2)
+        return out
+
     @cached_property
     def share(self) -> Array:
         """Part of each row's samples that is left, shape (rows,)."""
@@ -585,18 +606,18 @@ class Regression:
 
     def _made_each(self, effects: Sequence[Effect]) -> list[tuple[Indices, Array]]:
         """As `_made`, for each by itself."""
-        parts = [_through(s, (self._unfiltered(s, e) for e in effects)) for s in self.segments]
+        parts = [through(s, (self._unfiltered(s, e) for e in effects)) for s in self.segments]
         return [self._over_segments(of_one) for of_one in zip(*parts, strict=True)]
 
-    def _unfiltered(self, segment: Segment, effect: Effect) -> _Unfiltered:
+    def _unfiltered(self, segment: Segment, effect: Effect) -> Unfiltered:
         factors = effect.factors(segment.motion)
         if factors is None:
             columns = self.seen(effect, effect.columns(segment.motion))
             touched = np.flatnonzero(columns.any(axis=(0, 2)))
-            return _Unfiltered(touched, None, columns[:, touched])
+            return Unfiltered(touched, None, columns[:, touched])
         weight = self.seen(effect, factors[0][None, :, None])[0, :, 0]
         touched = np.flatnonzero(weight)
-        return _Unfiltered(touched, weight[touched], factors[1])
+        return Unfiltered(touched, weight[touched], factors[1])
 
     def _made(self, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
         return self._over_segments([self._factored(s, effects, leading) for s in self.segments])
@@ -644,7 +665,7 @@ class Regression:
         known[key] = found
 
     def _factored(self, segment: Segment, effects: Sequence[Effect], leading: bool) -> tuple[Indices, Array]:
-        many = _together(segment, len(effects[0].coefficients))
+        many = at_once(segment, len(effects[0].coefficients))
         if many < len(effects) and len(segment.motion) > AT_ONCE:
             some = (effects[i : i + many] for i in range(0, len(effects), many))
             return _beside([self._factored(segment, e, leading) for e in some])
@@ -740,49 +761,6 @@ class Regression:
             edges = np.linspace(span.start, span.stop, parts + 1).astype(int)
             out += [slice(int(a), int(b)) for a, b in pairwise(edges)]
         return tuple(out)
-
-
-@dataclass(frozen=True, eq=False)
-class _Unfiltered:
-    """Columns at the working rate: in each of `rows` the basis (N_working, k) times its weight, or (N_working, rows, k) as it is."""
-
-    rows: Indices
-    weight: Array | None
-    basis: Array
-
-    @property
-    def width(self) -> int:
-        """Columns that go through a filter."""
-        return self.basis.size // len(self.basis)
-
-
-def _together(segment: Segment, width: int) -> int:
-    """How many times so many columns memory bears at once behind the low-pass of a segment."""
-    return max(1, int(FILTERED_BYTES / (8 * len(segment.motion) * width)))
-
-
-def _through(segment: Segment, columns: Iterable[_Unfiltered]) -> list[tuple[Indices, Array]]:
-    """Columns behind the low-pass at the fit's samples, many together, as many as memory bears: joints, and (N, rows, k) each."""
-    most = _together(segment, 1)
-    out: list[tuple[Indices, Array]] = []
-    group: list[_Unfiltered] = []
-    for c in columns:
-        if group and sum(x.width for x in group) + c.width > most:
-            out += _brought_together(segment, group)
-            group = []
-        group.append(c)
-    return [*out, *_brought_together(segment, group)] if group else out
-
-
-def _brought_together(segment: Segment, group: Sequence[_Unfiltered]) -> Iterator[tuple[Indices, Array]]:
-    together = segment.brought(np.concatenate([c.basis.reshape(len(c.basis), -1) for c in group], axis=1))
-    ends = np.cumsum([c.width for c in group])
-    for c, end in zip(group, ends, strict=True):
-        x = together[:, end - c.width : end]
-        if c.weight is None:
-            yield c.rows, x.reshape(len(x), len(c.rows), c.basis.shape[2])
-        else:
-            yield c.rows, c.weight[None, :, None] * x[:, None, :]
 
 
 def _beside(parts: Sequence[tuple[Indices, Array]]) -> tuple[Indices, Array]:

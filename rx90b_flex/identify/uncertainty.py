@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,6 +34,8 @@ class Uncertainty:
         Torque left over, each row over the root of the part of its samples that counts.
     spans : tuple of slice
         Samples of each segment.
+    alike : callable
+        `Regression.alike`, (N, rows), where a covariance is wanted.
     longest : int
         Longest correlation to allow for, samples.
     known : bool
@@ -51,6 +53,7 @@ class Uncertainty:
     sigma: Array
     residual: Array
     spans: tuple[slice, ...]
+    alike: Callable[[], Array]
     longest: int
     known: bool
     held: ColumnsByJoint
@@ -71,7 +74,9 @@ class Uncertainty:
         """Of theta and the shape parameters, (p + s, p + s)."""
         out = np.zeros((self.size, self.size))
         if self.known:
-            own = coloured_covariance(self.estimated, self.precision, self.sigma, self.spectra, self.spans)
+            own = coloured_covariance(
+                self.estimated, self.precision, self.sigma, self.spectra, self.spans, self.alike()
+            )
             out[np.ix_(self.free, self.free)] = own
             out += self._of_held
         return out
@@ -104,18 +109,27 @@ def absorbed_each(
 
 
 def coloured_covariance(
-    columns: ColumnsByJoint, precision: Array, sigma: Array, spectra: Sequence[Spectrum], spans: Sequence[slice]
+    columns: ColumnsByJoint,
+    precision: Array,
+    sigma: Array,
+    spectra: Sequence[Spectrum],
+    spans: Sequence[slice],
+    alike: Array | None = None,
 ) -> Array:
     """Covariance of weighted least-squares estimates of columns under coloured noise: (A + P)^-1 (S + P) (A + P)^-1.
 
-    A is the weighted Gram matrix, S the covariance of the weighted score, P the precision (p, p) before the data: with it the bias of
+    A is the weighted Gram matrix, S the covariance of the weighted score, in which errors that many rows have in common, `alike`
+    (N, rows), count as if all their parts had one sign; P the precision (p, p) before the data: with it the bias of
     penalised coefficients counts (D. Nychka, Journal of the American Statistical Association 83, 1988). Undetermined directions count
     as zero.
     """
     weight, count = sigma**-2.0, len(precision)
     _, inverse, _, _ = solve_weighted(columns.gram(weight, count) + precision, np.zeros(count), np.zeros(count))
     score = np.array(precision)
-    for w, at, x, spectrum in zip(weight, columns.places, columns.columns, spectra, strict=True):
+    common = np.zeros((len(weight), 1)) if alike is None else alike.T
+    for w, at, x, spectrum, off in zip(weight, columns.places, columns.columns, spectra, common, strict=True):
+        if off.any():
+            score[np.ix_(at, at)] += w * (x.T * off) @ x
         for span in spans:
             score[np.ix_(at, at)] += w**2 * spectrum.product(x[span])
     return widening(spectra) * inverse @ score @ inverse
