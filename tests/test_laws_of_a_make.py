@@ -1,5 +1,6 @@
 """One law on all joints, in a form that the catalogue does not have, found and named on short logs that rest between moves."""
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -83,32 +84,106 @@ def test_friction_that_fades_with_speed_behind_hysteresis_is_found_on_all_joints
     assert result.explainable.share > 0.8
 
 
-def test_stribeck_friction_along_an_angle_is_that_of_bristles():
+@pytest.mark.parametrize(
+    ("kind", "values", "size"),
+    [
+        (
+            "stribeck_friction",
+            {"torque": 7.0, "velocity": 0.05, "power": 1.0},
+            lambda m, load: 7.0 * np.exp(-np.abs(m.v[:, 0]) / 0.05),
+        ),
+        ("load_friction", {"coefficient": 0.2}, lambda m, load: 0.2 * np.abs(load)),
+        (
+            "position_friction",
+            {"order": 3.0, "amplitude": 2.0, "phase": 0.4},
+            lambda m, load: 2.0 * np.sin(3.0 * m.q[:, 0] + 0.4),
+        ),
+    ],
+)
+def test_friction_along_an_angle_is_that_of_bristles(kind, values, size):
     """Columns, and the law a simulation steps, against bristles stepped here; at rest they hold."""
-    m = moves(np.random.default_rng(3), 1)
-    values = {"torque": 7.0, "velocity": 0.05, "power": 1.0, "deflection": 4e-4}
-    effect = effect_from_table(
-        {"type": "stribeck_friction", "joint": "shoulder_pan_joint"} | values, "", ["shoulder_pan_joint"]
-    )
-    assert effect_to_table(effect) == {"type": "stribeck_friction", "joint": "shoulder_pan_joint"} | values
-    expected, part = np.zeros(len(m.q)), 0.0
+    m = moves(np.random.default_rng(3), 6)
+    arm = ur10()
+    deflection = {"deflection": 4e-4}
+    table = {"type": kind, "joint": "shoulder_lift_joint"} | values | deflection
+    effect = effect_from_table(table, "", list(arm.joints))
+    assert effect_to_table(effect) == table
+    own = Motion(m.time, m.q[:, [1]], m.v[:, [1]], m.a[:, [1]])
+    expected, part = size(own, arm.torque(m)[:, 1]), np.zeros(len(m.q))
     for k in range(1, len(m.q)):
-        step = m.q[k, 0] - m.q[k - 1, 0]
-        part = np.sign(step) - (np.sign(step) - part) * np.exp(-abs(step) / values["deflection"])
-        expected[k] = values["torque"] * np.exp(-abs(m.v[k, 0]) / values["velocity"]) * part
-    moving = rf.load_robot("example-robot-data:ur10").motion(
-        *(np.pad(x, ((0, 0), (0, 5))) for x in (m.q, m.v, m.a)), m.time
-    )
+        step = own.q[k, 0] - own.q[k - 1, 0]
+        part[k] = np.sign(step) - (np.sign(step) - part[k - 1]) * np.exp(-abs(step) / deflection["deflection"])
+    expected = expected * part
+    moving = rf.load_robot("example-robot-data:ur10").motion(m.q, m.v, m.a, m.time)
     later = slice(round(0.7 * MOVE_S * RATE_HZ), None)  # whatever the bristles were before the first move
-    assert effect.force(moving)[later, 0] == pytest.approx(expected[later], abs=1e-9)
+    assert effect.force(moving)[later, 1] == pytest.approx(expected[later], abs=1e-9)
     memory, stepped = effect.memory(moving.part(slice(0, 1))), []
     for k in range(len(m.q)):
         at = moving.part(slice(k, k + 1))
-        stepped.append(effect.remembered(memory, at)[0][0, 0])
+        stepped.append(effect.remembered(memory, at)[0][0, 1])
         memory = effect.onward(memory, at)
     assert stepped[later] == pytest.approx(expected[later], abs=1e-9)
-    still = np.flatnonzero(m.v[:, 0] == 0.0)[50:]
-    assert (np.abs(expected[still]) > 0.5 * values["torque"]).mean() > 0.9
+    still = np.flatnonzero(own.v[:, 0] == 0.0)[50:]
+    assert (np.abs(part[still]) > 0.5).mean() > 0.9
+
+
+def elements(m: Motion) -> Array:
+    """Direction of friction that is half one element in series with a spring and half another (W. D. Iwan, 1966)."""
+    out = np.zeros_like(m.q)
+    for deflection in (3e-4, 2e-3):
+        part = np.zeros(m.q.shape[1])
+        for k in range(1, len(m.q)):
+            part = np.clip(part + (m.q[k] - m.q[k - 1]) / deflection, -1.0, 1.0)
+            out[k] += 0.5 * part
+    return out
+
+
+def by_load(m: Motion, load: Array) -> Array:
+    return (COULOMB + np.outer(np.abs(load[:, 1]), np.eye(6)[1]) * 0.15) * elements(m) + VISCOUS * m.v
+
+
+def by_angle(m: Motion, load: Array) -> Array:
+    """Three cycles a turn, of which the elbow shows half a one and more."""
+    grown = 0.35 * np.sin(3.0 * m.q[:, 2] + 0.5)
+    return COULOMB * (1.0 + np.outer(grown, np.eye(6)[2])) * elements(m) + VISCOUS * m.v
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("law", "joint", "name"), [(by_load, 1, "load_friction"), (by_angle, 2, "position_friction")], ids=["load", "angle"]
+)
+def test_friction_that_load_or_angle_changes_is_found_beside_hysteresis(tmp_path, law, joint, name, seed):
+    arm = ur10()
+    result = rf.close_loop(campaign(tmp_path, arm, law, seed))
+    named = {(e.effect.joints[0], e.effect.type_name()) for e in result.effects if e.effect.joints}
+    assert (arm.joints[joint], name) in named
+    hysteresis = {"presliding_friction", "maxwell_slip_friction"}
+    assert {kind for _, kind in named} <= {name} | hysteresis
+    assert result.explainable.share > 0.8
+
+
+@pytest.mark.slow
+def test_turn_overs_that_only_the_ends_of_rests_tell_are_known_no_better_than_filters_let(tmp_path):
+    """Friction turns over within 1 mrad/s, which a joint passes in three samples as it comes to rest."""
+    arm, off = ur10(), []
+    declared = [{"type": t, "joint": j} for j in arm.joints for t in ("coulomb_friction", "viscous_friction")]
+    for seed in range(4):
+        rng, runs = np.random.default_rng([23, seed]), []
+        for role in ("identification", "identification", "validation"):
+            m = moves(rng, len(arm.joints))
+            law = [lambda m, load: COULOMB * np.tanh(m.v / 1e-3) + VISCOUS * m.v]
+            logged = run(arm, role, m, law, white(rng, len(m.time), 0.3 * NOISE))
+            noisy = dataclasses.replace(m, q=m.q + rng.normal(size=m.q.shape) * 2e-6)
+            runs.append(dataclasses.replace(logged, motion=noisy))
+        (tmp_path / str(seed)).mkdir()
+        model = rf.close_loop(write_files(tmp_path / str(seed), arm, declared, runs, cutoff_hz=20.0)).model
+        for i, effect in enumerate(model.effects):
+            if effect.type_name() == "coulomb_friction":
+                (found,) = (e for e in model.estimates(i) if e.name == "turnover")
+                off.append((found.value - 1e-3) / found.std)
+    assert len(off) == 4 * len(arm.joints)
+    assert (np.abs(off) < 1.96).mean() > 0.85  # 20 of 24 or fewer come up in 3 of 100 such counts
 
 
 @pytest.mark.parametrize("tried", [2, 6, 12])
