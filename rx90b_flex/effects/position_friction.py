@@ -42,7 +42,7 @@ class PositionFriction(PeriodicEffect, LawEffect, DryFriction, repeats=False):
     """
 
     PEAKS: ClassVar[int] = 4
-    SHOWN: ClassVar[float] = 0.5  # no other law changes sign with the direction and along the angle
+    SHOWN: ClassVar[float] = 0.25  # no other law changes sign with the direction and along the angle
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=PeriodicEffect.HIGHEST_ORDER)
     amplitude: float | None = derived("N m", lower=0.0)
@@ -50,7 +50,7 @@ class PositionFriction(PeriodicEffect, LawEffect, DryFriction, repeats=False):
     turnover: float | None = turnover_shape()
 
     def own_range(self, motion: Motion) -> Array:
-        """From half a cycle over the joint's travel: what changes less along it the other dry friction has as well."""
+        """From a quarter of a cycle over the joint's travel: what changes less along it the other dry friction has as well."""
         out = super().own_range(motion)
         out[0, 0] = max(out[0, 0], 2.0 * np.pi * self.SHOWN / max(self._range(motion), 1e-2))
         out[1, 0] = max(out[1, 0], 2.0 * out[0, 0])
