@@ -141,6 +141,10 @@ class Residual(ABC, Generic[ModelT, TrialT]):
     def worth(self, model: ModelT, trial: TrialT) -> TrialT:
         """The trial of adding what a model holds to the same model without it."""
 
+    def once_fitted(self, half: ModelT, first: TrialT) -> TrialT:
+        """A trial that was not sure alone, in the model that was fitted with it."""
+        return self.worth(half, first)
+
     @abstractmethod
     def needless(self, standing: Standing[ModelT, TrialT], latest: int) -> Addition[TrialT] | None:
         """An addition that the model can do without, after the latest so many; None where there is none."""
@@ -206,7 +210,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             trials = self.residual.trials(standing.model, some, partial(self._tell_part, number, done))
             more = self._one_more(standing, trials)
             if more is None and some.in_pairs:
-                more = self._two_together(standing, trials, some)
+                more = self._once_fitted(standing, trials, some)
             if more is not None:
                 return more
             refused += trials if some.told else []
@@ -247,14 +251,20 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             trials[place] = self.residual.fallen(found, "without what it makes needless the model is no better")
         return None
 
-    def _two_together(
+    def _once_fitted(
         self, standing: Standing[ModelT, TrialT], trials: Sequence[TrialT], some: Candidates
     ) -> Standing[ModelT, TrialT] | None:
-        """Two additions of which none is sure alone, each in the other's residual; None where no two are sure together."""
+        """An addition that blocks agree on once everything is fitted with it, or two of which none is sure alone, each in the
+        other's residual; None where there is none.
+        """
         residual = self.residual
         for first in residual.hopeful(trials):
             self.tell(f"trying what goes with {first.label}", _done(standing))
             half = residual.joined(standing.model, first)
+            fitted = residual.once_fitted(half, first)
+            more = self._one_more(standing, [fitted]) if fitted.accepted else None
+            if more is not None:
+                return more
             beside = residual.trials(half, dataclasses.replace(some, alone=True), lambda part: None)
             second = residual.companion(half, first, beside)
             if second is None:

@@ -281,6 +281,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """Where a lawful effect explains much, what keeps it from being sure is no noise."""
         return [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
 
+    def once_fitted(self, half: TorqueModel, first: TorqueTrial) -> TorqueTrial:
+        fitted = self.worth(half, first)
+        return dataclasses.replace(fitted, p_value=max(fitted.p_value, first.p_value))
+
     def companion(self, half: TorqueModel, first: TorqueTrial, beside: Sequence[TorqueTrial]) -> TorqueTrial | None:
         second = choose(self._new(beside))
         # as many pairs might have been tried as there are trials
