@@ -253,6 +253,30 @@ def test_a_log_holds_the_torque_that_the_effect_makes_of_the_motion(kind):
         assert np.abs(expected - plain(m.drives)).max() > 20 * TOLERANCE  # the effect shows
 
 
+@pytest.mark.parametrize(
+    ("kind", "values", "size"),
+    [
+        ("load_friction", {"coefficient": 0.1}, lambda m: 0.1 * np.abs(arm().torque(m.drives)[:, ELBOW])),
+        (
+            "position_friction",
+            {"order": 5.0, "amplitude": 0.5, "phase": 0.3},
+            lambda m: 0.5 * np.sin(5.0 * m.drives.q[:, ELBOW] + 0.3),
+        ),
+        (
+            "stribeck_friction",
+            {"torque": 0.9, "velocity": 0.8, "power": 2.0},
+            lambda m: 0.9 * np.exp(-((m.drives.v[:, ELBOW] / 0.8) ** 2)),
+        ),
+    ],
+)
+def test_friction_along_an_angle_turns_over_in_a_simulation_as_its_law_says(kind, values, size, tmp_path):
+    effect = {"type": kind, "joint": "elbow", "deflection": 0.06, **values}
+    m = Moved.of(run_of(robot_with(tmp_path, effect)))
+    friction = elbow(size(m) * dahl(m, 1.0, 1.0 / 0.06))
+    assert np.abs(m.torque - plain(m.drives) - friction)[m.inside].max() < TOLERANCE
+    assert np.abs(friction).max() > 20 * TOLERANCE
+
+
 @pytest.mark.parametrize("kind", [k for k, cls in catalogue().items() if cls.traits.virtual or k in NEEDS_TORSION])
 def test_coordinates_without_a_motor_stay_without_a_force(kind):
     m = moved(kind)
