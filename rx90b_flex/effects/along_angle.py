@@ -68,6 +68,6 @@ def _deflection(effect: Effect) -> float | None:
     """Of hysteresis, rad."""
     if isinstance(effect, PreslidingFriction):
         return effect.deflection
-    if isinstance(effect, MaxwellSlipFriction) and effect.torques is not None and sum(effect.torques) > 0.0:
-        return float(np.average(effect.shape, weights=effect.coefficients))
+    if isinstance(effect, MaxwellSlipFriction) and effect.torques is not None and max(effect.torques) > 0.0:
+        return float(np.average(effect.shape, weights=np.maximum(effect.coefficients, 0.0)))  # a fit on its way may have others
     return None
