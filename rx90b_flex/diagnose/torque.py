@@ -237,8 +237,11 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return new, trial
 
     def unsure(self, model: TorqueModel, trial: TorqueTrial) -> str:
-        certain = any(_certain(model.identified, find(model, e)) for e in trial.effects)
-        return "" if certain else "with everything fitted again none of its values is certain"
+        found = [find(model, e) for e in trial.effects]
+        if not any(_certain(model.identified, e) for e in found):
+            return "with everything fitted again none of its values is certain"
+        unknown = [_unknown(model.identified, e) for e in found]
+        return f"this log does not tell its {unknown[0]}" if all(unknown) else ""
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
@@ -506,6 +509,17 @@ def _certain(model: Identification, effect: Effect) -> bool:
     values = [e for e in model.estimates(model.effects.index(effect)) if e.name not in held]
     known = [(e.value, e.std) for e in values if e.value is not None and e.std is not None]
     return not known or any(abs(value) > CERTAIN * std for value, std in known)
+
+
+def _unknown(model: Identification, effect: Effect) -> str:
+    """The value without which an effect's name means nothing, and which is less than its standard deviation; empty: none."""
+    telling = {name for name, p in effect.shape_parameters.items() if p.telling}
+    if not telling:
+        return ""
+    values = {e.name: e for e in model.estimates(model.effects.index(effect)) if e.name in telling}
+    return next(
+        (n for n, e in values.items() if e.value is not None and e.std is not None and abs(e.value) < e.std), ""
+    )
 
 
 def find(model: TorqueModel, like: Effect) -> Effect:

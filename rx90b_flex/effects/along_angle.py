@@ -69,5 +69,7 @@ def _deflection(effect: Effect) -> float | None:
     if isinstance(effect, PreslidingFriction):
         return effect.deflection
     if isinstance(effect, MaxwellSlipFriction) and effect.torques is not None and max(effect.torques) > 0.0:
-        return float(np.average(effect.shape, weights=np.maximum(effect.coefficients, 0.0)))  # a fit on its way may have others
+        return float(
+            np.average(effect.shape, weights=np.maximum(effect.coefficients, 0.0))
+        )  # a fit on its way may have others
     return None

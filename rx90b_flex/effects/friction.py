@@ -203,7 +203,7 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
     """
 
     torque: float | None = linear("N m", lower=0.0, rank=FRICTION)
-    velocity: float | None = shape("rad/s", start=0.1, lower=1e-9, upper=1e3)
+    velocity: float | None = shape("rad/s", start=0.1, lower=1e-9, upper=1e3, telling=True)
     power: float | None = shape("-", start=1.0, lower=0.3, upper=3.0, usual=True)
     turnover: float | None = turnover_shape()
 

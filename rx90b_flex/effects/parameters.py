@@ -49,6 +49,8 @@ class Parameter:
         Whether a fit leaves it at its value, of which no more is known than what is usual.
     shared : bool
         Whether all effects of a joint have one value of that name; `start` where it is not known.
+    telling : bool
+        Whether the name means nothing where no more than its size's order is known.
     """
 
     unit: str
@@ -62,6 +64,7 @@ class Parameter:
     usual: bool = False
     held: bool = False
     shared: bool = False
+    telling: bool = False
 
 
 def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER, public: str = "") -> Any:
@@ -71,10 +74,18 @@ def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHE
 
 
 def shape(
-    unit: str, *, start: float, lower: float, upper: float, size: int = 1, usual: bool = False, shared: bool = False
+    unit: str,
+    *,
+    start: float,
+    lower: float,
+    upper: float,
+    size: int = 1,
+    usual: bool = False,
+    shared: bool = False,
+    telling: bool = False,
 ) -> Any:
     """Field of an effect: a parameter that gives the force its shape."""
-    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual, shared=shared)
+    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual, shared=shared, telling=telling)
     return dataclasses.field(default=None, metadata={"parameter": parameter})
 
 
