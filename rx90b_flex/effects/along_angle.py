@@ -13,10 +13,8 @@ from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.effects.effect import Effect, JointForce
 from rx90b_flex.effects.hints import ShapeSearch
 from rx90b_flex.effects.law_effect import RememberingLaw
-from rx90b_flex.effects.maxwell_slip import MaxwellSlipFriction
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import given
-from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.reversal import SHARP, DryFriction, reversal
 from rx90b_flex.effects.stand_in import OtherForm
 
@@ -27,8 +25,7 @@ SMALLEST = 1e-9  # rad, along which a sign turns over at once
 class AlongAngle(OtherForm, RememberingLaw, DryFriction):
     """A dry friction in the form whose sign is that of `presliding_friction` with a ``deflection`` (rad).
 
-    It stands beside hysteresis and takes its deflection: of several elements the mean by their torques, which is that of a smooth
-    one with the same area. Laws remember the sign: `dahl` from one step to the next.
+    It stands beside hysteresis, along whose angle it turns over. Laws remember the sign: `dahl` from one step to the next.
     """
 
     stated_by: ClassVar[str] = "deflection"
@@ -37,7 +34,8 @@ class AlongAngle(OtherForm, RememberingLaw, DryFriction):
     deflection: float | None = given("rad", lower=SMALLEST)
 
     def beside(self, others: Sequence[Effect]) -> Effect | None:
-        return next((dataclasses.replace(self, deflection=d) for d in map(_deflection, others) if d is not None), None)
+        known = (e.turns_along for e in others if isinstance(e, RememberingLaw))
+        return next((dataclasses.replace(self, deflection=angle) for angle in known if angle is not None), None)
 
     def at(self, motion: Motion) -> JointMotion:
         return JointForce.at(self, motion)
@@ -62,14 +60,3 @@ class AlongAngle(OtherForm, RememberingLaw, DryFriction):
         """As of the form that turns over within a velocity, at once."""
         sharp = {f.name: getattr(self, f.name) for f in dataclasses.fields(self.form_of)} | {"turnover": SHARP}
         return self.form_of(**sharp).slopes(at)  # type: ignore[attr-defined]
-
-
-def _deflection(effect: Effect) -> float | None:
-    """Of hysteresis, rad."""
-    if isinstance(effect, PreslidingFriction):
-        return effect.deflection
-    if isinstance(effect, MaxwellSlipFriction) and effect.torques is not None and max(effect.torques) > 0.0:
-        return float(
-            np.average(effect.shape, weights=np.maximum(effect.coefficients, 0.0))
-        )  # a fit on its way may have others
-    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect, JointEffect
-from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
@@ -22,7 +22,7 @@ from rx90b_flex.effects.reversal import (
     turnover_range,
     turnover_shape,
 )
-from rx90b_flex.effects.stand_in import OfUsualShape, forms_of
+from rx90b_flex.effects.stand_in import OfUsualShape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
@@ -235,11 +235,6 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         velocities = np.geomspace(1.5 * low, 0.35 * high, 7)
         starts = [[velocity, power] for velocity in velocities for power in (0.7, 1.0, 2.0)]
         return self.with_turnover(motion, np.array(starts), independent=5)
-
-    @classmethod
-    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
-        """By speed alone, and beside hysteresis along an angle."""
-        return [form(joint=j) for form in forms_of(StribeckFriction) for j in sites.joints]
 
 
 @dataclass(frozen=True, kw_only=True)

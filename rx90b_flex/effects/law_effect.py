@@ -153,6 +153,11 @@ class RememberingLaw(LawEffect, remembers=True):
 
     law_remembers: ClassVar[int] = 1
 
+    @property
+    def turns_along(self) -> float | None:
+        """Of hysteresis the angle, rad, along which the sign of a friction beside it turns over; None: of no such use."""
+        return None
+
     def memory(self, motion: Motion) -> Array:
         """What it knows at rest before a motion, shape (N, m)."""
         rest = np.zeros((len(motion), 1 + self.law_remembers))

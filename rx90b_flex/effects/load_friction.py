@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,12 +9,10 @@ import numpy as np
 
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion
 from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
-from rx90b_flex.effects.stand_in import forms_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +53,6 @@ class LoadFriction(LawEffect, DryFriction, needs_load=True):
         out[1] = 0.0
         out[2] = size * (1.0 - sign * sign) / turnover
         out[3] = coefficient * np.sign(load) * sign
-
-    @classmethod
-    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
-        """By direction alone, and beside hysteresis along an angle."""
-        return [form(joint=j) for form in forms_of(LoadFriction) for j in sites.joints]
 
 
 @dataclass(frozen=True, kw_only=True)

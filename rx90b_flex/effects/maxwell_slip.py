@@ -88,6 +88,12 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, breaks_away=True, re
             self, torques=known(torques), stiffnesses=stiffnesses, deflections=known(deflections)
         )
 
+    @property
+    def turns_along(self) -> float | None:
+        """That of a smooth element with the same area: the mean by torques, of which a fit on its way may have negative ones."""
+        weights = np.maximum(self.coefficients, 0.0)
+        return float(np.average(self.shape, weights=weights)) if weights.sum() > 0.0 else None
+
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         return super().too_small(part, sample_s, motion) or lost_in_noise(self.shape.max(), motion.joint(self.joint))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -10,13 +9,12 @@ import numpy as np
 
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect
-from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import derived, shape
 from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect
-from rx90b_flex.effects.stand_in import forms_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +79,6 @@ class PositionFriction(PeriodicEffect, LawEffect, DryFriction, repeats=False):
         out[0] = (sine * s + cosine * c) * sign
         out[1] = order * (sine * c - cosine * s) * sign
         out[2] = (sine * s + cosine * c) * (1.0 - sign * sign) / turnover
-
-    @classmethod
-    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
-        """By direction alone, and beside hysteresis along an angle."""
-        return [form(joint=j) for form in forms_of(PositionFriction) for j in sites.joints]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,6 +60,10 @@ class PreslidingFriction(RememberingLaw, breaks_away=True):
     def shape_parameters(self) -> dict[str, Parameter]:
         return {"deflection": DEFLECTION}
 
+    @property
+    def turns_along(self) -> float | None:
+        return self.deflection
+
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         return super().too_small(part, sample_s, motion) or lost_in_noise(self.shape[0], motion.joint(self.joint))
 

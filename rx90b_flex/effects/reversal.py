@@ -6,6 +6,7 @@ friction does that, so the sign is a hyperbolic tangent here; in simulations wit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,10 +14,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from rx90b_flex.compiled.signals import maxwell
-from rx90b_flex.effects.effect import JointForce
-from rx90b_flex.effects.hints import LeftOver, ShapeSearch
+from rx90b_flex.effects.effect import Effect, JointForce
+from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import shape
+from rx90b_flex.effects.stand_in import forms_of
 
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
 SHARP = 2.0e-4
@@ -156,6 +158,11 @@ class DryFriction(JointForce):
     """Friction of one joint that changes sign with its velocity. Its `turnover`, declared last, is the joint's."""
 
     turnover: float | None
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        """In all its forms: by direction alone, and those that stand beside something."""
+        return [form(joint=j) for form in forms_of(cls) for j in sites.joints]
 
     def at(self, motion: Motion) -> JointMotion:
         """With a velocity that gives the part of the friction which a drive that sticks is taken to hold."""
