@@ -163,6 +163,49 @@ def test_friction_that_load_or_angle_changes_is_found_beside_hysteresis(tmp_path
     assert result.explainable.share > 0.8
 
 
+def root_of_load(m: Motion, load: Array) -> Array:
+    return 0.25 * np.abs(load[:, 1]) ** 0.6
+
+
+def triangle_along_angle(m: Motion, load: Array) -> Array:
+    return 0.16 * np.arcsin(np.sin(6.0 * m.q[:, 1] + 0.5))
+
+
+def bend(m: Motion, most: Array) -> Array:
+    """Bristles that give way at a torque which changes on the way, (N, n)."""
+    out, part = np.zeros_like(m.q), np.zeros(m.q.shape[1])
+    for k in range(1, len(m.q)):
+        step = m.q[k] - m.q[k - 1]
+        part = np.sign(step) * most[k] - (np.sign(step) * most[k] - part) * np.exp(-np.abs(step) / 6e-4)
+        out[k] = part
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [51, 52])
+@pytest.mark.parametrize("turns", [bend, lambda m, most: most * np.tanh(m.v / 4e-3)], ids=["bristles", "tanh"])
+@pytest.mark.parametrize(
+    ("grown", "name"), [(root_of_load, "load_friction"), (triangle_along_angle, "position_friction")]
+)
+def test_a_law_near_one_of_the_catalogue_gets_its_name_and_no_other(tmp_path, grown, name, turns, seed):
+    """Friction that grows with a root of the load, or in a triangle along the angle: neither is in the catalogue."""
+    arm, runs = two_joints(tmp_path), []
+    declared = [{"type": t, "joint": j} for j in arm.joints for t in ("coulomb_friction", "viscous_friction")]
+
+    def law(m: Motion, load: Array) -> Array:
+        return turns(m, np.array([1.0, 0.6]) + np.outer(grown(m, load), [0.0, 1.0])) + m.v * [2.0, 1.1]
+
+    for i, role in enumerate(("identification", "identification", "validation")):
+        rng = np.random.default_rng([seed, i])
+        m = harmonics(rng, 2, period_s=10.0)
+        runs.append(run(arm, role, m, [law], white(rng, len(m.time), (0.05, 0.05))))
+    result = rf.close_loop(write_files(tmp_path, arm, declared, runs, cutoff_hz=15.0))
+    named = {(e.effect.joints[0], e.effect.type_name()) for e in result.effects}
+    assert (arm.joints[1], name) in named
+    assert {kind for _, kind in named} <= {name, "presliding_friction", "maxwell_slip_friction"}
+    assert result.after.validation.relative_error < 0.5 * result.before.validation.relative_error
+
+
 @pytest.mark.slow
 def test_turn_overs_that_only_the_ends_of_rests_tell_are_known_no_better_than_filters_let(tmp_path):
     """Friction turns over within 1 mrad/s, which a joint passes in three samples as it comes to rest."""

@@ -216,6 +216,14 @@ REFUSED = {
         effect("stribeck_friction", joint='"elbow"', torque=1, velocity=0, power=1),
         "velocity is 0; expected 1e-09 to 1000 rad/s",
     ),
+    "a load friction that turns over along an angle of less than none": (
+        effect("load_friction", joint='"elbow"', coefficient=0.1, deflection=-0.001),
+        "load_friction): deflection is -0.001; expected at least 1e-09 rad",
+    ),
+    "a position friction that turns over along an angle and within a velocity": (
+        effect("position_friction", joint='"elbow"', order=2, amplitude=1, phase=0, deflection=0.001, turnover=0.01),
+        "position_friction): unknown key 'turnover'; expected one of: type, joint, order, amplitude, phase, deflection",
+    ),
     "a Stribeck friction that turns over along no angle": (
         effect("stribeck_friction", joint='"elbow"', torque=1, velocity=0.1, power=1, deflection=0),
         "deflection is 0; expected at least 1e-09 rad",
