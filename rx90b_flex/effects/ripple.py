@@ -69,7 +69,9 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
         # two starts a lobe of the periodogram over the range that the joint covers
         order = self.parameters()["order"]
         step = np.pi / max(self._range(motion), 1e-2)
-        every = np.arange(max(order.lower, 2 * step * self.SHOWN), order.upper, max(step, (order.upper - order.lower) / 600))
+        every = np.arange(
+            max(order.lower, 2 * step * self.SHOWN), order.upper, max(step, (order.upper - order.lower) / 600)
+        )
         orders = every
         if left is not None:
             best = [highest_peaks(power, self.PEAKS) for power in self._spectra(every, left)]
