@@ -17,6 +17,7 @@ from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
+from rx90b_flex.diagnose.events import Events, events
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
@@ -408,7 +409,9 @@ class _Ended:
         beyond = self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         found = bool(standing.steps)
-        remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread)
+        happened = _events(campaign.joints, predictions)
+        eventful = tuple(e.joint for e in happened)
+        remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread, eventful)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)
         return ClosedLoop(
@@ -438,6 +441,7 @@ class _Ended:
                 *_sensor_words(declared, model),
                 *_held_words(model),
                 *self._beyond_fitted(),
+                *(e.words for e in happened),
             ),
         )
 
@@ -530,6 +534,12 @@ def _check_torques(campaign: Campaign) -> None:
             raise ValueError(
                 f"{recording.source or recording.name}: every torque is zero; errors have no size to go by"
             )
+
+
+def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[Events, ...]:
+    recordings = [p.recording for p in predictions]
+    left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
+    return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
 
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:

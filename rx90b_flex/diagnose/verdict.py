@@ -43,6 +43,8 @@ class Remains:
         Whether the data holds what a rigid tree cannot have, or mostly noise whose size is not known.
     spread : array, shape (joints,), or None
         Standard deviation of the measured torque on validation, N m; None where errors have no size to go by.
+    eventful : tuple of str
+        Joints whose error on validation lies in a few short times, in which something happened to them.
     """
 
     joints: tuple[str, ...]
@@ -54,6 +56,7 @@ class Remains:
     where: Sequence[Dependence]
     doubtful: bool = False
     spread: Array | None = None
+    eventful: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -67,7 +70,7 @@ class Remains:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
         if self.floor is not None:
             return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor)).any())
-        if any(d.score > STRONG for d in self.where) or self._mostly_left:
+        if self.eventful or any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
             return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
@@ -97,10 +100,18 @@ class Remains:
         return np.asarray((ratio > FAR_FROM_FLOOR) | ((ratio > NEAR_FLOOR) & self._named))
 
     def _not_carried_over(self, floor: Array) -> Mask:
-        """Joints whose error on validation is far above the noise, and above what a free form leaves there, shape (joints,)."""
+        """Joints whose error on validation is far above the noise, shape (joints,).
+
+        Where a free form leaves as much it counts if it is none of motion, which nothing that was fitted knows of.
+        """
         far = np.array(self.after.validation.torque_rms) > FAR_FROM_FLOOR * floor
-        return far if self.explainable is None else far & self._above_free_form(self.explainable)
+        if self.explainable is None:
+            return np.asarray(far)
+        return np.asarray(far & (self._above_free_form(self.explainable) | self._among(self.eventful)))
 
     @property
     def _named(self) -> Mask:
-        return np.array([any(d.joint == joint for d in self.where) for joint in self.joints])
+        return self._among([d.joint for d in self.where])
+
+    def _among(self, joints: Sequence[str]) -> Mask:
+        return np.isin(self.joints, joints)

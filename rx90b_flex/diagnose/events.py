@@ -1,0 +1,120 @@
+"""Whether what is left of held-out torques lies in a few short times: something that happened, which no law of motion holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90b_flex.diagnose.moving import resting
+from rx90b_flex.effects.motion import Array
+
+PART_S = 0.25  # length of the parts of time that are compared
+REST_S = 0.05  # where a joint rests for longer, its friction depends on what was before, and any model errs
+BEGINNING_S = 0.5  # what friction does there depends on what was before the recording
+SHORT = 0.05  # of the time in which a joint moves: what lasts longer is no event
+LARGE = 0.5  # of a joint's squared error: so much in so short a time is one
+TIMES = 5.0  # root mean square there over that elsewhere, at the least
+FEW = 3  # what happens oftener belongs to the motion
+
+
+@dataclass(frozen=True)
+class Events:
+    """Short times in which a joint's torque is far from the model's.
+
+    Attributes
+    ----------
+    joint : str
+    at : tuple of (str, float)
+        Recording and middle of each time, s from its beginning; the largest error first.
+    share : float
+        Part of the joint's squared error in motion that lies in them, 0 to 1.
+    times : float
+        Root mean square there over that elsewhere.
+    """
+
+    joint: str
+    at: tuple[tuple[str, float], ...]
+    share: float
+    times: float
+
+    @property
+    def words(self) -> str:
+        """One caution."""
+        where = " and ".join(f"{time:.1f} s of {name}" for name, time in self.at)
+        return (
+            f"{self.share:.0%} of the squared error that {self.joint} keeps in motion, held out, lies around {where} alone, "
+            f"{self.times:.0f} times the error elsewhere: something happened there that is no law of its motion (it touched "
+            "something, its encoder slipped, samples are wrong)."
+        )
+
+
+def events(
+    joints: Sequence[str],
+    names: Sequence[str],
+    rates_hz: Sequence[float],
+    left: Sequence[Array],
+    velocity: Sequence[Array],
+) -> tuple[Events, ...]:
+    """Those of all joints, one entry a joint.
+
+    Parameters
+    ----------
+    joints, names : sequence of str
+        Of the columns, and of the recordings.
+    rates_hz : sequence of float
+        Sample rates.
+    left, velocity : sequence of arrays, each (N, joints)
+        Torque error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
+    """
+    rest = np.split(resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
+    out = []
+    for j, joint in enumerate(joints):
+        parts = [
+            _Part(name, (edges[0] + edges[-1]) / 2 / rate, float((error[edges, j] ** 2).sum()), len(edges))
+            for name, rate, error, v, still in zip(names, rates_hz, left, velocity, rest, strict=True)
+            for edges in np.array_split(np.arange(len(v)), max(1, round(len(v) / rate / PART_S)))
+            if len(edges) and edges[0] >= BEGINNING_S * rate and still[edges, j].sum() <= REST_S * rate
+        ]
+        found = _of(joint, parts)
+        if found is not None:
+            out.append(found)
+    return tuple(out)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of a recording in which a joint moves."""
+
+    recording: str
+    middle_s: float
+    squares: float
+    samples: int
+
+
+def _of(joint: str, parts: Sequence[_Part]) -> Events | None:
+    squares, samples = np.array([p.squares for p in parts]), np.array([p.samples for p in parts])
+    largest = np.argsort(-squares)[: int(SHORT * len(parts))]
+    if len(largest) == 0 or squares.sum() <= 0:
+        return None
+    # the fewest parts that hold so much of it
+    held = np.cumsum(squares[largest]) / squares.sum()
+    largest = largest[: int(np.searchsorted(held, LARGE)) + 1]
+    share = float(squares[largest].sum() / squares.sum())
+    groups = _together([parts[i] for i in largest])
+    if share < LARGE or len(groups) > FEW:
+        return None
+    elsewhere = np.setdiff1d(np.arange(len(parts)), largest)
+    inside, outside = (squares[at].sum() / samples[at].sum() for at in (largest, elsewhere))
+    times = float(np.sqrt(inside / max(outside, 1e-300)))
+    return Events(joint, tuple((p.recording, p.middle_s) for p in groups), share, times) if times > TIMES else None
+
+
+def _together(parts: Sequence[_Part]) -> list[_Part]:
+    """The largest of parts that follow each other, largest first."""
+    out: list[_Part] = []
+    for part in parts:  # they come largest first
+        if all(p.recording != part.recording or abs(p.middle_s - part.middle_s) > 2 * PART_S for p in out):
+            out.append(part)
+    return out
