@@ -90,13 +90,18 @@ def test_friction_that_fades_with_speed_behind_hysteresis_is_found_on_all_joints
         (
             "stribeck_friction",
             {"torque": 7.0, "velocity": 0.05, "power": 1.0},
-            lambda m, load: 7.0 * np.exp(-np.abs(m.v[:, 0]) / 0.05),
+            lambda m, load, part: 7.0 * np.exp(-np.abs(m.v[:, 0]) / 0.05),
         ),
-        ("load_friction", {"coefficient": 0.2}, lambda m, load: 0.2 * np.abs(load)),
+        ("load_friction", {"coefficient": 0.2}, lambda m, load, part: 0.2 * np.abs(load)),
+        (
+            "drive_efficiency",
+            {"motoring": 0.2, "backdriving": 0.08},
+            lambda m, load, part: np.where(load * part > 0.0, 0.2, 0.08) * np.abs(load),
+        ),
         (
             "position_friction",
             {"order": 3.0, "amplitude": 2.0, "phase": 0.4},
-            lambda m, load: 2.0 * np.sin(3.0 * m.q[:, 0] + 0.4),
+            lambda m, load, part: 2.0 * np.sin(3.0 * m.q[:, 0] + 0.4),
         ),
     ],
 )
@@ -109,11 +114,11 @@ def test_friction_along_an_angle_is_that_of_bristles(kind, values, size):
     effect = effect_from_table(table, "", list(arm.joints))
     assert effect_to_table(effect) == table
     own = Motion(m.time, m.q[:, [1]], m.v[:, [1]], m.a[:, [1]])
-    expected, part = size(own, arm.torque(m)[:, 1]), np.zeros(len(m.q))
+    part = np.zeros(len(m.q))
     for k in range(1, len(m.q)):
         step = own.q[k, 0] - own.q[k - 1, 0]
         part[k] = np.sign(step) - (np.sign(step) - part[k - 1]) * np.exp(-abs(step) / deflection["deflection"])
-    expected = expected * part
+    expected = size(own, arm.torque(m)[:, 1], part) * part
     moving = rf.load_robot("example-robot-data:ur10").motion(m.q, m.v, m.a, m.time)
     later = slice(round(0.7 * MOVE_S * RATE_HZ), None)  # whatever the bristles were before the first move
     assert effect.force(moving)[later, 1] == pytest.approx(expected[later], abs=1e-9)
@@ -142,6 +147,13 @@ def by_load(m: Motion, load: Array) -> Array:
     return (COULOMB + np.outer(np.abs(load[:, 1]), np.eye(6)[1]) * 0.15) * elements(m) + VISCOUS * m.v
 
 
+def by_flow_of_power(m: Motion, load: Array) -> Array:
+    """A gear that takes twice as much of the load when lifting as when lowering; which of both is said by what turns over."""
+    part = elements(m)[:, [1]] * np.eye(6)[1]
+    taken = np.where(load * part > 0.0, 0.16, 0.08)
+    return COULOMB * elements(m) + taken * np.abs(load) * part + VISCOUS * m.v
+
+
 def by_angle(m: Motion, load: Array) -> Array:
     """Three cycles a turn, of which the elbow shows half a one and more."""
     grown = 0.35 * np.sin(3.0 * m.q[:, 2] + 0.5)
@@ -151,7 +163,9 @@ def by_angle(m: Motion, load: Array) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
-    ("law", "joint", "name"), [(by_load, 1, "load_friction"), (by_angle, 2, "position_friction")], ids=["load", "angle"]
+    ("law", "joint", "name"),
+    [(by_load, 1, "load_friction"), (by_flow_of_power, 1, "drive_efficiency"), (by_angle, 2, "position_friction")],
+    ids=["load", "power", "angle"],
 )
 def test_friction_that_load_or_angle_changes_is_found_beside_hysteresis(tmp_path, law, joint, name, seed):
     arm = ur10()

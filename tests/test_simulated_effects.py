@@ -256,23 +256,31 @@ def test_a_log_holds_the_torque_that_the_effect_makes_of_the_motion(kind):
 @pytest.mark.parametrize(
     ("kind", "values", "size"),
     [
-        ("load_friction", {"coefficient": 0.1}, lambda m: 0.1 * np.abs(arm().torque(m.drives)[:, ELBOW])),
+        ("load_friction", {"coefficient": 0.1}, lambda m, part: 0.1 * np.abs(arm().torque(m.drives)[:, ELBOW])),
+        (
+            "drive_efficiency",
+            {"motoring": 0.12, "backdriving": 0.05},
+            lambda m, part: (
+                (load := arm().torque(m.drives)[:, ELBOW]) * np.where(load * part > 0.0, 0.12, 0.05) * np.sign(load)
+            ),
+        ),
         (
             "position_friction",
             {"order": 5.0, "amplitude": 0.5, "phase": 0.3},
-            lambda m: 0.5 * np.sin(5.0 * m.drives.q[:, ELBOW] + 0.3),
+            lambda m, part: 0.5 * np.sin(5.0 * m.drives.q[:, ELBOW] + 0.3),
         ),
         (
             "stribeck_friction",
             {"torque": 0.9, "velocity": 0.8, "power": 2.0},
-            lambda m: 0.9 * np.exp(-((m.drives.v[:, ELBOW] / 0.8) ** 2)),
+            lambda m, part: 0.9 * np.exp(-((m.drives.v[:, ELBOW] / 0.8) ** 2)),
         ),
     ],
 )
 def test_friction_along_an_angle_turns_over_in_a_simulation_as_its_law_says(kind, values, size, tmp_path):
     effect = {"type": kind, "joint": "elbow", "deflection": 0.06, **values}
     m = Moved.of(run_of(robot_with(tmp_path, effect)))
-    friction = elbow(size(m) * dahl(m, 1.0, 1.0 / 0.06))
+    part = dahl(m, 1.0, 1.0 / 0.06)
+    friction = elbow(size(m, part) * part)
     assert np.abs(m.torque - plain(m.drives) - friction)[m.inside].max() < TOLERANCE
     assert np.abs(friction).max() > 20 * TOLERANCE
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.effects.along_angle import AlongAngle
+from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law_effect import LawEffect
+from rx90b_flex.effects.motion import Array, JointMotion
 from rx90b_flex.effects.parameters import FRICTION, linear
 from rx90b_flex.effects.reversal import DryFriction, turnover_shape
 
@@ -17,7 +20,8 @@ class DriveEfficiency(LawEffect, DryFriction, needs_load=True, replaces=("load_f
     """Gear friction ``|load| * sign(v)`` with one coefficient where power flows to the load and another where it flows back.
 
     ``motoring`` acts where load and velocity have one sign, ``backdriving`` where they differ. It stands in for `load_friction`,
-    which has the same coefficient for both.
+    which has the same coefficient for both. With a ``deflection`` (rad; in place of ``turnover``) its sign turns over along that
+    angle and is kept at rest, as that of hysteresis beside it.
 
     Signature
     ---------
@@ -25,7 +29,8 @@ class DriveEfficiency(LawEffect, DryFriction, needs_load=True, replaces=("load_f
 
     Neighbours
     ----------
-    `load_friction` loses alike both ways. `load_viscous_friction` grows with speed too. Needs lifting and lowering at several loads.
+    `load_friction` loses alike both ways. With a `torque_gain` beside it that is the same but for reversals, by the half of what the
+    two coefficients differ. `load_viscous_friction` grows with speed too. Needs lifting and lowering at several loads.
 
     Source
     ------
@@ -46,6 +51,35 @@ class DriveEfficiency(LawEffect, DryFriction, needs_load=True, replaces=("load_f
         out[1] = 0.0
         out[2] = size * (1.0 - sign * sign) / turnover
         out[3] = coefficient * np.sign(load) * sign
+
+
+@dataclass(frozen=True, kw_only=True)
+class _DriveEfficiencyAlongAngle(AlongAngle, DriveEfficiency, replaces=("load_friction",)):
+    """Drive efficiency whose sign turns over along an angle and is kept at rest, as that of hysteresis beside it.
+
+    ``motoring`` acts where load and that sign agree.
+    """
+
+    form_of: ClassVar[type[Effect]] = DriveEfficiency
+
+    def basis(self, at: JointMotion) -> Array:
+        size = np.abs(at.load) * (part := self.direction(at))
+        drives = at.load * part > 0.0
+        return np.column_stack([size * drives, size * ~drives])
+
+    @staticmethod
+    def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
+        motoring, backdriving, deflection, load = parameters[0], parameters[1], parameters[2], parameters[4]
+        before, part = parameters[5], parameters[6]
+        direction = np.sign(x - before)
+        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        coefficient = backdriving + (motoring - backdriving) * (load * part > 0.0)
+        size = coefficient * np.abs(load)
+        out[0] = size * part
+        out[1] = size / deflection * (1.0 - part * np.sign(rate))
+        out[2] = 0.0
+        out[3] = coefficient * np.sign(load) * part
+        out[4] = part
 
 
 @dataclass(frozen=True, kw_only=True)
