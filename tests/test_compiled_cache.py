@@ -65,3 +65,36 @@ def test_every_compiled_function_is_kept_that_way() -> None:
     for path in FOLDER.glob("*.py"):
         if path.name != "compile.py":
             assert "njit" not in path.read_text(encoding="utf-8"), f"{path.name} goes past compile.py"
+
+
+LAW = """
+from numba import types
+from numba.core.ccallback import CFunc
+from {name}.compile import LawCache
+from {name}.callee import number
+
+def law(x):
+    return 2.0 * number(x)
+
+compiled = CFunc(law, ((types.float64,), types.float64), {{}}, {{}})
+compiled._cache = LawCache(law)
+compiled.compile()
+print(compiled.ctypes(1.0), compiled._cache_hits)
+"""
+
+
+def test_so_is_a_law_that_lies_elsewhere(tmp_path: Path) -> None:
+    folder = package(tmp_path / "here")
+    script = tmp_path / "law.py"
+    script.write_text(LAW.format(name="copied"))
+
+    def said() -> tuple[float, int]:
+        environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(folder.parent)}
+        done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=True)
+        value, hits = done.stdout.split()
+        return float(value), int(hits)
+
+    assert said() == (4.0, 0)
+    assert said() == (4.0, 1)
+    (folder / "callee.py").write_text(CALLEE.format(name="copied", number=3.0))
+    assert said() == (8.0, 0)

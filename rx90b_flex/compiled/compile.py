@@ -72,6 +72,28 @@ class _Located:
         return sources_stamp()
 
 
+class _LocatedLaw(_Located):
+    """The same for a law of an effect, which lies elsewhere: it holds functions of this folder."""
+
+    def get_cache_path(self) -> Any:
+        return self.locator.get_cache_path()
+
+    def get_source_stamp(self) -> Any:
+        return self.locator.get_source_stamp(), sources_stamp()
+
+
+class _KeptLaw(CompileResultCacheImpl):
+    @property
+    def locator(self) -> _LocatedLaw:
+        return _LocatedLaw(super().locator)
+
+
+class LawCache(FunctionCache):
+    """Of a law's machine code."""
+
+    _impl_class = _KeptLaw
+
+
 class _Kept(CompileResultCacheImpl):
     @property
     def locator(self) -> _Located:

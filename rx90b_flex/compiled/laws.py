@@ -6,12 +6,12 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-import numba
 from llvmlite import ir
 from numba import types
+from numba.core.ccallback import CFunc
 from numba.extending import intrinsic, overload
 
-from rx90b_flex.compiled.compile import Array, Integers, inlined
+from rx90b_flex.compiled.compile import Array, Integers, LawCache, inlined
 from rx90b_flex.compiled.scratch import Scratch
 from rx90b_flex.compiled.vectors import Vector, lane_of, with_lane
 
@@ -22,7 +22,10 @@ LAW_SIGNATURE = types.void(types.float64, types.float64, _NUMBERS, _NUMBERS)
 @cache
 def compiled_law(function: Callable[..., None]) -> Any:
     """A law of an effect as a C function; its `address` is good as long as the process lives."""
-    return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)
+    law: Any = CFunc(function, (LAW_SIGNATURE.args, LAW_SIGNATURE.return_type), {}, {"error_model": "numpy"})
+    law._cache = LawCache(function)  # type: ignore[no-untyped-call]
+    law.compile()
+    return law
 
 
 class Laws(NamedTuple):

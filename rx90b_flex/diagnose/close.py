@@ -410,8 +410,7 @@ class _Ended:
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         found = bool(standing.steps)
         happened = _events(campaign.joints, predictions)
-        eventful = tuple(e.joint for e in happened)
-        remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread, eventful)
+        remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread, happened)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)
         return ClosedLoop(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rx90b_flex.diagnose.events import Events
 from rx90b_flex.diagnose.evidence import Dependence
 from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.loop import verdict
@@ -43,8 +44,8 @@ class Remains:
         Whether the data holds what a rigid tree cannot have, or mostly noise whose size is not known.
     spread : array, shape (joints,), or None
         Standard deviation of the measured torque on validation, N m; None where errors have no size to go by.
-    eventful : tuple of str
-        Joints whose error on validation lies in a few short times, in which something happened to them.
+    events : sequence of Events
+        Where most of a joint's error on validation lies in a few short times.
     """
 
     joints: tuple[str, ...]
@@ -56,7 +57,7 @@ class Remains:
     where: Sequence[Dependence]
     doubtful: bool = False
     spread: Array | None = None
-    eventful: tuple[str, ...] = ()
+    events: Sequence[Events] = ()
 
     @property
     def verdict(self) -> str:
@@ -70,7 +71,7 @@ class Remains:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
         if self.floor is not None:
             return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor)).any())
-        if self.eventful or any(d.score > STRONG for d in self.where) or self._mostly_left:
+        if self.events or any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
             return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
@@ -107,7 +108,7 @@ class Remains:
         far = np.array(self.after.validation.torque_rms) > FAR_FROM_FLOOR * floor
         if self.explainable is None:
             return np.asarray(far)
-        return np.asarray(far & (self._above_free_form(self.explainable) | self._among(self.eventful)))
+        return np.asarray(far & (self._above_free_form(self.explainable) | self._among([e.joint for e in self.events])))
 
     @property
     def _named(self) -> Mask:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.compiled.in_laws import put_friction_of_load, turned_over
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law_effect import LawEffect
@@ -71,15 +72,9 @@ class _DriveEfficiencyAlongAngle(AlongAngle, DriveEfficiency, replaces=("load_fr
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         motoring, backdriving, deflection, load = parameters[0], parameters[1], parameters[2], parameters[4]
         before, part = parameters[5], parameters[6]
-        direction = np.sign(x - before)
-        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        part = turned_over(x, before, part, deflection)
         coefficient = backdriving + (motoring - backdriving) * (load * part > 0.0)
-        size = coefficient * np.abs(load)
-        out[0] = size * part
-        out[1] = size / deflection * (1.0 - part * np.sign(rate))
-        out[2] = 0.0
-        out[3] = coefficient * np.sign(load) * part
-        out[4] = part
+        put_friction_of_load(coefficient, load, part, rate, deflection, out)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.compiled.in_laws import turned_over, turning
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect, JointEffect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch
@@ -252,13 +253,12 @@ class _StribeckAlongAngle(AlongAngle, StribeckFriction, replaces=("stribeck_fric
         """It remembers its direction: `dahl` from one step to the next."""
         torque, velocity, power, deflection = parameters[0], parameters[1], parameters[2], parameters[3]
         before, part = parameters[6], parameters[7]
-        direction = np.sign(x - before)
-        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        part = turned_over(x, before, part, deflection)
         size = np.abs(rate)
         faded = (size / velocity) ** power
         left = torque * np.exp(-faded)
         out[0] = left * part
-        out[1] = left / deflection * (1.0 - part * np.sign(rate))
+        out[1] = left * turning(part, rate, deflection)
         out[2] = -left * part * power * faded / np.maximum(size, TINY) * np.sign(rate)
         out[4] = part
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.compiled.in_laws import put_friction_of_load, turned_over
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.law_effect import LawEffect
@@ -65,11 +66,5 @@ class _LoadFrictionAlongAngle(AlongAngle, LoadFriction, replaces=("load_friction
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         coefficient, deflection, load = parameters[0], parameters[1], parameters[3]
         before, part = parameters[4], parameters[5]
-        direction = np.sign(x - before)
-        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
-        size = coefficient * np.abs(load)
-        out[0] = size * part
-        out[1] = size / deflection * (1.0 - part * np.sign(rate))
-        out[2] = 0.0
-        out[3] = coefficient * np.sign(load) * part
-        out[4] = part
+        part = turned_over(x, before, part, deflection)
+        put_friction_of_load(coefficient, load, part, rate, deflection, out)

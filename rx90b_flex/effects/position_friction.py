@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rx90b_flex.compiled.in_laws import turned_over, turning
 from rx90b_flex.effects.along_angle import AlongAngle
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch
@@ -94,11 +95,10 @@ class _PositionFrictionAlongAngle(AlongAngle, PositionFriction, replaces=("posit
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         sine, cosine, order, deflection = parameters[0], parameters[1], parameters[2], parameters[3]
         before, part = parameters[6], parameters[7]
-        direction = np.sign(x - before)
-        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        part = turned_over(x, before, part, deflection)
         s, c = np.sin(order * x), np.cos(order * x)
         size = sine * s + cosine * c
         out[0] = size * part
-        out[1] = order * (sine * c - cosine * s) * part + size / deflection * (1.0 - part * np.sign(rate))
+        out[1] = order * (sine * c - cosine * s) * part + size * turning(part, rate, deflection)
         out[2] = 0.0
         out[4] = part

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from rx90b_flex.compiled.in_laws import turned_over, turning
 from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.effects.effect import Effect
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch, Sites
@@ -101,10 +102,9 @@ class PreslidingFriction(RememberingLaw, breaks_away=True):
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         """It remembers its torque over `torque`: `dahl` from one step to the next."""
         torque, deflection, before, part = parameters[0], parameters[1], parameters[4], parameters[5]
-        direction = np.sign(x - before)
-        part = direction - (direction - part) * np.exp(-np.abs(x - before) / deflection)
+        part = turned_over(x, before, part, deflection)
         out[0] = torque * part
-        out[1] = torque / deflection * (1.0 - part * np.sign(rate))
+        out[1] = torque * turning(part, rate, deflection)
         out[2] = 0.0
         out[4] = part
 
