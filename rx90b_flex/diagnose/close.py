@@ -28,7 +28,15 @@ from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
-from rx90b_flex.diagnose.torque import MOST_EFFECTS, TorqueData, TorqueModel, TorqueResidual, find, predict
+from rx90b_flex.diagnose.torque import (
+    MOST_A_JOINT,
+    MOST_EFFECTS,
+    TorqueData,
+    TorqueModel,
+    TorqueResidual,
+    find,
+    predict,
+)
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
@@ -369,9 +377,11 @@ def _closed(
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
     gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" for j in f.joints)
     residual = TorqueResidual(data, campaign, sites, declared_robot.inertial_parameters == "fitted", gains)
-    loop = ClosingLoop(residual, tell, MOST_EFFECTS)
+    loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
-    return ended.result(seed, checked, (*(c.message for c in constants), *scaled), tell)
+    return ended.result(
+        seed, checked, (*(c.message for c in constants), *scaled, *_stopped(ended.standing, loop.most)), tell
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -539,6 +549,13 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
     recordings = [p.recording for p in predictions]
     left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
     return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
+
+
+def _stopped(standing: Standing[TorqueModel, TorqueTrial], most: int) -> tuple[str, ...]:
+    """That the loop ended for its limit and not for want of candidates."""
+    if len(standing.steps) < most:
+        return ()
+    return (f"{len(standing.steps)} effects are as many as are added; more may be missing.",)
 
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 from rx90b_flex.diagnose.trial import Trial
 from rx90b_flex.effects import Effect
 
-TRIES = 3  # candidates of a round that are added for a trial at the most
+TRIES = 12  # candidates of a round that are added for a trial at the most: what falls says little of those behind it
 
 Progress = Callable[[str, float], None]
 ModelT = TypeVar("ModelT")

@@ -29,7 +29,7 @@ from rx90b_flex.identify.torque_sensors import sensors_to_use
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign
 
-MOST_EFFECTS = 24  # a loop that adds more than this explains noise
+MOST_EFFECTS, MOST_A_JOINT = 24, 3  # and so many a joint, its basics: a loop that adds more than both explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
 WORSE_HELD_OUT = 1.005  # the same held out, over the declared model's, where the joints' own errors fall on average
