@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """How a loop is closed: seed of the permutation test, whether basics are declared, whether faults of the data stop it."""
+    """How a loop is closed: seed of the permutation test, whether basics are declared, whether faults of the data stop it, and by how
+    many processes (`close_loop`).
+    """
 
     seed: int = 0
     basics: bool = False
     despite_faults: bool = False
+    jobs: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,13 @@ def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float]
     from rx90b_flex.diagnose.motion import motion_errors
 
     robot = declared_robot(read, options.basics)
-    result = close_loop(read, robot=robot, seed=options.seed, progress=tell, despite_faults=options.despite_faults)
+    result = close_loop(
+        read,
+        robot=robot,
+        seed=options.seed,
+        progress=tell,
+        despite_faults=options.despite_faults,
+        jobs=options.jobs,
+    )
     told("simulating the closed loop and writing the report", 1.0)
     return Closed(result, motion_errors(result))

@@ -7,9 +7,9 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from yourdfpy.urdf import Inertial  # type: ignore[import-untyped, unused-ignore]
 
 from rx90b_flex import flexify as virtual
 from rx90b_flex.bodies import Inconsistency, inconsistencies, moments_about_centre, pseudo_inertia
@@ -17,6 +17,9 @@ from rx90b_flex.effects import effect_to_table
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.toml import toml_text
 from rx90b_flex.robot import Robot
+
+if TYPE_CHECKING:
+    from yourdfpy.urdf import Inertial  # type: ignore[import-untyped, unused-ignore]
 
 # Largest error of a parameter read back from the URDF, as a part of its body's largest one.
 READ_BACK_TOLERANCE = 1e-9
@@ -89,6 +92,8 @@ def with_parameters(robot: Robot, parameters: Array, *, allow_inconsistent: bool
 
 
 def _inertial(robot: Robot, link: str, parameters: Array) -> Inertial | None:
+    from yourdfpy.urdf import Inertial
+
     if not parameters.any():
         return None
     mass = float(parameters[0])

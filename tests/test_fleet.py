@@ -322,7 +322,8 @@ def test_wrong_words_and_campaigns_none_of_which_can_be_used_are_one_line(
     monkeypatch.setattr(fleet_module, "ANSWERS_S", 0.5)
     one, two, broken, out = *campaigns[:2], campaigns[5], tmp_path / "out"
     for words, said in (
-        ((one, "--jobs", 2), "--jobs goes with several campaigns"),
+        ((one, "--jobs", 0), "--jobs is 0"),
+        ((one, "--dask", "tcp://127.0.0.1:1"), "--dask goes with several campaigns"),
         ((one, two, "--jobs", 0), "--jobs is 0"),
         ((one, two, "--jobs", 2, "--dask", "tcp://127.0.0.1:1"), "--jobs and --dask"),
         ((one, two, "--dask", "tcp://127.0.0.1:1"), "no scheduler answers"),

@@ -32,7 +32,9 @@ def close_loop_command(
     seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
     robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
     model_error: ModelError = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes for a fleet; 1 where not given.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Processes; not given, 1 for a fleet, and one a core for a long log.")
+    ] = None,
     dask: DaskScheduler = None,
     basics: Basics = False,
     despite_faults: Despite = False,
@@ -54,13 +56,17 @@ def close_loop_command(
         options = {"seed": seed, "basics": basics, "despite_faults": despite_faults, "overwrite": overwrite}
         fleet.close_fleet(campaigns, out, jobs, dask, options)
         return
-    for name, given in (("--jobs", jobs), ("--dask", dask)):
-        if given is not None:
-            raise ValueError(f"{name} goes with several campaigns, one a robot; only {campaigns[0]} is given")
+    if dask is not None:
+        raise ValueError(f"--dask goes with several campaigns, one a robot; only {campaigns[0]} is given")
     campaign = campaigns[0]
     from rx90b_flex.diagnose.modal_files import speaks_of_frequency
+    from rx90b_flex.early import check_jobs
 
+    if jobs is not None:
+        check_jobs(jobs)
     if speaks_of_frequency(campaign):
+        if jobs is not None:
+            raise ValueError(f"--jobs goes with recordings; {campaign} is a modal table or frequency responses")
         _close_over_frequency(campaign, out, robot, model_error, overwrite)
         return
     if goes and campaign.exists():  # what is not there is said to be missing, further on
@@ -71,7 +77,7 @@ def close_loop_command(
     check_folder(out, CLOSED_LOOP, overwrite, [campaign])
     with progress() as tell:
         tell("reading", 0.0)
-        closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults), tell)
+        closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults, jobs), tell)
         closed.write(out, overwrite)
     from rx90b_flex.diagnose.refused import RefusedLoop
 

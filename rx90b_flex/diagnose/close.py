@@ -28,6 +28,7 @@ from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.side_by_side import worth_while
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -40,6 +41,7 @@ from rx90b_flex.diagnose.torque import (
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
+from rx90b_flex.early import check_jobs
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.toml import named_in
@@ -252,6 +254,7 @@ def close_loop(
     seed: int = 0,
     progress: Progress | None = None,
     despite_faults: bool = False,
+    jobs: int | None = None,
 ) -> ClosedLoop | RefusedLoop:
     """Find what measured torques hold that the declared model does not, and trace it to effects.
 
@@ -272,11 +275,14 @@ def close_loop(
     despite_faults : bool
         Whether to go on where the look at the data (`rx90b_flex.check`) found them not usable. Otherwise the result then is a
         `RefusedLoop` with verdict ``data_fault``.
+    jobs : int, optional
+        Processes that try candidates beside each other; with any number the result is the same. Where not given, one a core for a log
+        that is long enough to be worth them, else one.
 
     Raises
     ------
     ValueError
-        One line that names the file and what is wrong in it.
+        One line that names the file and what is wrong in it, or that `jobs` is no number of processes.
 
     Examples
     --------
@@ -287,13 +293,15 @@ def close_loop(
     >>> result.after.validation.relative_error < result.before.validation.relative_error
     True
     """
+    if jobs is not None:
+        check_jobs(jobs)
     # many products of small matrices: threads would wait for each other longer than they work
     tell = _rising(progress or (lambda _text, _part: None))
     with (
         threadpool_limits(limits=1, user_api="blas"),
         told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)),
     ):
-        closed = _closed(source, robot, seed, tell, despite_faults)
+        closed = _closed(source, robot, seed, tell, despite_faults, jobs)
         return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
 
 
@@ -352,7 +360,12 @@ def _rising(tell: Progress) -> Progress:
 
 
 def _closed(
-    source: str | os.PathLike[str] | Campaign, robot: Robot | None, seed: int, tell: Progress, despite_faults: bool
+    source: str | os.PathLike[str] | Campaign,
+    robot: Robot | None,
+    seed: int,
+    tell: Progress,
+    despite_faults: bool,
+    jobs: int | None,
 ) -> ClosedLoop | RefusedLoop:
     campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
     _check_torques(campaign)
@@ -376,7 +389,8 @@ def _closed(
     tell("identifying the declared model", 0.05)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
     gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" for j in f.joints)
-    residual = TorqueResidual(data, campaign, sites, declared_robot.inertial_parameters == "fitted", gains)
+    fitted = declared_robot.inertial_parameters == "fitted"
+    residual = TorqueResidual(data, campaign, sites, fitted, gains, worth_while(jobs, data.regression.torque.size))
     loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
     return ended.result(

@@ -13,6 +13,9 @@ from scipy import linalg, stats
 
 from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, parameters_told, penalised_wald, solve_beside
 from rx90b_flex.diagnose.families import FAMILIES, family
+from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
+from rx90b_flex.diagnose.rough import Rough
+from rx90b_flex.diagnose.side_by_side import SideBySide
 from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, off_a_joint, shows_by_itself, too_faint
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
@@ -20,6 +23,7 @@ from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.coloured import residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
+from rx90b_flex.identify.first_looks import FirstColumns
 from rx90b_flex.identify.least_squares import (
     BEYOND,
     CORRELATION_S,
@@ -29,7 +33,7 @@ from rx90b_flex.identify.least_squares import (
 )
 from rx90b_flex.identify.penalty import prior_precision, smoothed
 from rx90b_flex.identify.regression import Regression
-from rx90b_flex.levenberg import Damping, Iterate, lowest
+from rx90b_flex.levenberg import Damping, lowest
 
 FAMILY_GAIN = 10.0  # in a first look, for a joint's effect to be tried as one of a family
 FEWEST_RECORDINGS = 2  # to leave out whole ones in turn
@@ -43,7 +47,6 @@ UNREFINED = 2.0  # a first look at the shapes shows this part of the gain at the
 BEGINNINGS = 3  # of a refinement of several shapes
 REFINEMENTS = 15  # looks of a refinement
 REFINING = Damping(rise=16.0, fall=4.0)
-SETTLED = 1.0e-4  # part of the gain below which another step is not worth while
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
 MANY = 4  # shapes of a candidate, from which on a glimpse of the log says first whether all of it is worth a look
 BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
@@ -78,11 +81,14 @@ class Search:
     sites : Sites
     kinds : callable
         Which types are tried; `laws` unless something else is given.
+    jobs : int
+        Processes.
     """
 
     model: Identification
     sites: Sites
     kinds: Callable[[type[Effect]], bool] = laws
+    jobs: int = 1
 
     def after(self, other: Search) -> Search:
         """This one with what another one has worked out of the same model."""
@@ -208,40 +214,80 @@ class Search:
         list of TorqueTrial
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
-        candidates = self.candidates
-        bases: dict[Effect | None, Base] = {None: self.present}
-        rough: list[_Rough] = []
-        for i, (effect, replaced) in enumerate(candidates):
-            base = bases.setdefault(replaced, self.base(replaced)) if replaced is not None else bases[None]
-            starts = self._starts(effect, replaced)
-            if len(starts) == 0:
-                continue  # this motion is too small for any of its shapes to show
-            # an effect that replaces another starts from a worse base: count only what it adds to the present model
-            lost = float(base.squares.sum() - bases[None].squares.sum())
-            rough.append(self._looked(_Rough(effect, base, starts, lost), self._glimpsed(effect, starts)))
-            if progress:
-                progress((i + 1) / (len(candidates) + 4))
-        self.regression.forget_pieces()
-        self.regression.forget_long()
-        rough.sort(key=lambda item: -item.gain)
-        tried: dict[tuple[type[Effect], str], TorqueTrial] = {}
-        # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
-        for item in [
-            *rough[:REFINED],
-            *(r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN),
-        ]:
-            if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):
-                break  # neither this one nor those behind it can win
-            tried[type(item.effect), item.effect.label] = self._tried(item, bases[None])
-        trials = [*tried.values(), *(self._families(rough, tried, bases[None]) if families else [])]
+        with SideBySide(self._ready(), self.jobs) as beside:
+            rough = self._rough(beside, progress)
+            tried: dict[tuple[type[Effect], str], TorqueTrial] = {}
+            # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
+            bent = [r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN]
+            ranked = [*rough[:REFINED], *bent]
+            found = beside.each(Search._tried, ranked)
+            for item in ranked:
+                if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):
+                    break  # neither this one nor those behind it can win
+                tried[type(item.effect), item.effect.label] = next(found)
+            trials = [*tried.values(), *(self._families(rough, tried, beside) if families else [])]
         self.regression.round_over()
         return sorted(trials, key=lambda t: -t.gain)
 
+    def _ready(self) -> Search:
+        """With what all processes ask for."""
+        if self.jobs > 1:
+            _ = self.present.whole, self.present.held_out, self.tests
+        return self
+
+    def _rough(self, beside: SideBySide[Search], progress: Callable[[float], None] | None) -> list[Rough]:
+        """First looks at all candidates, the best first."""
+        numbers = list(range(len(self.candidates)))
+        rough: list[tuple[int, Rough]] = []
+        for done, (part, columns) in enumerate(beside.all(Search._first_looks, numbers), start=1):
+            rough += part
+            if beside.elsewhere:
+                self.regression.take_first_looks(columns)
+            if progress:
+                progress(max(len(rough), done) / (len(numbers) + 4))
+        self.regression.forget_pieces()
+        self.regression.forget_long()
+        # in their order where they gain the same
+        return [item for _, item in sorted(rough, key=lambda pair: (-pair[1].gain, pair[0]))]
+
+    def _first_looks(self, numbers: list[int]) -> tuple[list[tuple[int, Rough]], list[FirstColumns]]:
+        """At some of the candidates, as numbers and what was seen, and columns that the next round may ask for again.
+
+        Nothing of a candidate for none of whose shapes this motion is large enough.
+        """
+        known = self.regression.known_first_looks() if self.jobs > 1 else []
+        out = []
+        for number in numbers:
+            effect, replaced = self.candidates[number]
+            starts = self._starts(effect, replaced)
+            if len(starts):
+                base = self._base_beside(replaced)
+                # an effect that replaces another starts from a worse base: count only what it adds to the present model
+                lost = float(base.squares.sum() - self.present.squares.sum()) if replaced is not None else 0.0
+                rough = Rough(effect, replaced, starts, lost)
+                out.append((number, self._looked(rough, self._glimpsed(effect, starts))))
+        return out, self.regression.first_looks_since(known) if known else []
+
+    def _base_beside(self, replaced: Effect | None) -> Base:
+        """`base`, kept for all that would replace an effect."""
+        if replaced is None:
+            return self.present
+        if replaced not in self._bases:
+            self._bases[replaced] = self.base(replaced)
+        return self._bases[replaced]
+
+    @cached_property
+    def _bases(self) -> dict[Effect, Base]:
+        return {}
+
     def _families(
-        self, rough: Sequence[_Rough], tried: Mapping[tuple[type[Effect], str], TorqueTrial], present: Base
+        self,
+        rough: Sequence[Rough],
+        tried: Mapping[tuple[type[Effect], str], TorqueTrial],
+        beside: SideBySide[Search],
     ) -> list[TorqueTrial]:
         """One law on several joints, for the types that a first look at all joints together likes best."""
-        kinds: dict[type[Effect], list[_Rough]] = {}
+        kinds: dict[type[Effect], list[Rough]] = {}
         for item in rough:
             kind = type(item.effect)
             if kind.traits.on == "joint" and kind.traits.of_make and not kind.traits.multiplies:
@@ -254,20 +300,24 @@ class Search:
         for kind in liked:
             if UNREFINED * sums[kind] < sure:
                 break  # neither this one nor those behind it can win
-            left = [item for item in kinds[kind] if item.gain > FAMILY_GAIN]
+            # the weakest first: it tells soonest that they are too few
+            left = [item for item in reversed(kinds[kind]) if item.gain > FAMILY_GAIN]
+            new = beside.each(Search._tried, [r for r in left if (kind, r.effect.label) not in tried])
             members: list[TorqueTrial] = []
-            while left and len(members) + len(left) >= fewest:
-                item = left.pop()  # the weakest first: it tells soonest that they are too few
-                found = tried.get((type(item.effect), item.effect.label)) or self._tried(item, present)
+            for behind, item in zip(range(len(left), 0, -1), left, strict=True):
+                if len(members) + behind < fewest:
+                    break
+                found = tried.get((kind, item.effect.label)) or next(new)
                 members = [found, *members] if found.belongs else members
             if len(members) >= fewest:
                 out.append(family(members, len(self.sites.joints), len(kinds)))
         return out
 
-    def _tried(self, item: _Rough, present: Base) -> TorqueTrial:
+    def _tried(self, item: Rough) -> TorqueTrial:
         """The trial of what was looked at, by more than a glimpse."""
         closer = self._looked(item, False) if item.glimpsed else item
-        found = self.trial(closer.effect, closer.base, present, self.tests)
+        base = self._base_beside(item.replaced)
+        found = self.trial(closer.effect, base, self.present, self.tests, closer.elsewhere)
         self.regression.forget_long()
         return self._fitted(item.effect) if item.effect.traits.multiplies and found.p_value < WORTH_A_FIT else found
 
@@ -295,13 +345,13 @@ class Search:
         touched = self.present.squares[self.regression.joints.index(effect.joints[0])]
         return dataclasses.replace(found, gain=gain, block_gains=block_gains, share=gain / touched, lost=lost)
 
-    def _looked(self, item: _Rough, glimpsed: bool) -> _Rough:
+    def _looked(self, item: Rough, glimpsed: bool) -> Rough:
         """With the best of its shapes and what that gains, by a glimpse of the log or a first look at it."""
-        looks = sorted(self._over_shapes(item.effect, item.starts, item.base, glimpsed), key=lambda pair: -pair[0])
+        base = self._base_beside(item.replaced)
+        looks = sorted(self._over_shapes(item.effect, item.starts, base, glimpsed), key=lambda pair: -pair[0])
         gain, best = looks[0]
-        if not glimpsed:
-            self._other_starts[best] = self._apart(looks)[1:]
-        return dataclasses.replace(item, effect=best, gain=gain - item.lost, glimpsed=glimpsed)
+        elsewhere = () if glimpsed else tuple(self._apart(looks)[1:])
+        return replace(item, effect=best, gain=gain - item.lost, glimpsed=glimpsed, elsewhere=elsewhere)
 
     def _glimpsed(self, effect: Effect, starts: Array) -> bool:
         """Whether a glimpse comes before a first look: where that has to work many columns out anew in every round."""
@@ -408,11 +458,6 @@ class Search:
     def _bases_of_excerpts(self) -> dict[tuple[SharedColumns, int, tuple[int, ...]], Base]:
         return {}
 
-    @cached_property
-    def _other_starts(self) -> dict[Effect, list[tuple[float, Effect]]]:
-        """Of effects as a first look likes them best, where else a refinement may begin, and what a first look gains there."""
-        return {}
-
     def _apart(self, looks: Sequence[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
         """The first of effects that differ in their shapes by more than a refinement's step; one of a single shape stands for all."""
         if len(self.free(looks[0][1])) < 2:
@@ -430,13 +475,13 @@ class Search:
         """The shapes that gain most."""
         return self._valleys(effect, base)[0]
 
-    def _valleys(self, effect: Effect, base: Base) -> list[Effect]:
+    def _valleys(self, effect: Effect, base: Base, elsewhere: Sequence[tuple[float, Effect]] = ()) -> list[Effect]:
         """The same, and behind them those that gain hardly less: from all starts of a first look where shapes make valleys."""
         free = self.free(effect)
         if not len(free):
             return [effect]
         tried = [self._refined_from(effect, base, free)]
-        for gain, other in self._other_starts.get(effect, ()):
+        for gain, other in elsewhere:
             if UNREFINED * gain > AS_GOOD * max(known for known, _ in tried):  # else it cannot win
                 tried.append(self._refined_from(other, base, free))
         # one that ran into an end of its range explains a little more by playing another effect's part
@@ -467,24 +512,31 @@ class Search:
         spread = self._reach(effect)[free]
         farthest = spread / start if logs else spread
 
-        def looked_at(x: Array) -> _Look:
+        def looked_at(x: Array) -> LookAtShape:
             shapes = [np.clip(back(x + step), low, high) for step in np.vstack([0 * x, np.diag(DIFFERENCE * farthest)])]
             rows, columns = self.regression.compact([self._shaped(effect, s, free) for s in shapes])
-            return _Look.at(base, rows, columns, len(effect.coefficients), DIFFERENCE * farthest)
+            return LookAtShape.at(base, rows, columns, len(effect.coefficients), DIFFERENCE * farthest)
 
         def moved(x: Array, step: Array) -> Array:
             return np.asarray(to(np.clip(back(x + np.clip(step, -farthest, farthest)), low, high)))
 
-        end = lowest(_Refinement(to(start), looked_at, moved), REFINEMENTS, REFINING)
+        end = lowest(Refinement(to(start), looked_at, moved), REFINEMENTS, REFINING)
         return end.look.gain, self._shaped(effect, np.clip(back(end.x), low, high), free)
 
-    def trial(self, effect: Effect, base: Base, present: Base, tests: int) -> TorqueTrial:
+    def trial(
+        self,
+        effect: Effect,
+        base: Base,
+        present: Base,
+        tests: int,
+        elsewhere: Sequence[tuple[float, Effect]] = (),
+    ) -> TorqueTrial:
         """Try one effect beside a base, its shape refined; gains count from `present`, p-values for so many tests.
 
         Where it cannot have the values that fit best, others are tried that fit hardly worse, then those shapes held that have a
         usual value.
         """
-        valleys = self._valleys(effect, base)
+        valleys = self._valleys(effect, base, elsewhere)
         found = self._trial(valleys[0], base, present, tests)
         for shaped in valleys[1:] if not found.lawful else ():
             other = self._trial(shaped, base, present, tests)
@@ -696,18 +748,6 @@ class Search:
         return ""
 
 
-@dataclass(frozen=True, eq=False)
-class _Rough:
-    """A candidate at the shape that a first look likes best, what it gains there, and what it was asked at."""
-
-    effect: Effect
-    base: Base
-    starts: Array
-    lost: float  # gain that is none, for the base is worse than the present model
-    gain: float = 0.0
-    glimpsed: bool = False
-
-
 def _sure(trials: Iterable[TorqueTrial]) -> float:
     """What the best of those that may be added gains at the least."""
     return max((t.sure_gain for t in trials if t.accepted), default=0.0)
@@ -718,62 +758,6 @@ def _shuts_out(present: Effect, new: Effect) -> bool:
     if type(present) is type(new) or present.type_name() == new.type_name():
         return not new.traits.repeats and (type(present) is type(new) or new.type_name() not in new.traits.replaces)
     return new.type_name() in present.traits.stands_for
-
-
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """A candidate at one shape: its gain, and the normal equations of its torque's derivatives by the shape."""
-
-    gain: float
-    gram: Array  # (s, s), of what neither the base nor the candidate's own columns explain
-    score: Array  # (s,)
-
-    @staticmethod
-    def at(base: Base, rows: Indices, columns: Array, k: int, steps: Array) -> _Look:
-        """From columns (N, rows, (1 + s) k): at the shape, and a step further in each of its parameters."""
-        if len(rows) == 0:
-            return _Look(0.0, np.eye(len(steps)), np.zeros(len(steps)))
-        left, own, score = base.projected(rows, columns)
-        beta = solve_beside(left[:k, :k], own[:k, :k], score[:k])
-        # derivatives as combinations of the columns: what is left of them needs no second look at the data
-        further = np.zeros((columns.shape[2], len(steps)))
-        further[:k] = -beta[:, None] / steps
-        for i, step in enumerate(steps):
-            further[k * (i + 1) : k * (i + 2), i] = beta / step
-        mixed = left[:k] @ further
-        taken = np.array([solve_beside(left[:k, :k], own[:k, :k], m) for m in mixed.T]).T
-        return _Look(
-            float(score[:k] @ beta),
-            further.T @ left @ further - mixed.T @ taken,
-            further.T @ score - taken.T @ score[:k],
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Refinement(Iterate):
-    """Shapes x of a candidate on their way to its largest gain."""
-
-    x: Array
-    looked_at: Callable[[Array], _Look]
-    after: Callable[[Array, Array], Array]  # a step within the range
-
-    @cached_property
-    def look(self) -> _Look:
-        return self.looked_at(self.x)
-
-    @property
-    def goal(self) -> float:
-        return -self.look.gain
-
-    @property
-    def enough(self) -> float:
-        return SETTLED * max(self.look.gain, 1.0)
-
-    def equations(self) -> tuple[Array, Array]:
-        return self.look.gram, self.look.score
-
-    def moved(self, step: Array) -> _Refinement:
-        return replace(self, x=self.after(self.x, step))
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

@@ -135,6 +135,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         Whether the links' inertial parameters are fitted, too.
     gains : frozenset of str
         Joints whose torque has another gain, as the look at the data found.
+    jobs : int
+        Processes that look at candidates.
     """
 
     data: TorqueData
@@ -142,6 +144,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     sites: Sites
     fit_links: bool
     gains: frozenset[str] = frozenset()
+    jobs: int = 1
 
     def declared(self) -> TorqueModel:
         return self._beginning
@@ -183,7 +186,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def search(self, model: TorqueModel, kinds: Callable[[type[Effect]], bool] = laws) -> Search:
         """Everything that could be missing from a model."""
-        new = Search(model.identified, self.sites, kinds)
+        new = Search(model.identified, self.sites, kinds, self.jobs)
         for latest in self._searches:
             new = new.after(latest) if latest.model is new.model else new
         self._searches[:] = [new]

@@ -129,7 +129,7 @@ def close_loop_many(
     from rx90b_flex.early import check_jobs
 
     check_jobs(jobs)
-    options = LoopOptions(seed, basics, despite_faults)
+    options = LoopOptions(seed, basics, despite_faults, jobs=1)
     tell = progress or (lambda _text, _part: None)
     if out is None:
         with tempfile.TemporaryDirectory() as folder:

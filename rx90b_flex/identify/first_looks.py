@@ -21,6 +21,9 @@ class _KeptColumns:
     asked: bool = True  # since the last round was over
 
 
+FirstColumns = list[tuple[Effect, _KeptColumns | None]]
+
+
 @dataclass(frozen=True, eq=False)
 class FirstLooks:
     """Columns of one motion, by effects whose columns depend on motion alone."""
@@ -37,6 +40,23 @@ class FirstLooks:
             del self._known[effect]
         for kept in self._known.values():
             kept.asked = False
+
+    @property
+    def known(self) -> set[Effect]:
+        """Effects whose columns are kept."""
+        return set(self._known)
+
+    def since(self, known: set[Effect]) -> FirstColumns:
+        """Effects that were asked for since the last round was over, with those columns that were not known before."""
+        return [(e, None if e in known else kept) for e, kept in self._known.items() if kept.asked]
+
+    def take(self, asked: FirstColumns) -> None:
+        """What another process asked for and made."""
+        for effect, new in asked:
+            if new is not None:
+                self._keep({effect: new})
+            elif effect in self._known:
+                self._known[effect].asked = True
 
     def columns(
         self, effects: Sequence[Effect], make: Callable[[Sequence[Effect]], tuple[Indices, Array]]

@@ -17,7 +17,7 @@ from rx90b_flex.effects.motion import STICKS, Array, Held, Indices, Mask
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.identify.columns import beyond_digits
 from rx90b_flex.identify.drives_that_stick import drives_that_stick
-from rx90b_flex.identify.first_looks import FirstLooks
+from rx90b_flex.identify.first_looks import FirstColumns, FirstLooks
 from rx90b_flex.identify.many_columns import Unfiltered, at_once, through
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.robot import Robot
@@ -521,6 +521,19 @@ class Regression:
     @property
     def _all_first_looks(self) -> tuple[FirstLooks, ...]:
         return self._first_looks, self._first_looks_of_excerpt, self._first_looks_of_glimpse
+
+    def known_first_looks(self) -> list[set[Effect]]:
+        """Effects whose columns are kept for first looks, of the whole and of its pieces."""
+        return [looks.known for looks in self._all_first_looks]
+
+    def first_looks_since(self, known: Sequence[set[Effect]]) -> list[FirstColumns]:
+        """What first looks asked for in this round, with those columns that were not `known`."""
+        return [looks.since(before) for looks, before in zip(self._all_first_looks, known, strict=True)]
+
+    def take_first_looks(self, asked: Sequence[FirstColumns]) -> None:
+        """What they asked for in another process, which has a copy."""
+        for looks, of_these in zip(self._all_first_looks, asked, strict=True):
+            looks.take(of_these)
 
     def round_over(self) -> None:
         """Give back what a round of a search leaves that another one would not ask for."""
