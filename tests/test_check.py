@@ -109,7 +109,15 @@ def test_a_small_delay_is_left_to_the_loop(tmp_path: Path) -> None:
     assert checked(tmp_path, [_cut(r, 3) for r in late]).data_faults == ()
 
 
-@pytest.mark.parametrize("name", ["tx40", "emps", "ur10e", "kr300_encoders", "dualarm_v2"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tx40",
+        "emps",
+        "ur10e",
+        *(pytest.param(long, marks=pytest.mark.slow) for long in ("kr300_encoders", "dualarm_v2")),
+    ],
+)
 def test_real_recordings_are_usable(name: str) -> None:
     result = rf.check(data_folder(name) / "campaign.toml")
     assert result.usable

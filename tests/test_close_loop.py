@@ -218,7 +218,10 @@ def from_outside(m: ind.Motion, load: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(1, id="noise not known", marks=pytest.mark.slow), pytest.param(2, id="noise from repeats")],
+    params=[
+        pytest.param(1, id="noise not known", marks=pytest.mark.slow),
+        pytest.param(2, id="noise from repeats", marks=pytest.mark.slow),
+    ],
 )
 def outside(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
     return case(tmp_path_factory.mktemp("outside"), None, periods=request.param, more=[from_outside])

@@ -84,7 +84,8 @@ def test_without_dry_friction_the_stiffness_is_found_within_its_interval(tmp_pat
     assert estimate.std < 0.1 * stiffness
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_drive_that_gets_stiffer_as_it_twists_is_named(tmp_path, seed):
     cubic = 1e5
     result = closed(tmp_path, {SHOULDER: 400.0}, seed, cubic=cubic)

@@ -112,6 +112,7 @@ def test_logs_near_a_urdf_predict_others_better_the_shorter_they_are_and_the_bet
     assert max(ratios) < 1.03
 
 
+@pytest.mark.slow
 def test_the_report_says_that_links_were_kept_near(tmp_path):
     result = rf.close_loop(campaign(tmp_path, 0, 1.0, 4.0))
     assert result.model.links_near > 0.0

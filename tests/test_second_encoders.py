@@ -159,6 +159,7 @@ def test_the_encoders_of_a_large_arm_show_three_gears_on_which_recordings_agree(
     assert all("repeats the motor's" in gear.message for gear in found[3:])
 
 
+@pytest.mark.slow
 def test_a_gear_with_which_the_torques_fit_worse_than_as_declared_is_told_and_left_out() -> None:
     campaign = load_campaign(data_folder("kr300_encoders") / "campaign.toml")
     roles = ("identification", "validation", "validation")

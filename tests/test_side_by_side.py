@@ -27,7 +27,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     runs = []
     for role in ("identification", "identification", "validation"):
-        m = ind.harmonics(rng, 2, period_s=10.0, rate_hz=200.0, lines=8)
+        m = ind.harmonics(rng, 2, period_s=10.0, rate_hz=100.0, lines=8)
         runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), (0.1, 0.05)), 10.0))
     tables = [{"type": kind, "joint": j} for j in arm.joints for kind in DECLARED]
     return ind.write_files(folder, arm, tables, runs, cutoff_hz=25.0)
@@ -38,19 +38,13 @@ def test_what_is_found_is_the_same_to_the_last_digit_for_any_number_of_processes
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     told: list[float] = []
-    alone, two, three = (
-        rf.close_loop(campaign, jobs=jobs, progress=lambda _text, part: told.append(part)) for jobs in (1, 2, 3)
-    )
-    assert [e.effect.type_name() for e in alone.effects] == ["stribeck_friction", "gear_ripple"]
-    for other in (two, three):
-        assert other.model.theta.tobytes() == alone.model.theta.tobytes()
-        assert other.model.effects == alone.model.effects
-        assert other.after.validation.relative_error == alone.after.validation.relative_error
-        for theirs, ours in (
-            (other.effects, alone.effects),
-            (other.last_round.trials, alone.last_round.trials),
-        ):
-            assert [repr(x) for x in theirs] == [repr(x) for x in ours]
+    alone, two = (rf.close_loop(campaign, jobs=jobs, progress=lambda _text, part: told.append(part)) for jobs in (1, 2))
+    assert {e.effect.type_name() for e in alone.effects} == {"stribeck_friction", "gear_ripple"}
+    assert two.model.theta.tobytes() == alone.model.theta.tobytes()
+    assert two.model.effects == alone.model.effects
+    assert two.after.validation.relative_error == alone.after.validation.relative_error
+    for theirs, ours in ((two.effects, alone.effects), (two.last_round.trials, alone.last_round.trials)):
+        assert [repr(x) for x in theirs] == [repr(x) for x in ours]
     assert np.max(told) == 1.0
     assert not list(tmp_path.iterdir()), "what processes read is left behind"
 

@@ -89,7 +89,7 @@ def test_compiled_laws_are_what_is_worked_out_in_between(kind, monkeypatch):
     np.testing.assert_allclose(quick.work, slow.work, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("kind", [*LOADED, "many"])
+@pytest.mark.parametrize("kind", [*LOADED, pytest.param("many", marks=pytest.mark.slow)])
 def test_with_the_load_they_come_together_with_the_square_of_the_step(kind, monkeypatch):
     """Between the parts the slope of the load by angles and rates helps to make the step, compiled it does not."""
     between = []
@@ -134,6 +134,7 @@ def test_load_is_the_links_where_a_payload_hangs_on_them():
     assert robot.plant.wide and robot.with_effects([*robot.effects, load]).plant.wide is None
 
 
+@pytest.mark.slow
 def test_joints_that_slide_are_stepped_alike(tmp_path, monkeypatch):
     slides = ind.TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
     slides = slides.replace('effort="50"', 'effort="500"')

@@ -185,7 +185,7 @@ def test_the_written_robot_replayed_gives_the_stated_error(spring, tmp_path):
 @pytest.mark.parametrize(
     ("joints", "known"),
     [
-        pytest.param(("elbow",), True, id="one joint of two, links known"),
+        pytest.param(("elbow",), True, id="one joint of two, links known", marks=pytest.mark.slow),
         pytest.param(("elbow", "shoulder"), False, id="another order, links fitted"),
         pytest.param(("elbow", "shoulder"), True, id="another order, links known", marks=pytest.mark.slow),
         pytest.param(("elbow",), False, id="one joint of two, links fitted", marks=pytest.mark.slow),
