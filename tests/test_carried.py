@@ -36,6 +36,7 @@ def campaign(folder: Path, *, spring_held_out: bool) -> Path:
     return ind.write_files(folder, arm, DECLARED, runs, cutoff_hz=CUTOFF_HZ)
 
 
+@pytest.mark.slow
 def test_a_hose_that_was_taken_off_before_the_held_out_recording_is_no_finding_and_that_is_said(tmp_path):
     result = rf.close_loop(campaign(tmp_path, spring_held_out=False))
     assert [e.effect.type_name() for e in result.effects] == ["gear_ripple"]

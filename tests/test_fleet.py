@@ -229,6 +229,7 @@ def done(campaigns: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tup
     return rf.close_loop_many(campaigns, out=out), out
 
 
+@pytest.mark.slow
 def test_a_fleet_says_what_is_common_who_stands_out_and_who_was_refused(done: tuple[rf.Fleet, Path]) -> None:
     fleet, out = done
     assert [o.verdict for o in fleet] == ["explained"] * 5 + ["refused"]
@@ -244,6 +245,7 @@ def test_a_fleet_says_what_is_common_who_stands_out_and_who_was_refused(done: tu
     assert not (out / "r5").exists()
 
 
+@pytest.mark.slow
 def test_table_json_and_page_of_a_fleet_say_the_same(done: tuple[rf.Fleet, Path]) -> None:
     fleet, out = done
     table = pd.read_csv(out / "fleet.csv")
@@ -299,6 +301,7 @@ def test_a_campaign_that_has_changed_is_done_again_if_that_is_allowed_and_the_ot
     assert tree(out / "r3") == tree(done[1] / "r3")
 
 
+@pytest.mark.slow
 def test_the_command_goes_on_and_says_what_was_refused(
     campaigns: list[Path],
     done: tuple[rf.Fleet, Path],

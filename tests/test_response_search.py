@@ -93,7 +93,7 @@ def bending_unlike(robot, joint, first, second):
     )
 
 
-@pytest.mark.parametrize("missing", [True, False])
+@pytest.mark.parametrize("missing", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_bendings_that_are_unlike_take_a_stiffness_each_and_nothing_else(missing):
     """One stiffness for both leaves so much that other things are named to make up for it."""
     true = bending_unlike(PLAIN, "joint_1", 1.5, 0.7)
@@ -128,6 +128,7 @@ def softer_with_its_damping(factor):
     return measured_response(true, np.random.default_rng(21), NOISE, STRETCHED, PLAIN.joints, lag=lags)
 
 
+@pytest.mark.slow
 def test_a_softer_drive_whose_damping_stays_is_found_as_that_and_nothing_else():
     loop = close_response(softer_with_its_damping(0.6), PLAIN, model_error=EXACT)
     (found,) = loop.found
@@ -166,6 +167,7 @@ def test_what_is_far_smaller_than_a_search_begins_with_is_seen_at_once():
         assert np.exp(scouted.x[-1]) == pytest.approx(coupled.inertia, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_pose_that_was_not_fitted_is_predicted_to_its_noise():
     loop = closed("softer joint", 2, held_out=3)
     assert [f.change.label for f in loop.found] == CAUSES["softer joint"][2]

@@ -70,7 +70,13 @@ def test_the_load_carries_over_to_a_recording_that_was_not_fitted(soft: Path) ->
     assert held_out.after < 0.5 * held_out.before < held_out.measured
 
 
-@pytest.mark.parametrize("change", [{"hysteresis": 8.0}, {"step": 3.0e-5}, {"dry": 40.0}, {"gap": 3.0e-4}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"hysteresis": 8.0},
+        *(pytest.param(x, marks=pytest.mark.slow) for x in ({"step": 3.0e-5}, {"dry": 40.0}, {"gap": 3.0e-4})),
+    ],
+)
 def test_another_gear_or_encoder_leaves_the_truth_in_the_interval(tmp_path: Path, change: dict[str, float]) -> None:
     (gear,) = looked_at(load_campaign(campaign_of(tmp_path, dataclasses.replace(Drive(), **change), seed=2)))
     assert gear.fit is not None and gear.effect is not None

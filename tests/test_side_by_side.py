@@ -33,6 +33,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ind.write_files(folder, arm, tables, runs, cutoff_hz=25.0)
 
 
+@pytest.mark.slow
 def test_what_is_found_is_the_same_to_the_last_digit_for_any_number_of_processes(
     campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

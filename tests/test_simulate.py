@@ -83,7 +83,15 @@ def compiled_laws(laws: Laws, memory: Array, q: Array, v: Array, a: Array, force
     law_forces(laws, scratch, q, v, a, own[0], own[1], own[2], force)
 
 
-@pytest.mark.parametrize("name", ["rx90b", "rx90b_3dof", "example-robot-data:ur10", "example-robot-data:panda"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("rx90b", marks=pytest.mark.slow),
+        "rx90b_3dof",
+        "example-robot-data:ur10",
+        "example-robot-data:panda",
+    ],
+)
 def test_compiled_dynamics_are_pinocchios(name: str) -> None:
     model = rf.load_robot(name).model
     n, data = model.nv, model.createData()
@@ -234,7 +242,10 @@ def reference_tip(trajectory: Trajectory, controller: CS8) -> Array:
     return np.array(out)
 
 
-@pytest.mark.parametrize("segment", [(0.0, 0.06), (0.98, 1.04)], ids=["start", "reversal"])
+@pytest.mark.parametrize(
+    "segment",
+    [pytest.param((0.0, 0.06), id="start", marks=pytest.mark.slow), pytest.param((0.98, 1.04), id="reversal")],
+)
 def test_tip_agrees_with_radau_to_a_micrometre(segment: tuple[float, float]) -> None:
     part, controller = line().part(*segment), load_cs8().ideal()
     run = simulate(robot(), controller, part)
