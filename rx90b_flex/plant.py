@@ -137,7 +137,7 @@ def laws_of(laws: Sequence[Law], n: int) -> Laws:
         np.array(stores, dtype=np.int64),
         parameters,
         np.zeros(3),
-        np.full(1, WIDTH),
+        np.array([WIDTH, 0]),
     )
 
 

@@ -43,7 +43,7 @@ class Laws(NamedTuple):
     stores: Integers  # (m,) whether the law stores energy instead of dissipating it
     parameters: Array  # (m, p) of the law
     out: Array  # (3,) what a law writes
-    wanted: Integers  # (1,) lanes of a vector whose laws are asked
+    wanted: Integers  # (2,) lanes of a vector whose laws are asked, and whether they are asked for chords to standstill
 
 
 @intrinsic
@@ -120,6 +120,36 @@ def _ask_law(laws: Any, m: Any, x: Any, rate: Any) -> Any:
 
 
 @inlined
+def _chord(laws: Laws, m: int, x: float, rate: float, force: float, slope: float) -> float:
+    rest, _, _ = ask(laws, m, x, 0.0)
+    chord = (force - rest) / rate
+    return chord if chord > slope else slope
+
+
+def chord_law(laws: Any, m: Any, x: Any, rate: Any, force: Any, slope: Any) -> Any:
+    """Slope of the compiled law m by rate, or that of its chord to standstill where this is steeper; compiled code only."""
+    raise NotImplementedError
+
+
+@overload(chord_law)
+def _chord_law(laws: Any, m: Any, x: Any, rate: Any, force: Any, slope: Any) -> Any:
+    if isinstance(x, Vector):
+
+        def lanes(laws: Any, m: Any, x: Any, rate: Any, force: Any, slope: Any) -> Any:
+            for lane in range(laws.wanted[0]):
+                own = _chord(laws, m, lane_of(x, lane), lane_of(rate, lane), lane_of(force, lane), lane_of(slope, lane))
+                slope = with_lane(slope, lane, own)
+            return slope
+
+        return lanes
+
+    def number(laws: Any, m: Any, x: Any, rate: Any, force: Any, slope: Any) -> Any:
+        return _chord(laws, m, x, rate, force, slope)
+
+    return number
+
+
+@inlined
 def law_forces(
     laws: Laws, s: Scratch, q: Array, v: Array, a: Array, torques: Array, by_x: Array, by_rate: Array, out: Array
 ) -> Any:
@@ -137,6 +167,8 @@ def law_forces(
             force, slope, rate_slope = ask_law(laws, m, x, rate)
             torque += force
             by_x[m] += slope
+            if laws.wanted[1] and not laws.stores[m]:
+                rate_slope = chord_law(laws, m, x, rate, force, rate_slope)
             by_rate[m] += rate_slope
             if not laws.stores[m]:
                 lost += force * rate

@@ -6,17 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rx90b_flex.compiled.compile import Array, counted, entry, inlined
+from rx90b_flex.compiled.compile import Array, Integers, counted, entry, inlined
 from rx90b_flex.compiled.controller import RUNNING, Inputs, Lanes, Logs, Loop, control
 from rx90b_flex.compiled.laws import Laws
 from rx90b_flex.compiled.packed import LAWS, Packed, unpack
 from rx90b_flex.compiled.scratch import Scratch, scratch_in, scratch_size
 from rx90b_flex.compiled.step import begin, evaluate, first_stage, second_stage
 from rx90b_flex.compiled.tree import Tree
-from rx90b_flex.compiled.vectors import WIDTH, aligned, seen_as, spread, width_of, working_memory
+from rx90b_flex.compiled.vectors import aligned, seen_as, spread, width_of, working_memory
 from rx90b_flex.compiled.wide import Wide, deliver, load_room, room_size, show, store_room
 
-DIVISION = 8  # parts of a step along which the laws bend too much
+# Parts of a step along which the laws bend too much. In them the Jacobian holds a law's chord to standstill where that is steeper
+# than its tangent: dry friction's is flat beside its reversal, and throws a joint that should come to rest to and fro.
+DIVISION = 8
 FEW = 2  # up to so many lanes are quicker one after the other than as a vector
 
 
@@ -29,21 +31,14 @@ def dissipate(lanes: Lanes, lane: int, lost: float, h: float) -> None:
 
 
 @inlined
-def _load(lanes: Lanes, first: int, torque: Array, packed: Array) -> None:
-    """States and torques (lanes, n) of a pack of lanes side by side, (3, n, width); places without a running lane repeat
-    another.
-    """
-    count, n, width = len(torque), packed.shape[1], packed.shape[2]
-    spare = first
-    for place in range(count):
-        if lanes.status[first + place] == RUNNING:
-            spare = first + place
-    for place in range(width):
-        lane = first + place if place < count and lanes.status[first + place] == RUNNING else spare
-        for i in range(n):
+def _load(lanes: Lanes, pack: Integers, torque: Array, packed: Array) -> None:
+    """States and torques (lanes, n) of a pack of lanes side by side, (3, n, width); places beyond it repeat its last one."""
+    for place in range(packed.shape[2]):
+        lane = pack[min(place, len(pack) - 1)]
+        for i in range(packed.shape[1]):
             packed[0, i, place] = lanes.q[lane, i]
             packed[1, i, place] = lanes.v[lane, i]
-            packed[2, i, place] = torque[lane - first, i]
+            packed[2, i, place] = torque[lane, i]
 
 
 @inlined
@@ -83,6 +78,7 @@ def _step(
         power = evaluate(tree, laws, s, wide, room)
         if stage == 0:
             spread(first_stage(tree, laws, s, wide, room, None, 0, q, v, torque, h, power), lost)
+            laws.wanted[1] = 0  # the slopes are those of the first stage
         else:
             spread(second_stage(tree, laws, s, wide, room, None, None, 0, q, v, torque, h), bend)
 
@@ -106,33 +102,33 @@ def _new_pack(n: int, like: Array) -> _Pack:
 
 
 @inlined
-def _control_pack(
+def _control_lanes(
     between: Wide | None,
     loop: Loop,
     lanes: Lanes,
     inputs: Inputs,
     logs: Logs,
     k: int,
-    first: int,
     torque: Array,
+    running: Integers,
 ) -> int:
-    """A sample of the controllers of lanes from `first` on; `torque` (lanes, n) receives what the motors give. How many still run."""
-    running = 0
-    for place in range(len(torque)):
-        lane = first + place
+    """A sample of the lanes' controllers; `torque` (lanes, n) receives what the motors give. How many `running` ones there are."""
+    count = 0
+    for lane in range(len(lanes.status)):
         if lanes.status[lane] == RUNNING:
             if between is not None:
                 show(between, lanes, lane, inputs.noise[k if inputs.noise.shape[0] > 1 else 0])
-            control(loop, lanes, inputs, logs, lane, k, torque[place])
+            control(loop, lanes, inputs, logs, lane, k, torque[lane])
             if between is not None:
-                deliver(between, loop, torque[place])
+                deliver(between, loop, torque[lane])
         if lanes.status[lane] == RUNNING:
-            running += 1
-    return running
+            running[count] = lane
+            count += 1
+    return count
 
 
 @entry
-def _run_pack(
+def _run(
     plant: Packed,
     memory: int,
     alone: bool | None,
@@ -143,56 +139,53 @@ def _run_pack(
     inputs: Inputs,
     logs: Logs,
     samples: int,
-    first: int,
-    count: int,
 ) -> None:
-    """`run` of up to `WIDTH` lanes, or of one `alone`, with `memory` numbers of working memory each; steps that must be divided
-    are, lane by lane.
-    """
+    """`run` by `memory` vectors of working memory, eight lanes at a time, or by numbers where lanes are `alone`."""
     tree, laws = unpack(plant)
-    n = lanes.q.shape[1]
+    count, n = lanes.q.shape
     scratch = scratch_in(working_memory(memory, alone), n, len(laws.inertia))
     # np.zeros of one kind of shape: each kind is compiled by itself
     torque, pack = np.zeros(count * n).reshape((count, n)), _new_pack(n, scratch.a)
-    rough = np.zeros(count, dtype=np.int64)
+    # lanes that take a step, and behind them those that must divide it
+    chosen = np.zeros(2 * count, dtype=np.int64)
     wide_size = 0
     if wide is not None:
         wide_size = room_size(wide, n)
-    room = aligned(wide_size)
+    room, width = aligned(wide_size), len(pack.lost)
     period = loop.period / loop.substeps
     for k in range(samples):
-        if _control_pack(between, loop, lanes, inputs, logs, k, first, torque) == 0:
+        running = _control_lanes(between, loop, lanes, inputs, logs, k, torque, chosen)
+        if running == 0:
             return
         for part in range(loop.substeps):
             logged = part == 0 and k % logs.stride == 0
-            # all lanes at once, then `DIVISION` short steps of each whose laws bend too much; one loop, since the step is long code
-            turn, turns = 0, 1
-            while turn < turns:
-                h, at, start, size = period, (inputs.first + k) * loop.period + part * period, 0, count
+            # all lanes, then `DIVISION` short steps of those whose laws bend too much; one loop, since the step is long code
+            begin, end, rough = 0, running, 0
+            for turn in range(1 + DIVISION):
+                h, at = period, (inputs.first + k) * loop.period + part * period
                 if turn > 0:
-                    h, start, size = period / DIVISION, rough[(turn - 1) // DIVISION], 1
-                    at += (turn - 1) % DIVISION * h
-                laws.wanted[0] = size
-                _load(lanes, first + start, torque[start : start + size], pack.numbers)
-                if wide is not None:
-                    load_room(wide, room, len(pack.lost), first + start, size, at)
-                _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h)
-                for place in range(size):
-                    lane = first + start + place
-                    if lanes.status[lane] != RUNNING:
-                        continue
-                    if turn == 0 and logged:
-                        row = logs.row + k // logs.stride
-                        logs.dissipated[lane, row] = lanes.dissipated[lane] + lanes.open[lane] * pack.lost[place]
-                    if turn == 0 and pack.bend[place] > loop.tolerance:
-                        rough[(turns - 1) // DIVISION] = place
-                        turns += DIVISION
-                        lanes.divided[lane] += 1
-                        continue
-                    _store(loop, lanes, lane, place, torque[start + place], pack.numbers, pack.lost[place], h)
+                    begin, end, h = running, running + rough, period / DIVISION
+                    at += (turn - 1) * h
+                for start in range(begin, end, width):
+                    together = chosen[start : min(start + width, end)]
+                    laws.wanted[0], laws.wanted[1] = len(together), turn > 0
+                    _load(lanes, together, torque, pack.numbers)
                     if wide is not None:
-                        store_room(wide, room, len(pack.lost), lane, place)
-                turn += 1
+                        load_room(wide, room, width, together, at)
+                    _step(tree, laws, scratch, wide, room, pack.vectors, pack.lost, pack.bend, h)
+                    for place in range(len(together)):
+                        lane = together[place]
+                        if turn == 0 and logged:
+                            row = logs.row + k // logs.stride
+                            logs.dissipated[lane, row] = lanes.dissipated[lane] + lanes.open[lane] * pack.lost[place]
+                        if turn == 0 and pack.bend[place] > loop.tolerance:
+                            chosen[running + rough] = lane
+                            rough += 1
+                            lanes.divided[lane] += 1
+                            continue
+                        _store(loop, lanes, lane, place, torque[lane], pack.numbers, pack.lost[place], h)
+                        if wide is not None:
+                            store_room(wide, room, width, lane, place)
 
 
 def run(
@@ -209,11 +202,6 @@ def run(
 
     `wide` are laws of the robot, `between` those between its motors and the controller; None where there are none.
     """
-    size, count = scratch_size(lanes.q.shape[1], int(plant.integers[LAWS])), len(lanes.status)
-    if count <= FEW:  # vectors are not even compiled then
-        for lane in range(count):
-            _run_pack(plant, size, True, wide, between, loop, lanes, inputs, logs, samples, lane, 1)
-        return
-    for first in range(0, count, WIDTH):
-        pack = min(WIDTH, count - first)
-        _run_pack(plant, size, None, wide, between, loop, lanes, inputs, logs, samples, first, pack)
+    size = scratch_size(lanes.q.shape[1], int(plant.integers[LAWS]))
+    alone = True if len(lanes.status) <= FEW else None  # vectors are not even compiled then
+    _run(plant, size, alone, wide, between, loop, lanes, inputs, logs, samples)

@@ -14,9 +14,9 @@ from rx90b_flex.compiled.tree import Tree, body_columns, inverse_dynamics, mass_
 from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors
 
 # Integers before the arrays: coordinates of the tree, of all, and of drives beside it; laws, width of their combinations, length of
-# their parameters; and how many lanes of a vector are asked for their laws.
-JOINTS, COORDINATES, BESIDE, LAWS, BREADTH, LENGTH, WANTED = range(7)
-SIZES = 7
+# their parameters; how many lanes of a vector are asked for their laws, and whether for chords.
+JOINTS, COORDINATES, BESIDE, LAWS, BREADTH, LENGTH, WANTED, CHORDS = range(8)
+SIZES = 8
 OF_JOINT, OF_LAW = 5, 3  # integers a joint, and a law beside its places
 
 
@@ -42,7 +42,7 @@ def pack(tree: Tree, laws: Laws, order: Order) -> Packed:
     numbers = [tree.rotation, tree.inertia, tree.offset, tree.axis, tree.moment, tree.mass, tree.gravity]
     numbers += [laws.weight, laws.inertia, laws.damping, laws.stiffness, laws.parameters, laws.out]
     joints, beside = len(tree.parent), len(tree.partner)
-    sizes = [joints, joints + beside, beside, *laws.place.shape, laws.parameters.shape[1], WIDTH]
+    sizes = [joints, joints + beside, beside, *laws.place.shape, laws.parameters.shape[1], WIDTH, 0]
     return Packed(
         np.concatenate([np.array(sizes, dtype=np.int64), *(x.ravel() for x in integers)]),
         np.concatenate([x.ravel() for x in numbers]),

@@ -285,12 +285,12 @@ def second_system(s: Scratch, partner: Integers, w: WideView, gh: float) -> None
 
 
 @inlined
-def load_room(wide: Wide, room: Array, side: int, first: int, count: int, time: float) -> None:
+def load_room(wide: Wide, room: Array, side: int, pack: Integers, time: float) -> None:
     """What a pack of lanes keeps from the step before, `side` of them side by side."""
     wide.numbers[0] = time
-    for place in range(count):
+    for place in range(len(pack)):
         for i in range(wide.memory.shape[1]):
-            room[side * i + place] = wide.memory[first + place, i]
+            room[side * i + place] = wide.memory[pack[place], i]
 
 
 @inlined

@@ -9,6 +9,7 @@ import numpy as np
 
 from rx90b_flex.compiled.controller import RUNNING, Inputs, Lanes, Logs, Loop
 from rx90b_flex.compiled.loop import DIVISION
+from rx90b_flex.compiled.packed import CHORDS
 from rx90b_flex.compiled.parts import begin_all, control_all, finish_all
 from rx90b_flex.compiled.step import Extra
 from rx90b_flex.effects import Effect
@@ -72,7 +73,9 @@ class ByParts:
                     lanes.divided[:] += 1
                     fine = h / DIVISION
                     for i in range(DIVISION):
+                        self.plant.packed.integers[CHORDS] = 1
                         self._step(torque, time + i * fine, fine)
+                    self.plant.packed.integers[CHORDS] = 0
 
     def _step(self, torque: Array, time: float, h: float) -> float:
         """One step of all lanes; returns the largest bend of the laws."""

@@ -47,7 +47,7 @@ Indices = NDArray[np.int64]
 Progress = Callable[[float], None]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
-TOLERANCE = 1e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
+TOLERANCE = 3e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
 SHRINKS = (
     1e-2  # a step of a static start's Newton iteration that is this much smaller than the last keeps its stiffness
 )
