@@ -199,6 +199,27 @@ def test_intervals_hold_the_truth_as_measured_and_by_replay(replay: Replay, meas
     assert abs(found.grey.torque_delay.value) < max(4.0 * found.grey.torque_delay.std, 1e-5)
 
 
+@pytest.mark.slow
+def test_a_joint_that_is_not_excited_does_not_stand_in_the_way(tmp_path: Path) -> None:
+    # no response shows the drive inertia of the wrist, which is held
+    robot = load_robot("rx90b_4dof")
+    noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
+    plan = section_662(robot, load_cs8(), noise=noise, realisations=3, periods=2, method="perturbation", seed=3)
+    done = run_campaign(plan, tmp_path / "campaign")
+    assert done.file is not None
+    recordings = load_campaign(done.file).identification
+    response = estimate_frequency_response(recordings, joints=robot.joints[:3], band_hz=BAND_HZ)
+    pose = np.array([0.0, 0.5 * np.pi, 0.0, 0.0])
+    at = PosesReplayed((Replay.of(recordings, response, load_cs8()),), (pose,), SLOPES)
+    known = np.concatenate([e.coefficients for e in _frictions(robot, response.joints)])
+    now = at.simulated([robot])[0]
+    on_time = [np.ones((len(response.hz), 1, 1))]
+    _, found, std = at.with_friction_step(robot, known, now, at.friction_derivatives(robot, known, now), on_time)
+    assert found == pytest.approx(known, rel=0.1 / 8.0)  # as near as wrong friction is brought above
+    assert (std > 0.0).all()
+    assert at.replays[0].torques_off(robot, 0.0).shape == (3,)
+
+
 def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:
     robot, hz = load_robot("rx90b_3dof"), np.linspace(8.0, 80.0, 7)
     pose = np.array([0.0, 1.0, 0.5])

@@ -170,14 +170,15 @@ class Replay:
         return [_period(r, run.recording, 1) for r, run in zip(self.recordings, runs, strict=True)]
 
     def torques_off(self, robot: Robot, delay_s: float) -> Array:
-        """How far each joint's torques on that robot are from those logged, at all lines, over these; (joints,).
+        """How far each measured joint's torques on that robot are from those logged, at all lines, over these; (joints,).
 
         Logged torques are `delay_s` late. Apart from what is wrong with the robot it is what is wrong with the controller.
         """
         hz = self.measured.hz
         lines = np.rint(hz * (self.recordings[0].period_s or 0.0)).astype(int)
+        columns = [self.recordings[0].joints.index(joint) for joint in self.measured.joints]
         pairs = zip(self._simulated(robot), self.recordings, strict=True)
-        both = [[np.fft.rfft(x.torque, axis=0)[lines] for x in pair] for pair in pairs]
+        both = [[np.fft.rfft(x.torque[:, columns], axis=0)[lines] for x in pair] for pair in pairs]
         ordered, logged = np.moveaxis(np.array(both), 1, 0)
         logged = logged * late(hz, delay_s)[:, :, 0]
         apart, size = ((np.abs(x) ** 2).sum(axis=(0, 1)) for x in (ordered - logged, logged))
@@ -483,6 +484,7 @@ class PosesReplayed:
         both = [_friction_rows(*each) for each in zip(self.measured, simulated, by_friction, linear, strict=True)]
         slopes, target = (np.concatenate(x) for x in zip(*both, strict=True))
         scale = np.linalg.norm(slopes, axis=0)
+        scale[scale == 0.0] = 1.0  # the drive of a joint that is not excited: its inertia shows in no response
         step = np.linalg.lstsq(slopes / scale, target, rcond=1e-6)[0] / scale
         rest = target - slopes @ step
         covariance_of_step = np.linalg.pinv(slopes.T @ slopes) * (rest @ rest) / (len(rest) - len(step))
