@@ -38,7 +38,7 @@ def simulate_command(
 
     Along a trajectory: recording, every coordinate, tip deviation, figure.
 
-    The first simulation of a user compiles for about half a minute; later ones do not.
+    The first simulation of a user compiles for a quarter of a minute; later ones do not.
     """
     from rx90b_flex.early import check_robot
     from rx90b_flex.signals.folders import RUN, check_folder

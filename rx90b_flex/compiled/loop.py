@@ -13,7 +13,7 @@ from rx90b_flex.compiled.packed import LAWS, Packed, unpack
 from rx90b_flex.compiled.scratch import Scratch, scratch_in, scratch_size
 from rx90b_flex.compiled.step import begin, evaluate, first_stage, second_stage
 from rx90b_flex.compiled.tree import Tree
-from rx90b_flex.compiled.vectors import aligned, seen_as, spread, width_of, working_memory
+from rx90b_flex.compiled.vectors import aligned, part_of, seen_as, spread, width_of, working_memory
 from rx90b_flex.compiled.wide import Wide, deliver, load_room, room_size, show, store_room
 
 # Parts of a step along which the laws bend too much. In them the Jacobian holds a law's chord to standstill where that is steeper
@@ -95,9 +95,9 @@ class _Pack(NamedTuple):
 @counted
 def _new_pack(n: int, like: Array) -> _Pack:
     width = width_of(like)
-    numbers = aligned(3 * n)[: 3 * n * width]
+    numbers = aligned(3 * n)
     return _Pack(
-        numbers.reshape((3, n, width)), seen_as(numbers, like).reshape((3, n)), np.zeros(width), np.zeros(width)
+        part_of(numbers, 0, (3, n, width)), part_of(seen_as(numbers, like), 0, (3, n)), np.zeros(width), np.zeros(width)
     )
 
 
@@ -131,6 +131,8 @@ def _control_lanes(
 def _run(
     plant: Packed,
     memory: int,
+    torque: Array,
+    chosen: Integers,
     alone: bool | None,
     wide: Wide | None,
     between: Wide | None,
@@ -140,15 +142,16 @@ def _run(
     logs: Logs,
     samples: int,
 ) -> None:
-    """`run` by `memory` vectors of working memory, eight lanes at a time, or by numbers where lanes are `alone`."""
+    """`run` by `memory` vectors of working memory, eight lanes at a time, or by numbers where lanes are `alone`.
+
+    `torque` (lanes, n) is for what the motors give; `chosen` (2 lanes,) for lanes that take a step, and behind them those that must
+    divide it.
+    """
     tree, laws = unpack(plant)
-    count, n = lanes.q.shape
+    n = lanes.q.shape[1]
+    # made here, so that the compiler sees that nothing else writes to it
     scratch = scratch_in(working_memory(memory, alone), n, len(laws.inertia))
-    # np.zeros of one kind of shape: each kind is compiled by itself
-    torque, pack = np.zeros(count * n).reshape((count, n)), _new_pack(n, scratch.a)
-    # lanes that take a step, and behind them those that must divide it
-    chosen = np.zeros(2 * count, dtype=np.int64)
-    wide_size = 0
+    pack, wide_size = _new_pack(n, scratch.a), 0
     if wide is not None:
         wide_size = room_size(wide, n)
     room, width = aligned(wide_size), len(pack.lost)
@@ -202,6 +205,7 @@ def run(
 
     `wide` are laws of the robot, `between` those between its motors and the controller; None where there are none.
     """
-    size = scratch_size(lanes.q.shape[1], int(plant.integers[LAWS]))
-    alone = True if len(lanes.status) <= FEW else None  # vectors are not even compiled then
-    _run(plant, size, alone, wide, between, loop, lanes, inputs, logs, samples)
+    count, n = lanes.q.shape
+    alone = True if count <= FEW else None  # vectors are not even compiled then
+    memory, chosen = scratch_size(n, int(plant.integers[LAWS])), np.zeros(2 * count, dtype=np.int64)
+    _run(plant, memory, np.zeros((count, n)), chosen, alone, wide, between, loop, lanes, inputs, logs, samples)

@@ -11,7 +11,7 @@ from rx90b_flex.compiled.laws import Laws, add_laws_to_system, law_forces
 from rx90b_flex.compiled.linear import factor, solve
 from rx90b_flex.compiled.scratch import scratch_in
 from rx90b_flex.compiled.tree import Tree, body_columns, inverse_dynamics, mass_matrix, move, place
-from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors
+from rx90b_flex.compiled.vectors import WIDTH, aligned, as_vectors, part_of
 
 # Integers before the arrays: coordinates of the tree, of all, and of drives beside it; laws, width of their combinations, length of
 # their parameters; how many lanes of a vector are asked for their laws, and whether for chords.
@@ -63,8 +63,6 @@ def unpack(packed: Packed) -> tuple[Tree, Laws]:
     partner_from = SIZES + OF_JOINT * n
     place_from = _places_from(integers)
     law_from = place_from + m * width
-    of_joint = integers[SIZES:partner_from].reshape((OF_JOINT, n))
-    of_law = integers[law_from : law_from + OF_LAW * m].reshape((OF_LAW, m))
     vectors_from = 2 * 9 * n
     mass_from = vectors_from + 3 * 3 * n
     gravity_from = mass_from + n
@@ -72,36 +70,33 @@ def unpack(packed: Packed) -> tuple[Tree, Laws]:
     linear_from = weight_from + m * width
     parameters_from = linear_from + 3 * m
     out_from = parameters_from + m * length
-    matrices = numbers[:vectors_from].reshape((2, n, 3, 3))
-    vectors = numbers[vectors_from:mass_from].reshape((3, n, 3))
-    linear = numbers[linear_from:parameters_from].reshape((3, m))
     tree = Tree(
-        parent=of_joint[0],
-        prismatic=of_joint[1],
-        turned=of_joint[2],
-        shifted=of_joint[3],
-        heavy=of_joint[4],
-        partner=integers[partner_from : partner_from + integers[BESIDE]],
-        rotation=matrices[0],
-        inertia=matrices[1],
-        offset=vectors[0],
-        axis=vectors[1],
-        moment=vectors[2],
-        mass=numbers[mass_from:gravity_from],
-        gravity=numbers[gravity_from:weight_from],
+        parent=part_of(integers, SIZES, (n,)),
+        prismatic=part_of(integers, SIZES + n, (n,)),
+        turned=part_of(integers, SIZES + 2 * n, (n,)),
+        shifted=part_of(integers, SIZES + 3 * n, (n,)),
+        heavy=part_of(integers, SIZES + 4 * n, (n,)),
+        partner=part_of(integers, partner_from, (integers[BESIDE],)),
+        rotation=part_of(numbers, 0, (n, 3, 3)),
+        inertia=part_of(numbers, 9 * n, (n, 3, 3)),
+        offset=part_of(numbers, vectors_from, (n, 3)),
+        axis=part_of(numbers, vectors_from + 3 * n, (n, 3)),
+        moment=part_of(numbers, vectors_from + 6 * n, (n, 3)),
+        mass=part_of(numbers, mass_from, (n,)),
+        gravity=part_of(numbers, gravity_from, (3,)),
     )
     laws = Laws(
-        place=integers[place_from:law_from].reshape((m, width)),
-        weight=numbers[weight_from:linear_from].reshape((m, width)),
-        inertia=linear[0],
-        damping=linear[1],
-        stiffness=linear[2],
-        width=of_law[0],
-        address=of_law[1],
-        stores=of_law[2],
-        parameters=numbers[parameters_from:out_from].reshape((m, length)),
-        out=numbers[out_from:],
-        wanted=integers[WANTED:SIZES],
+        place=part_of(integers, place_from, (m, width)),
+        weight=part_of(numbers, weight_from, (m, width)),
+        inertia=part_of(numbers, linear_from, (m,)),
+        damping=part_of(numbers, linear_from + m, (m,)),
+        stiffness=part_of(numbers, linear_from + 2 * m, (m,)),
+        width=part_of(integers, law_from, (m,)),
+        address=part_of(integers, law_from + m, (m,)),
+        stores=part_of(integers, law_from + 2 * m, (m,)),
+        parameters=part_of(numbers, parameters_from, (m, length)),
+        out=part_of(numbers, out_from, (3,)),
+        wanted=part_of(integers, WANTED, (2,)),
     )
     return tree, laws
 

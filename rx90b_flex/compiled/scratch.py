@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rx90b_flex.compiled.compile import Array, counted
+from rx90b_flex.compiled.vectors import part_of
 
 
 class Scratch(NamedTuple):
@@ -53,34 +54,30 @@ def scratch_in(memory: Array, n: int, m: int) -> Scratch:
     laws_from = vectors_from + 3 * VECTORS * n
     system_from = laws_from + OF_LAWS * m
     numbers_from = system_from + n * n
-    matrices = memory[:vectors_from].reshape((MATRICES, n, 3, 3))
-    vectors = memory[vectors_from:laws_from].reshape((VECTORS, n, 3))
-    of_laws = memory[laws_from:system_from].reshape((OF_LAWS, m))
-    numbers = memory[numbers_from : numbers_from + NUMBERS * n].reshape((NUMBERS, n))
     return Scratch(
-        rotation=matrices[0],
-        inertia=matrices[1],
-        axis=vectors[0],
-        arm=vectors[1],
-        spin=vectors[2],
-        turn=vectors[3],
-        lift=vectors[4],
-        force=vectors[5],
-        torque=vectors[6],
-        moment=vectors[7],
-        torques=of_laws[0],
-        late_torques=of_laws[1],
-        by_x=of_laws[2],
-        by_rate=of_laws[3],
-        late_by_x=of_laws[4],
-        late_by_rate=of_laws[5],
-        system=memory[system_from:numbers_from].reshape((n, n)),
-        mass=numbers[0],
-        generalised=numbers[1],
-        right=numbers[2],
-        k_q=numbers[3],
-        k_v=numbers[4],
-        q=numbers[5],
-        v=numbers[6],
-        a=numbers[7],
+        rotation=part_of(memory, 0, (n, 3, 3)),
+        inertia=part_of(memory, 9 * n, (n, 3, 3)),
+        axis=part_of(memory, vectors_from, (n, 3)),
+        arm=part_of(memory, vectors_from + 3 * n, (n, 3)),
+        spin=part_of(memory, vectors_from + 6 * n, (n, 3)),
+        turn=part_of(memory, vectors_from + 9 * n, (n, 3)),
+        lift=part_of(memory, vectors_from + 12 * n, (n, 3)),
+        force=part_of(memory, vectors_from + 15 * n, (n, 3)),
+        torque=part_of(memory, vectors_from + 18 * n, (n, 3)),
+        moment=part_of(memory, vectors_from + 21 * n, (n, 3)),
+        torques=part_of(memory, laws_from, (m,)),
+        late_torques=part_of(memory, laws_from + m, (m,)),
+        by_x=part_of(memory, laws_from + 2 * m, (m,)),
+        by_rate=part_of(memory, laws_from + 3 * m, (m,)),
+        late_by_x=part_of(memory, laws_from + 4 * m, (m,)),
+        late_by_rate=part_of(memory, laws_from + 5 * m, (m,)),
+        system=part_of(memory, system_from, (n, n)),
+        mass=part_of(memory, numbers_from, (n,)),
+        generalised=part_of(memory, numbers_from + n, (n,)),
+        right=part_of(memory, numbers_from + 2 * n, (n,)),
+        k_q=part_of(memory, numbers_from + 3 * n, (n,)),
+        k_v=part_of(memory, numbers_from + 4 * n, (n,)),
+        q=part_of(memory, numbers_from + 5 * n, (n,)),
+        v=part_of(memory, numbers_from + 6 * n, (n,)),
+        a=part_of(memory, numbers_from + 7 * n, (n,)),
     )

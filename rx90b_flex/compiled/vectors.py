@@ -135,6 +135,35 @@ def _as_vectors(typing_context: Any, numbers: Any) -> Any:
     return result(numbers), generate
 
 
+@intrinsic
+def _part(typing_context: Any, memory: Any, start: Any, shape: Any) -> Any:
+    """An array of a shape in a flat one, from `start` on: a slice of it, reshaped, which takes the compiler far longer."""
+    axes = len(shape)
+    result = types.Array(memory.dtype, axes, "C", aligned=memory.aligned)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source = make_array(signature.args[0])(context, builder, args[0])
+        array = make_array(signature.return_type)(context, builder)
+        sizes = cgutils.unpack_tuple(builder, args[2], axes)
+        strides = [source.itemsize]
+        for size in sizes[:0:-1]:
+            strides.insert(0, builder.mul(strides[0], size))
+        populate_array(
+            array,
+            data=builder.gep(source.data, [args[1]]),
+            shape=cgutils.pack_array(builder, sizes),
+            strides=cgutils.pack_array(builder, strides),
+            itemsize=source.itemsize,
+            meminfo=source.meminfo,
+            parent=source.parent,
+        )
+        context.nrt.incref(builder, signature.return_type, array._getvalue())
+        return array._getvalue()
+
+    return result(memory, types.intp, types.UniTuple(types.intp, axes)), generate
+
+
+part_of: Any = _part
 lane_of: Any = _lane_of
 with_lane: Any = _with_lane
 as_vectors: Any = _as_vectors

@@ -19,6 +19,7 @@ from typing import Literal, get_args
 import joblib
 import numpy as np
 
+from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.excitation import minus_below_first, multisine
 from rx90b_flex.excitation.multisine import Crest
@@ -340,13 +341,15 @@ def run_campaign(
     work = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
         joblib.delayed(simulate_batch)(plan, keys, folder) for keys in batches
     )
-    for finished in work:
-        for key, reason in finished:
-            if reason is None:
-                done.append(key)
-            else:
-                failed.append(Failure(key.name, reason))
-        tell(f"{len(done)} of {count} runs", (len(done) + len(failed)) / count)
+    # workers of their own do not tell
+    with told_of_compiling(lambda: tell("compiling, once on this machine", len(done) / count)):
+        for finished in work:
+            for key, reason in finished:
+                if reason is None:
+                    done.append(key)
+                else:
+                    failed.append(Failure(key.name, reason))
+            tell(f"{len(done)} of {count} runs", (len(done) + len(failed)) / count)
     present = set(done)
     kept = [key for key in plan.runs if key in present]
     names = tuple(key.name for key in kept)
