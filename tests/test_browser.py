@@ -322,7 +322,8 @@ def test_a_line_zooms_where_it_is_dragged_and_comes_back(browser: Any, reports: 
     page.page.close()
 
 
-@pytest.mark.parametrize("size", [(1000, 640), pytest.param((1400, 900), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(1000, 640), (1400, 900)])
 def test_the_viewer_s_words_cover_neither_the_robot_nor_each_other(
     browser: Any, run: Simulation, tmp_path: Path, pictures: Path, size: tuple[int, int]
 ) -> None:

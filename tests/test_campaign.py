@@ -49,6 +49,7 @@ def test_a_campaign_ends_as_a_campaign_file_with_roles_and_period(tmp_path: Path
     assert rf.load_robot(tmp_path / "c" / "robot.toml").coordinates == rf.load_robot("rx90b_3dof").coordinates
 
 
+@pytest.mark.slow
 def test_batches_and_workers_do_not_change_a_run(tmp_path: Path) -> None:
     plan = small_plan(realisations=1)
     run_campaign(plan, tmp_path / "one")

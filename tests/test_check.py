@@ -346,6 +346,7 @@ def test_closing_the_loop_refuses_data_with_a_fault_and_says_which(
     assert not (out / "robot.toml").exists()
 
 
+@pytest.mark.slow
 def test_identifying_refuses_data_with_a_fault_unless_told_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -290,7 +290,8 @@ def heavy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="how much memory a process has is asked of Linux")
-@pytest.mark.parametrize("megabytes", [250, *(pytest.param(n, marks=pytest.mark.slow) for n in (40, 120))])
+@pytest.mark.slow
+@pytest.mark.parametrize("megabytes", [40, 120, 250])
 def test_a_log_for_which_there_is_no_memory_is_one_line(heavy: Path, megabytes: int) -> None:
     before = set(os.listdir(heavy))
     words = ["import", str(heavy / "log.parquet"), "--robot", str(heavy / "data" / "robot_declared.toml")]
@@ -307,7 +308,8 @@ def test_a_log_for_which_there_is_no_memory_is_one_line(heavy: Path, megabytes: 
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="how much memory a process has is asked of Linux")
-@pytest.mark.parametrize("megabytes", [130, *(pytest.param(n, marks=pytest.mark.slow) for n in (60, 290))])
+@pytest.mark.slow
+@pytest.mark.parametrize("megabytes", [60, 130, 290])
 def test_nor_does_a_recording_without_memory_end_the_process(heavy: Path, megabytes: int) -> None:
     path = heavy / "run.csv"
     if not path.exists():

@@ -61,7 +61,7 @@ def campaign(folder: Path, wrong: str, seed: int) -> Path:
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("wrong", ["too light", "turned about"])
+@pytest.mark.parametrize("wrong", ["too light", pytest.param("turned about", marks=pytest.mark.slow)])
 def test_wrong_links_are_no_fault_of_the_data_and_said_to_be_behind_what_was_named(
     tmp_path: Path, wrong: str, seed: int
 ) -> None:
