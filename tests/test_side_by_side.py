@@ -6,11 +6,12 @@ import tempfile
 from pathlib import Path
 
 import independent as ind
+import joblib
 import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.side_by_side import WORTH, SideBySide, worth_while
+from rx90b_flex.diagnose.side_by_side import FEWEST, MOST, WORTH, SideBySide, worth_while
 
 DECLARED = ("coulomb_friction", "viscous_friction")
 
@@ -70,9 +71,11 @@ def test_a_fault_in_another_process_is_told_here() -> None:
         list(beside.each(fails, [7]))
 
 
-def test_long_logs_get_processes_and_wrong_numbers_one_line(campaign: Path) -> None:
+def test_long_logs_get_processes_and_wrong_numbers_one_line(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert worth_while(None, WORTH - 1) == 1
-    assert worth_while(None, WORTH) >= 1
+    for cores, processes in ((1, 1), (FEWEST - 1, 1), (FEWEST, FEWEST), (MOST, MOST), (4 * MOST, MOST)):
+        monkeypatch.setattr(joblib, "cpu_count", lambda cores=cores: cores)
+        assert worth_while(None, WORTH) == processes
     assert worth_while(3, 1) == 3
     with pytest.raises(ValueError, match="--jobs is 0; expected 1 to"):
         rf.close_loop(campaign, jobs=0)

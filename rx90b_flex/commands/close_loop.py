@@ -33,7 +33,7 @@ def close_loop_command(
     robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
     model_error: ModelError = None,
     jobs: Annotated[
-        int | None, typer.Option(help="Processes; not given, 1 for a fleet, and one a core for a long log.")
+        int | None, typer.Option(help="Processes; not given: 1, or for one long log and 4 cores or more one a core.")
     ] = None,
     dask: DaskScheduler = None,
     basics: Basics = False,

@@ -277,7 +277,7 @@ def close_loop(
         `RefusedLoop` with verdict ``data_fault``.
     jobs : int, optional
         Processes that try candidates beside each other; with any number the result is the same. Where not given, one a core for a log
-        that is long enough to be worth them, else one.
+        that is long enough on a machine with cores enough to be worth them, else one.
 
     Raises
     ------

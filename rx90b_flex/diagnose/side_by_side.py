@@ -13,16 +13,18 @@ Result = TypeVar("Result")
 Large = TypeVar("Large")
 
 PARTS = 4  # a process, of items that take unequal time
-WORTH = 150_000  # samples of all joints from which on a search is worth processes of its own
+WORTH = 150_000  # samples of all joints from which on a search is worth processes of its own,
+FEWEST, MOST = 4, 8  # cores: fewer gain what the processes' own work costs, more wait for what one process does
 
 
 def worth_while(jobs: int | None, samples: int) -> int:
-    """So many processes, or, where it is not said how many, one a core if there are samples enough."""
+    """So many processes, or, where it is not said how many, one a core if there are samples and cores enough."""
     if jobs is not None:
         return jobs
     import joblib
 
-    return int(joblib.cpu_count()) if samples >= WORTH else 1
+    cores = int(joblib.cpu_count()) if samples >= WORTH else 1
+    return min(cores, MOST) if cores >= FEWEST else 1
 
 
 class SideBySide(Generic[Large]):
