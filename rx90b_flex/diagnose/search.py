@@ -230,9 +230,9 @@ class Search:
         return sorted(trials, key=lambda t: -t.gain)
 
     def _ready(self) -> Search:
-        """With what all processes ask for."""
+        """With what all processes ask for, and the candidates, of which some may be defined in this one alone."""
         if self.jobs > 1:
-            _ = self.present.whole, self.present.held_out, self.tests
+            _ = self.candidates, self.present.whole, self.present.held_out, self.tests
         return self
 
     def _rough(self, beside: SideBySide[Search], progress: Callable[[float], None] | None) -> list[Rough]:
