@@ -78,6 +78,7 @@ def test_sensors_and_their_columns_are_read_as_they_were_written(campaign: Path)
     np.testing.assert_array_equal(loaded.recordings[3].acceleration, again[3].acceleration)
 
 
+@pytest.mark.slow
 def test_fitted_together_the_joints_stiffness_is_known_far_better(
     both: tuple[MotorIdentification, MotorIdentification],
 ) -> None:
@@ -95,6 +96,7 @@ def test_fitted_together_the_joints_stiffness_is_known_far_better(
     assert not together.grey.bias_detected
 
 
+@pytest.mark.slow
 def test_the_result_names_its_sensors(both: tuple[MotorIdentification, MotorIdentification]) -> None:
     alone, together = (frf_json(result) for result in both)
     assert alone["accelerometers"] == []
@@ -102,6 +104,7 @@ def test_the_result_names_its_sensors(both: tuple[MotorIdentification, MotorIden
     json.dumps(together, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_the_report_says_that_they_were_used_and_shows_their_residuals(
     both: tuple[MotorIdentification, MotorIdentification], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -216,6 +216,7 @@ def test_the_page_of_a_run_shows_robot_and_trail_moves_and_asks_for_nothing(
     page.page.close()
 
 
+@pytest.mark.slow
 def test_the_served_page_shows_the_same(browser: Any, run: Simulation, pictures: Path) -> None:
     visualizer = show(run).serve()
     try:

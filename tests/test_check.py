@@ -360,6 +360,7 @@ def test_identifying_refuses_data_with_a_fault_unless_told_to_go_on(
     assert (tmp_path / "on" / "identification.json").exists()
 
 
+@pytest.mark.slow
 def test_basics_are_identified_where_they_are_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,7 @@ def row():
     return study.run_case(study.Case("hidden", "joint_spring", 3.0, 0))
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_of_a_given_strength_is_found(row):
     assert row["reached"] == pytest.approx(3.0, rel=0.15)  # met to 10 %, the fit of nuisances begins elsewhere
     assert row["verdict"] == "explained"
@@ -48,6 +49,7 @@ def test_a_hidden_effect_of_a_given_strength_is_found(row):
     assert row["held_out"] < counted.NEAR_FLOOR
 
 
+@pytest.mark.slow
 def test_the_table_counts_it(row):
     text = study.table(
         [row, {"study": "hidden", "name": "payload", "strength": 3.0, "seed": 0, "skipped": "too light"}]

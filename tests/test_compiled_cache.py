@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import rx90b_flex
 
 FOLDER = Path(rx90b_flex.__file__).parent / "compiled"
@@ -83,6 +85,7 @@ print(compiled.ctypes(1.0), compiled._cache_hits)
 """
 
 
+@pytest.mark.slow
 def test_so_is_a_law_that_lies_elsewhere(tmp_path: Path) -> None:
     folder = package(tmp_path / "here")
     script = tmp_path / "law.py"

@@ -292,7 +292,7 @@ def test_identified_arm_is_as_good_as_the_true_arm_on_other_motion(name: str, fo
         assert friction == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("name", slow_but("own_file"))
+@pytest.mark.parametrize("name", slow_but())
 def test_closing_the_loop_finds_what_was_hidden(name: str, folder: Path) -> None:
     result = rf.close_loop(campaign(name, folder, True))
     (found,) = result.effects

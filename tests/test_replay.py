@@ -309,6 +309,7 @@ def changed(recordings: tuple[Recording, ...], torque: Callable[[int, Recording]
     return estimate_frequency_response(logged, band_hz=BAND_HZ, neighbours=6)
 
 
+@pytest.mark.slow
 def test_a_delay_put_into_the_logged_torques_comes_back(recordings: tuple[Recording, ...]) -> None:
     delay = np.array([0.0, 1.0e-3, 2.5e-3])  # of the robot against the log
 
