@@ -90,3 +90,42 @@ def test_a_round_ends_after_so_many():
 def test_no_more_than_so_many_are_added():
     names = [f"helps {i}" for i in range(9)]
     assert len(closed(Names(*names, helps=frozenset(names)), most=5).steps) == 5
+
+
+class Apart(Names):
+    """Names that have nothing to do with each other where their first letters differ; some fall beside what was added."""
+
+    def __init__(self, *names: str, helps: frozenset[str], falls_beside: frozenset[str] = frozenset()) -> None:
+        super().__init__(*names, helps=helps)
+        self.falls_beside, self.rounds = falls_beside, 0
+
+    def trials(self, model: Model, some: Candidates, told: Callable[[float], None]) -> list[Tried]:
+        self.rounds += 1
+        return super().trials(model, some, told)
+
+    def apart(self, trials: Sequence[Tried], new: Model, old: Model) -> list[Tried]:
+        more = {name[0] for name in new - old}
+        return [t for t in trials if t.label[0] not in more]
+
+    def once_more(self, model: Model, trial: Tried) -> Tried:
+        return Tried(trial.label, trial.gain, trial.label not in self.falls_beside)
+
+
+def test_what_has_nothing_to_do_with_an_addition_is_added_in_its_round():
+    residual = Apart("a1", "b1", "a2", "c1", helps=frozenset({"a1", "b1", "a2", "c1"}))
+    standing = closed(residual)
+    assert [s.trial.label for s in standing.steps] == ["a1", "b1", "c1", "a2"]
+    assert residual.rounds == 3  # a2 has to do with a1: it waits for the next; the third adds nothing
+    first = standing.steps[1]
+    assert [t.label for t in first.rivals] == ["a1", "a2", "c1"], "what it won against in its round"
+
+
+def test_what_no_longer_passes_beside_an_addition_is_not_added_with_it():
+    residual = Apart("a1", "b1", "c1", helps=frozenset({"a1", "c1"}), falls_beside=frozenset({"b1"}))
+    assert [s.trial.label for s in closed(residual).steps] == ["a1", "c1"]
+    assert residual.refits[:2] == ["a1", "c1"]
+
+
+def test_a_round_adds_no_more_than_may_be_added():
+    names = tuple("abcdefgh")
+    assert len(closed(Apart(*names, helps=frozenset(names)), most=5).steps) == 5

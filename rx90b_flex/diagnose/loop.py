@@ -141,6 +141,14 @@ class Residual(ABC, Generic[ModelT, TrialT]):
     def worth(self, model: ModelT, trial: TrialT) -> TrialT:
         """The trial of adding what a model holds to the same model without it."""
 
+    def apart(self, trials: Sequence[TrialT], new: ModelT, old: ModelT) -> list[TrialT]:
+        """Trials beside an old model that have nothing to do with what a new one has more."""
+        return []
+
+    def once_more(self, model: ModelT, trial: TrialT) -> TrialT:
+        """A trial beside another model, its candidate as it was."""
+        return trial
+
     def once_fitted(self, half: ModelT, first: TrialT) -> TrialT:
         """A trial that was not sure alone, in the model that was fitted with it."""
         return self.worth(half, first)
@@ -208,7 +216,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         done, number = _done(standing), len(standing.steps) + 1
         for some in self.residual.candidates(standing):
             trials = self.residual.trials(standing.model, some, partial(self._tell_part, number, done))
-            more = self._one_more(standing, trials)
+            more = self._several(standing, trials)
             if more is None and some.in_pairs:
                 more = self._once_fitted(standing, trials, some)
             if more is not None:
@@ -219,10 +227,26 @@ class ClosingLoop(Generic[ModelT, TrialT]):
     def _tell_part(self, number: int, done: float, fraction: float) -> None:
         self.tell(f"trying what may be missing, round {number}", done + 0.15 * (0.9 - done) * fraction)
 
-    def _one_more(self, standing: Standing[ModelT, TrialT], trials: list[TrialT]) -> Standing[ModelT, TrialT] | None:
+    def _several(self, standing: Standing[ModelT, TrialT], trials: list[TrialT]) -> Standing[ModelT, TrialT] | None:
+        """With the best addition, and those of its round that have nothing to do with it and pass beside it; None: there is none."""
+        more, left = self._one_more(standing, trials), trials
+        while more is not None and len(more.steps) < self.most:
+            left = self.residual.apart(left, more.model, standing.model)
+            best = self.residual.choose(left)
+            if best is None:
+                break
+            left.remove(best)
+            self.visited.add(self.residual.signature(more.model))
+            again = self.residual.once_more(more.model, best)
+            more = self._one_more(more, [again], _others(trials, best)) or more
+        return more
+
+    def _one_more(
+        self, standing: Standing[ModelT, TrialT], trials: list[TrialT], rivals: tuple[TrialT, ...] = ()
+    ) -> Standing[ModelT, TrialT] | None:
         """With the best addition that still helps once everything is fitted again; None where none does.
 
-        One that falls with the fit stays among the `trials`, with that as its objection.
+        One that falls with the fit stays among the `trials`, with that as its objection. `rivals` lost to it elsewhere.
         """
         left = list(trials)
         for _ in range(TRIES):
@@ -238,13 +262,13 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                 continue
             alike = f" and {len(best.members) - 1} alike" if best.members else ""
             self.tell(f"adding {best.label}{alike}", _done(standing))
-            rivals = _others(trials, best)
+            lost = (*_others(trials, best), *rivals)
             model, found = self.residual.refit(standing.model, best)
             trials[place] = found
             if model is None:
                 continue
             errors = [self.residual.errors_of(m) for m in (standing.model, model)]
-            steps = [Addition(t, rivals, *errors) for t in self.residual.findings(found)]
+            steps = [Addition(t, lost, *errors) for t in self.residual.findings(found)]
             more = self._added(standing, model, steps, len(steps))
             if more is not None:
                 return more

@@ -287,6 +287,26 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """Where a lawful effect explains much, what keeps it from being sure is no noise."""
         return [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
 
+    def apart(self, trials: Sequence[TorqueTrial], new: TorqueModel, old: TorqueModel) -> list[TorqueTrial]:
+        """Single effects on joints where nothing was added, that take no other's place and scale no torque."""
+        before = {(type(e), e.place) for e in old.effects}
+        more = [e for e in new.effects if (type(e), e.place) not in before]
+        touched = {j for e in more for j in e.joints or self.sites.joints}
+        alone = [t for t in trials if not t.members and t.effect.joints and not t.effect.traits.multiplies]
+        alone = [t for t in alone if touched.isdisjoint(t.effect.joints)]
+        if alone and self.at_floor(new):  # where nothing is left of a motion, nothing is looked for
+            alone = [t for t in alone if beside_motion(type(t.effect))]
+        out = []
+        for t in alone:
+            here = {e.type_name() for e in new.effects if e.place == t.effect.place}
+            if here.isdisjoint(t.effect.traits.stands_for):
+                out.append(t)
+        return out
+
+    def once_more(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial:
+        search = self.search(model)
+        return search.trial(trial.effect, search.present, search.present, search.tests)
+
     def once_fitted(self, half: TorqueModel, first: TorqueTrial) -> TorqueTrial:
         fitted = self.worth(half, first)
         return dataclasses.replace(fitted, p_value=max(fitted.p_value, first.p_value))
