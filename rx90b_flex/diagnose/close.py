@@ -260,7 +260,8 @@ def close_loop(
 
     The declared model is identified on the identification recordings. Then, in rounds: every effect of the
     catalogue is tried in every place against the residual; the one with the largest significant gain on held-out
-    blocks is added; everything is identified again; what a later effect made needless is taken out.
+    blocks is added; everything is identified again; what a later effect made needless is taken out. Effects on other
+    joints that pass again beside it are added in the same round.
 
     Parameters
     ----------
