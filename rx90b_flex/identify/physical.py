@@ -7,13 +7,12 @@ parameter identification", IEEE Robotics and Automation Letters 3(1), 2018.
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
+import clarabel
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, sparse, stats
 
 from rx90b_flex.bodies import as_bodies, inconsistencies, pseudo_inertia
 from rx90b_flex.effects import Effect
@@ -28,6 +27,8 @@ AT_BOUND = 1e-4  # of its move: a coefficient that was moved to its bound lies s
 DEFAULT_SIZE = (1.0, 0.1)
 # Smallest length, m, by which a body is scaled: a point mass at the joint has none of its own.
 SMALLEST_LENGTH = 1e-3
+TOLERANCES = (1e-11, 1e-9, 1e-7)  # of the solver, absolute and relative: the first that it reaches
+SOLVED = {"Solved": "optimal", "AlmostSolved": "optimal_inaccurate"}
 
 
 def information_root(information: Array) -> Array:
@@ -88,7 +89,7 @@ def consistent_parameters(
     """Physically consistent parameters nearest to a least-squares estimate.
 
     Minimises ``(x - estimate)' information (x - estimate) + pull * sum over bodies of norm(P - P_prior)^2`` over all x
-    whose pseudo-inertias P have no scaled eigenvalue below `margin`, by cvxpy and Clarabel. The norm is Frobenius',
+    whose pseudo-inertias P have no scaled eigenvalue below `margin`, by Clarabel. The norm is Frobenius',
     after scaling each body by its mass m and its radius l about the joint: ``P -> D P D``, D = diag(1/l, 1/l, 1/l, 1)
     / sqrt(m), so it counts relative deviations from the prior.
 
@@ -241,40 +242,41 @@ def _project(free: Array, spread: Array, margin: float, least: Array) -> tuple[A
 
     Returns that and the solver's status.
     """
-    cp: Any = importlib.import_module("cvxpy")  # here, not at the top: it takes a second, and most users never need it
     # A feasible point, each body on its own, bounds |z|; in that unit the solver's tolerances mean something.
     links = len(free) - len(least)
     values, vectors = np.linalg.eigh(_symmetric(free[:links]))
     clipped = _entries((vectors * np.maximum(values, margin)[:, None, :]) @ vectors.transpose(0, 2, 1))
     clipped = np.r_[clipped, np.maximum(free[links:], least)]
     unit = float(np.linalg.norm(np.linalg.solve(spread, clipped - free)))
-    z = cp.Variable(len(free))
-    constraints = []
     bounded = links + np.flatnonzero(np.isfinite(least))
-    if len(bounded):
-        constraints.append(free[bounded] + (unit * spread[bounded]) @ z >= least[bounded - links])
-    for b in range(links // 10):
-        own = slice(10 * b, 10 * b + 10)
-        matrix = cp.reshape(_UNPACK @ (free[own] + (unit * spread[own]) @ z), (4, 4), order="C")
-        constraints.append(matrix >> 1.01 * margin * np.eye(4))
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(z)), constraints)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and the check is below
-            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
-    except cp.error.SolverError:
-        raise ValueError("no physically consistent parameters found: the solver gave up") from None
-    status = str(problem.status)
-    if z.value is None:
-        raise ValueError(f"no physically consistent parameters found: the solver says {status!r}")
-    scaled = free + spread @ (unit * np.asarray(z.value))
-    lowest = float(np.linalg.eigvalsh(_symmetric(scaled[:links]))[:, 0].min(initial=np.inf))
-    # An inaccurate end is good enough if the bodies are consistent: what is lost is a little of the optimum.
-    if lowest < 0.5 * margin:
+    rows = np.concatenate([bounded, *(10 * b + _BY_COLUMNS for b in range(links // 10))]).astype(int)
+    lowest = np.r_[least[bounded - links], np.tile(1.01 * margin * _entries(np.eye(4)[None])[_BY_COLUMNS], links // 10)]
+    problem = (
+        sparse.eye_array(len(free), format="csc"),
+        np.zeros(len(free)),
+        sparse.csc_array(-unit * spread[rows]),
+        free[rows] - lowest,
+        [clarabel.NonnegativeConeT(len(bounded)), *(clarabel.PSDTriangleConeT(4) for _ in range(links // 10))],
+    )
+    for tolerance in TOLERANCES:
+        solved = clarabel.DefaultSolver(*problem, _settings(tolerance)).solve()
+        status, scaled = str(solved.status), free + spread @ (unit * np.asarray(solved.x))
+        smallest = float(np.linalg.eigvalsh(_symmetric(scaled[:links]))[:, 0].min(initial=np.inf))
+        if status == "Solved" and smallest >= 0.5 * margin:
+            break
+    # an inaccurate end is good enough if the bodies are consistent: what is lost is a little of the optimum
+    if status not in SOLVED or smallest < 0.5 * margin:
         raise ValueError(
-            f"no physically consistent parameters found: the solver says {status!r}, an eigenvalue is {lowest:.3g}"
+            f"no physically consistent parameters found: the solver says {status!r}, an eigenvalue is {smallest:.3g}"
         )
-    return scaled, status
+    return scaled, SOLVED[status]
+
+
+def _settings(tolerance: float) -> Any:
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    return settings
 
 
 def _sizes(prior: Array) -> list[tuple[float, float]]:
@@ -295,9 +297,10 @@ def _scaled_coordinates(mass: float, length: float) -> Array:
 
 
 # Upper triangle of a symmetric 4 x 4 matrix as ten coordinates; off the diagonal times sqrt(2), so that the norm of
-# the coordinates is the matrix's Frobenius norm. `_UNPACK` (16, 10) is the way back.
+# the coordinates is the matrix's Frobenius norm. `_UNPACK` (16, 10) is the way back; `_BY_COLUMNS` is the solver's order.
 _ROWS, _COLUMNS = np.triu_indices(4)
 _WEIGHTS = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))
+_BY_COLUMNS = np.lexsort((_ROWS, _COLUMNS))
 _UNPACK = np.zeros((16, 10))
 _UNPACK[4 * _ROWS + _COLUMNS, np.arange(10)] = 1 / _WEIGHTS
 _UNPACK[4 * _COLUMNS + _ROWS, np.arange(10)] = 1 / _WEIGHTS
