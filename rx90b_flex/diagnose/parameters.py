@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, OUT, PER_JOINT
@@ -87,7 +88,9 @@ def _status(x: Array, theta: Array, prior: Array) -> list[str]:
     largest = size.max()
     empty = size < 1e-9 * largest
     scale = np.where(empty, largest if largest > 0 else 1.0, size)
-    _, singular, vectors = np.linalg.svd(x / scale, full_matrices=False)
+    # by LAPACK's gesvd: its quicker gesdd, which NumPy asks, does not end for some such columns
+    triangle = np.linalg.qr(x / scale, mode="r")
+    _, singular, vectors = linalg.svd(triangle, full_matrices=False, lapack_driver="gesvd")
     kept = singular > SINGULAR * singular[0]
     null = np.sqrt(np.maximum(1.0 - (vectors[kept] ** 2).sum(axis=0), 0.0))
     std = np.sqrt(((vectors[kept] / singular[kept][:, None]) ** 2).sum(axis=0)) / scale
