@@ -88,16 +88,18 @@ class _Gain:
 
 
 class _Bases:
-    """A look and its fits without any fault."""
+    """A look and its fits without any fault, from whose errors a first look at those with one takes its weights."""
 
-    def __init__(self, look: Look) -> None:
+    def __init__(self, look: Look, first: bool = False) -> None:
         self.look, self.fitted, self.known = look, look.fit(), look.fit_of_known_links()
+        self.near = (self.fitted, self.known) if first else (None, None)
 
     def fitted_gain(self, hypothesis: Hypothesis) -> float:
-        return self.fitted.score - self.look.fit(hypothesis.reading).score
+        return self.fitted.score - self.look.fit(hypothesis.reading, self.near[0]).score
 
     def gain(self, hypothesis: Hypothesis) -> _Gain:
-        free, known = self.look.fit(hypothesis.reading), self.look.fit_of_known_links(hypothesis.reading)
+        free = self.look.fit(hypothesis.reading, self.near[0])
+        known = self.look.fit_of_known_links(hypothesis.reading, self.near[1])
         credible = bool((known.error < CREDIBLE).all())
         folds = self.fitted.scores - free.scores
         if credible:
@@ -146,7 +148,7 @@ def _best(look: Look) -> Found | None:
 
 def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:
     """The best of each kind at a part of the rows, as (gain, rank of the kind, hypothesis)."""
-    bases = _Bases(look.beside(THIN))
+    bases = _Bases(look.beside(THIN), first=True)
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in ON_TORQUES_ALONE):

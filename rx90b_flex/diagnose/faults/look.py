@@ -113,23 +113,25 @@ class Look:
             self._products[key] = Products.of(self.sample, reading, self.columns(reading))
         return self._products[key]
 
-    def fit(self, reading: Reading | None = None) -> RigidFit:
-        """How well a reading does on rows it did not see; the present one where none is given."""
+    def fit(self, reading: Reading | None = None, near: RigidFit | None = None) -> RigidFit:
+        """How well a reading does on rows it did not see, the present one where none is given; a first look where a fit is near."""
         reading = reading or self.reading
-        return RigidFit.of(self.products(reading), reading)
+        return RigidFit.of(self.products(reading), reading, near=near)
 
-    def fit_of_known_links(self, reading: Reading | None = None) -> RigidFit:
+    def fit_of_known_links(self, reading: Reading | None = None, near: RigidFit | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
-        return self.fit_held(range((reading or self.reading).links), KNOWN, reading)
+        return self.fit_held(range((reading or self.reading).links), KNOWN, reading, near)
 
     def fit_of_free_links(self, reading: Reading | None = None) -> RigidFit:
         """The same with the links fitted, also where the robot file calls them known."""
         return self.fit_held(range((reading or self.reading).links), RIDGE, reading)
 
-    def fit_held(self, columns: Sequence[int], ridge: float, reading: Reading | None = None) -> RigidFit:
+    def fit_held(
+        self, columns: Sequence[int], ridge: float, reading: Reading | None = None, near: RigidFit | None = None
+    ) -> RigidFit:
         """The same with some columns held by another ridge: `OUT` takes them out."""
         reading = reading or self.reading
-        return RigidFit.of(self.products(reading).held(columns, ridge), reading)
+        return RigidFit.of(self.products(reading).held(columns, ridge), reading, near=near)
 
     def errors_at_least(self) -> tuple[Array, Array]:
         """Squared errors of each joint over its torque's variance, held out and on the rows of the fit, each (joints,).

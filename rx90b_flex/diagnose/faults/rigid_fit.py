@@ -214,11 +214,14 @@ class RigidFit:
         return np.asarray(_log(self.by_fold).sum(axis=1))
 
     @staticmethod
-    def of(products: Products, reading: Reading, held_out: bool = True) -> RigidFit:
-        """Weighted least squares, one weight a joint, each fold predicted from the others, or from all of them."""
+    def of(products: Products, reading: Reading, held_out: bool = True, near: RigidFit | None = None) -> RigidFit:
+        """Weighted least squares, one weight a joint, each fold predicted from the others, or from all of them.
+
+        A first look takes the weights from the errors of a fit that is `near`.
+        """
         cross, power, total = products.read(reading)
-        error = np.ones(len(total))
-        for _ in range(ROUNDS):
+        error = np.ones(len(total)) if near is None else near.error
+        for _ in range(ROUNDS if near is None else 1):
             theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)), held_out)
             aside = theta[:, None, :]
             seen = (products.gram @ aside[..., None])[..., 0]
