@@ -260,7 +260,11 @@ class Backlash(LogEffect, JointEffect, behind_gear=True, needs_model=True):
         return self._link_load(motion)[1] * np.array([[HARDEST_PART], [SOFTEST_PART]])
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
-        return ShapeSearch(self._link_load(motion)[1] * np.array([[0.01], [LOAD_PART], [0.1]]), independent=3)
+        starts = self._link_load(motion)[1] * np.array([[0.01], [LOAD_PART], [0.1]])
+        return ShapeSearch(starts, self.independent_shapes(motion))
+
+    def independent_shapes(self, motion: Motion) -> int:
+        return 3
 
     def possible(self) -> bool:
         return bool(self.known_coefficients()[0] <= WIDEST_GAP)

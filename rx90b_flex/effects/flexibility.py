@@ -237,6 +237,9 @@ class _DriveDeflection(_OnRigidTree):
             starts = np.stack([inertia * frequencies**2, 2.0 * LOSSY / frequencies], axis=1)
         return ShapeSearch(starts, STARTS, part=np.array([0.4, 0.8]))
 
+    def independent_shapes(self, motion: Motion) -> int:
+        return STARTS
+
     def possible(self) -> bool:
         return self.stiffness is not None and self.stiffness > 0
 

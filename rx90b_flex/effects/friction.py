@@ -26,6 +26,7 @@ from rx90b_flex.effects.reversal import (
 from rx90b_flex.effects.stand_in import OfUsualShape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds
+LONGEST_DRIFT = 30.0  # times a recording: what fades more slowly is a slope that stays
 SHORTEST_DRIFT = 0.1  # of a recording: what fades faster is an event at its start
 TINY = 1e-300  # rad/s, in place of standstill, where sign over speed counts for nothing
 FADES = 4.0  # times the smallest turn-over that a log resolves: what fades faster is the turn-over itself
@@ -322,8 +323,9 @@ class FrictionDrift(SidedFriction, LawEffect, repeats_with_motion=False):
 
     def shape_range(self, motion: Motion) -> Array:
         low, high = super().shape_range(motion)
-        # what is over within a tenth of the recording is an event at its start, no warming up
-        return np.stack([np.maximum(low, SHORTEST_DRIFT * float(np.ptp(motion.time))), high])
+        # what is over within a tenth of the recording is an event at its start, no warming up; what hardly begins is none either
+        seconds = float(np.ptp(motion.time))
+        return np.stack([np.maximum(low, SHORTEST_DRIFT * seconds), np.minimum(high, LONGEST_DRIFT * seconds)])
 
 
 def friction_side(effects: Iterable[Effect], joint: str) -> str:

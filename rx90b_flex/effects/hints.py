@@ -112,6 +112,10 @@ class Hints(Parametrized, ABC):
         """How its shape is searched for on a motion, by what a model leaves over there if that helps to find it."""
         return ShapeSearch(np.array([[p.start for p in self.shape_parameters.values()]]))
 
+    def independent_shapes(self, motion: Motion) -> int:
+        """How many independent shapes that search tries, without where it begins."""
+        return self.shape_search(motion).independent
+
     def begun_otherwise(self) -> Sequence[Effect]:
         """The same with other guesses at what it held as a log begins, which no log tells."""
         return ()
