@@ -104,8 +104,10 @@ def absorbed_each(
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > RANK_TOLERANCE**2 * max(values[-1] if len(values) else 0.0, 1e-300)
     to_basis = vectors[:, kept] / scale[:, None] / np.sqrt(values[kept])
-    pairs = zip(weight, columns.places, columns.columns, strict=True)
-    return [absorbed_by_fit(x @ (np.sqrt(w) * to_basis[at]), spans, longest) for w, at, x in pairs]
+    # of a joint's rows only as many combinations count as it has columns
+    turned = [np.asarray(np.linalg.qr(to_basis[at].T, mode="r")).T for at in columns.places]
+    each = zip(weight, turned, columns.columns, strict=True)
+    return [absorbed_by_fit(x @ (np.sqrt(w) * to_own), spans, longest) for w, to_own, x in each]
 
 
 def coloured_covariance(
