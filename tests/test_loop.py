@@ -37,7 +37,9 @@ class Names(Residual[Model, Tried]):
     def candidates(self, standing: Standing[Model, Tried]) -> Sequence[Candidates]:
         return (Candidates(in_pairs=False),)
 
-    def trials(self, model: Model, some: Candidates, told: Callable[[float], None]) -> list[Tried]:
+    def trials(
+        self, model: Model, some: Candidates, told: Callable[[float], None], company_of: Tried | None = None
+    ) -> list[Tried]:
         return [Tried(n, float(len(self.names) - i)) for i, n in enumerate(self.names) if n not in model]
 
     def joined(self, model: Model, trial: Tried) -> Model:
@@ -61,7 +63,9 @@ class Names(Residual[Model, Tried]):
     def worth(self, model: Model, trial: Tried) -> Tried:
         return trial
 
-    def needless(self, standing: Standing[Model, Tried], latest: int) -> Addition[Tried] | None:
+    def needless(
+        self, standing: Standing[Model, Tried], latest: int, everywhere: bool = True
+    ) -> Addition[Tried] | None:
         return None
 
     def without(self, model: Model, trial: Tried) -> tuple[Model, list[Tried]]:
@@ -99,7 +103,9 @@ class Apart(Names):
         super().__init__(*names, helps=helps)
         self.falls_beside, self.rounds = falls_beside, 0
 
-    def trials(self, model: Model, some: Candidates, told: Callable[[float], None]) -> list[Tried]:
+    def trials(
+        self, model: Model, some: Candidates, told: Callable[[float], None], company_of: Tried | None = None
+    ) -> list[Tried]:
         self.rounds += 1
         return super().trials(model, some, told)
 
@@ -129,3 +135,13 @@ def test_what_no_longer_passes_beside_an_addition_is_not_added_with_it():
 def test_a_round_adds_no_more_than_may_be_added():
     names = tuple("abcdefgh")
     assert len(closed(Apart(*names, helps=frozenset(names)), most=5).steps) == 5
+
+
+@pytest.mark.parametrize(("most", "said"), [(2, "2 effects are as many"), (4, "")])
+def test_a_loop_that_a_limit_ends_says_so(most, said):
+    names = ("a", "b", "c")
+    loop = ClosingLoop(Names(*names, helps=frozenset(names)), lambda message, fraction: None, most)
+    text = " ".join(loop.stopped(loop.run()))
+    assert text.startswith(said) and bool(text) == bool(said)
+    loop.visited.update(frozenset({str(i)}) for i in range(2 * most))
+    assert "as many as are looked at" in loop.stopped(Standing(frozenset()))[0]

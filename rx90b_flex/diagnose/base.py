@@ -223,6 +223,24 @@ def parameters_told(left: Array, own: Array, precision: Array) -> float:
     return float((np.linalg.eigvalsh(_scaled(left, own)[1]) > DETERMINED).sum())
 
 
+def wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:
+    """Wald statistic of the determined combinations of coefficients, their number, and the covariance.
+
+    `own` (k,) are the squares of the candidate's columns before the base took its part: what is left of one is judged
+    against that, so that a column which the base explains wholly does not come back as rounding.
+    """
+    scale = np.sqrt(np.maximum(own, 1e-300))
+    values, vectors = np.linalg.eigh(bread / np.outer(scale, scale))
+    kept = values > tolerance
+    basis = vectors[:, kept] / scale[:, None]
+    inverse = (basis / values[kept]) @ basis.T
+    covariance = inverse @ meat @ inverse
+    along = vectors[:, kept] * scale[:, None]
+    combined = along.T @ beta
+    statistic = combined @ np.linalg.pinv(along.T @ covariance @ along, rcond=1e-10, hermitian=True) @ combined
+    return float(statistic), int(kept.sum()), covariance
+
+
 def penalised_wald(bread: Array, meat: Array, own: Array, precision: Array, beta: Array) -> tuple[float, int, Array]:
     """Wald statistic of the combinations of penalised coefficients that the data say more of than the penalty, their number,
     and the coefficients' covariance with the penalty's bias.

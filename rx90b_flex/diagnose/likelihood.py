@@ -402,7 +402,13 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
     def candidates(self, standing: Standing[LikelihoodFit, LikelihoodTrial]) -> Sequence[Candidates]:
         return (Candidates(),) if self.chance(standing.model) < MISFIT else ()
 
-    def trials(self, model: LikelihoodFit, some: Candidates, told: Callable[[float], None]) -> list[LikelihoodTrial]:
+    def trials(
+        self,
+        model: LikelihoodFit,
+        some: Candidates,
+        told: Callable[[float], None],
+        company_of: LikelihoodTrial | None = None,
+    ) -> list[LikelihoodTrial]:
         return list(self._beside(model.changes, model, told))
 
     def choose(self, trials: Sequence[LikelihoodTrial]) -> LikelihoodTrial | None:
@@ -431,7 +437,7 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
         return self._trial(trial.change, self._less(model, trial.change), model)
 
     def needless(
-        self, standing: Standing[LikelihoodFit, LikelihoodTrial], latest: int
+        self, standing: Standing[LikelihoodFit, LikelihoodTrial], latest: int, everywhere: bool = True
     ) -> Addition[LikelihoodTrial] | None:
         if len(standing.steps) < 2:
             return None

@@ -35,14 +35,11 @@ class Candidates:
         Whether two of which none is sure alone are tried together.
     told : bool
         Whether what it refused is kept.
-    alone : bool
-        Whether single candidates are enough, without families of them.
     """
 
     kinds: Callable[[type[Effect]], bool] = lambda kind: True
     in_pairs: bool = True
     told: bool = True
-    alone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +83,13 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """What a round tries, one after the other; none where nothing is left to look for."""
 
     @abstractmethod
-    def trials(self, model: ModelT, some: Candidates, told: Callable[[float], None]) -> list[TrialT]:
-        """Every one of some candidates, tried beside a model; best first."""
+    def trials(
+        self, model: ModelT, some: Candidates, told: Callable[[float], None], company_of: TrialT | None = None
+    ) -> list[TrialT]:
+        """Every one of some candidates, tried beside a model; best first.
+
+        Of the company of a trial that is in the model and not sure, single ones are enough, and those that can have to do with it.
+        """
 
     def choose(self, trials: Sequence[TrialT]) -> TrialT | None:
         """Which one to add; None where none is accepted."""
@@ -154,8 +156,13 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         return self.worth(half, first)
 
     @abstractmethod
-    def needless(self, standing: Standing[ModelT, TrialT], latest: int) -> Addition[TrialT] | None:
-        """An addition that the model can do without, after the latest so many; None where there is none."""
+    def needless(
+        self, standing: Standing[ModelT, TrialT], latest: int, everywhere: bool = True
+    ) -> Addition[TrialT] | None:
+        """An addition that the model can do without, after the latest so many; None where there is none.
+
+        Unless asked for `everywhere`, one that has nothing to do with these need not be looked at.
+        """
 
     @abstractmethod
     def without(self, model: ModelT, trial: TrialT) -> tuple[ModelT, list[TrialT]]:
@@ -199,13 +206,24 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         """
         standing: Standing[ModelT, TrialT] = Standing(self.declared)
         self.visited.add(self.residual.signature(standing.model))
-        while len(standing.steps) < self.most and len(self.visited) < 2 * self.most:
+        while not self.stopped(standing):
             before, standing = standing, self._round(standing)
             if standing.model is before.model:
-                break
+                less = self._pruned(standing, 1, everywhere=True)
+                if less is standing or not self._new(less.model):
+                    break
+                standing = less
             self.visited.add(self.residual.signature(standing.model))
         swapped = self._swapped(standing)
-        return self._carried(standing if swapped is standing else self._pruned(swapped, 0))
+        return self._carried(standing if swapped is standing else self._pruned(swapped, 0, everywhere=True))
+
+    def stopped(self, standing: Standing[ModelT, TrialT]) -> tuple[str, ...]:
+        """Sentence that a limit ends it and no want of candidates; none where it goes on, or ended by itself before."""
+        if len(standing.steps) >= self.most:
+            return (f"{len(standing.steps)} effects are as many as are added; more may be missing.",)
+        if len(self.visited) >= 2 * self.most:
+            return (f"{len(self.visited)} models are as many as are looked at; more may be missing.",)
+        return ()
 
     def _new(self, model: ModelT) -> bool:
         return self.residual.signature(model) not in self.visited
@@ -229,7 +247,8 @@ class ClosingLoop(Generic[ModelT, TrialT]):
 
     def _several(self, standing: Standing[ModelT, TrialT], trials: list[TrialT]) -> Standing[ModelT, TrialT] | None:
         """With the best addition, and those of its round that have nothing to do with it and pass beside it; None: there is none."""
-        more, left = self._one_more(standing, trials), trials
+        first = more = self._one_more(standing, trials)
+        left, followers = trials, 0
         while more is not None and len(more.steps) < self.most:
             left = self.residual.apart(left, more.model, standing.model)
             best = self.residual.choose(left)
@@ -238,15 +257,25 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             left.remove(best)
             self.visited.add(self.residual.signature(more.model))
             again = self.residual.once_more(more.model, best)
-            more = self._one_more(more, [again], _others(trials, best)) or more
-        return more
+            beside = self._one_more(more, [again], _others(trials, best), pruned=False)
+            more, followers = (more, followers) if beside is None else (beside, followers + 1)
+        if more is None or not followers:
+            return more
+        less = self._pruned(more, followers)
+        kept = less is more or (self._new(less.model) and not self.residual.spoils(less.model, standing.model))
+        return less if kept else first
 
     def _one_more(
-        self, standing: Standing[ModelT, TrialT], trials: list[TrialT], rivals: tuple[TrialT, ...] = ()
+        self,
+        standing: Standing[ModelT, TrialT],
+        trials: list[TrialT],
+        rivals: tuple[TrialT, ...] = (),
+        pruned: bool = True,
     ) -> Standing[ModelT, TrialT] | None:
         """With the best addition that still helps once everything is fitted again; None where none does.
 
-        One that falls with the fit stays among the `trials`, with that as its objection. `rivals` lost to it elsewhere.
+        One that falls with the fit stays among the `trials`, with that as its objection. `rivals` lost to it elsewhere. What it makes
+        needless is taken out unless others follow first.
         """
         left = list(trials)
         for _ in range(TRIES):
@@ -269,7 +298,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                 continue
             errors = [self.residual.errors_of(m) for m in (standing.model, model)]
             steps = [Addition(t, lost, *errors) for t in self.residual.findings(found)]
-            more = self._added(standing, model, steps, len(steps))
+            more = self._added(standing, model, (*standing.steps, *steps), len(steps) if pruned else None)
             if more is not None:
                 return more
             trials[place] = self.residual.fallen(found, "without what it makes needless the model is no better")
@@ -289,7 +318,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
             more = self._one_more(standing, [fitted]) if fitted.accepted else None
             if more is not None:
                 return more
-            beside = residual.trials(half, dataclasses.replace(some, alone=True), lambda part: None)
+            beside = residual.trials(half, some, lambda part: None, company_of=first)
             second = residual.companion(half, first, beside)
             if second is None:
                 continue
@@ -302,29 +331,33 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                 Addition(again, _others(trials, first), before, between),
                 Addition(second, _others(beside, second), between, after),
             ]
-            more = self._added(standing, whole, new, latest=1)
+            more = self._added(standing, whole, (*standing.steps, *new), latest=1)
             if more is not None and all(residual.holds(more.model, s.trial) for s in new):
                 return more
         return None
 
     def _added(
-        self, standing: Standing[ModelT, TrialT], model: ModelT, new: Sequence[Addition[TrialT]], latest: int
+        self, standing: Standing[ModelT, TrialT], model: ModelT, steps: Sequence[Addition[TrialT]], latest: int | None
     ) -> Standing[ModelT, TrialT] | None:
-        """With new steps, less what they made needless or stand in for; None where that is no new model, or a worse one."""
-        kept = [s for s in standing.steps if self.residual.holds(model, s.trial)]
-        more = self._pruned(Standing(model, (*kept, *new)), latest)
+        """With these steps, less what the model has no more and what the latest so many made needless; None where that is no new
+        model, or a worse one.
+        """
+        more = Standing(model, tuple(s for s in steps if self.residual.holds(model, s.trial)))
+        more = more if latest is None else self._pruned(more, latest)
         return more if self._new(more.model) and not self.residual.spoils(more.model, standing.model) else None
 
-    def _pruned(self, standing: Standing[ModelT, TrialT], latest: int) -> Standing[ModelT, TrialT]:
+    def _pruned(
+        self, standing: Standing[ModelT, TrialT], latest: int, everywhere: bool = False
+    ) -> Standing[ModelT, TrialT]:
         """Take out what the latest additions made needless, and those of a family that turn out not to belong to it."""
-        step = self.residual.needless(standing, latest)
+        step = self.residual.needless(standing, latest, everywhere)
         if step is None:
             return standing
         less = self._less(standing, step)
         if not less.steps:
             return standing
         newest = standing.steps.index(step) >= len(standing.steps) - latest
-        return self._pruned(dataclasses.replace(less, refused=()), max(1, latest - newest))
+        return self._pruned(dataclasses.replace(less, refused=()), max(1, latest - newest), everywhere)
 
     def _less(self, standing: Standing[ModelT, TrialT], step: Addition[TrialT]) -> Standing[ModelT, TrialT]:
         """Without an addition, what that stood in for back in its place."""

@@ -11,17 +11,25 @@ from itertools import pairwise
 import numpy as np
 from scipy import linalg, stats
 
-from rx90b_flex.diagnose.base import DETERMINED, Base, SharedColumns, parameters_told, penalised_wald, solve_beside
+from rx90b_flex.diagnose.base import (
+    DETERMINED,
+    Base,
+    SharedColumns,
+    parameters_told,
+    penalised_wald,
+    solve_beside,
+    wald,
+)
 from rx90b_flex.diagnose.families import FAMILIES, family
 from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
 from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
-from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, off_a_joint, shows_by_itself, too_faint
+from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, meet, off_a_joint, shows_by_itself, too_faint
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
 from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
-from rx90b_flex.identify.coloured import residual_spectra, scatter
+from rx90b_flex.identify.coloured import Spectrum, residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.first_looks import FirstColumns
 from rx90b_flex.identify.least_squares import (
@@ -52,6 +60,7 @@ MANY = 4  # shapes of a candidate, from which on a glimpse of the log says first
 BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
 STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
+FAINT_PART = 1.0e-2  # of the power of a candidate's columns beside the base: in a joint with less, it hardly changes the residual
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 BATCH_BYTES = 6e6  # of columns that are looked at together
 
@@ -206,8 +215,12 @@ class Search:
         shape[self.free(effect) if free is None else free] = values
         return effect.with_shape(shape)
 
-    def run(self, progress: Callable[[float], None] | None = None, families: bool = True) -> list[TorqueTrial]:
-        """Try all candidates, and, unless told otherwise, families of them.
+    def run(
+        self, progress: Callable[[float], None] | None = None, company_of: Effect | None = None
+    ) -> list[TorqueTrial]:
+        """Try all candidates and families of them; of the company of an effect, single ones that share a joint with it.
+
+        What shares none is beside that effect about what it was without it.
 
         Returns
         -------
@@ -215,7 +228,7 @@ class Search:
             By gain, largest first; only those worth a closer look have refined shapes and a p-value below 1.
         """
         with SideBySide(self._ready(), self.jobs) as beside:
-            rough = self._rough(beside, progress)
+            rough = self._rough(beside, progress, company_of)
             tried: dict[tuple[type[Effect], str], TorqueTrial] = {}
             # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
             bent = [r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN]
@@ -225,7 +238,7 @@ class Search:
                 if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):
                     break  # neither this one nor those behind it can win
                 tried[type(item.effect), item.effect.label] = next(found)
-            trials = [*tried.values(), *(self._families(rough, tried, beside) if families else [])]
+            trials = [*tried.values(), *(self._families(rough, tried, beside) if company_of is None else [])]
         self.regression.round_over()
         return sorted(trials, key=lambda t: -t.gain)
 
@@ -235,9 +248,12 @@ class Search:
             _ = self.candidates, self.present.whole, self.present.held_out, self.tests
         return self
 
-    def _rough(self, beside: SideBySide[Search], progress: Callable[[float], None] | None) -> list[Rough]:
-        """First looks at all candidates, the best first."""
-        numbers = list(range(len(self.candidates)))
+    def _rough(
+        self, beside: SideBySide[Search], progress: Callable[[float], None] | None, company_of: Effect | None
+    ) -> list[Rough]:
+        """First looks at candidates, the best first."""
+        every = enumerate(self.candidates)
+        numbers = [i for i, (e, _) in every if company_of is None or meet(e, company_of)]
         rough: list[tuple[int, Rough]] = []
         for done, (part, columns) in enumerate(beside.all(Search._first_looks, numbers), start=1):
             rough += part
@@ -403,7 +419,7 @@ class Search:
     @cached_property
     def tests(self) -> int:
         """How many independent trials a search makes."""
-        out = sum(effect.shape_search(self.longest).independent for effect, _ in self.candidates)
+        out = sum(effect.independent_shapes(self.longest) for effect, _ in self.candidates)
         self.regression.forget_long()
         return out
 
@@ -602,7 +618,7 @@ class Search:
             or too_faint(columns @ beta, self.regression.torque[:, rows]),
             acting=int((d @ beta @ beta > shows_by_itself(colour)).sum()),
             left=float(left_over[rows].sum()),
-            alone=min(1.0, p_value * effect.shape_search(self.longest).independent),
+            alone=min(1.0, p_value * effect.independent_shapes(self.longest)),
         )
 
     def _left_out(
@@ -698,22 +714,22 @@ class Search:
         left_over = base.weight * np.einsum("jn,jn->j", residual, residual)
         residual = residual / np.sqrt(self.regression.share)[:, None]
         apart = apart.transpose(1, 0, 2)
+        spectra = self._spectra(residual, base.weight[:, None] * np.einsum("njk,njk->jk", apart, apart))
         spans = self.regression.spans
-        longest = self.longest_lag
-        absorbed = self.model.absorbed
-        spectra = residual_spectra(residual, spans, absorbed, longest)
         meat = scatter(apart, base.weight, spectra, spans)
         flat = (apart * np.sqrt(base.weight)[:, None]).reshape(-1, apart.shape[2])
         bread = flat.T @ flat
         before = prior_precision([effect])
         tested = bread[:k, :k], meat[:k, :k], own[:k]
-        wald, free, covariance = (
-            penalised_wald(*tested, before, beta) if before.any() else _wald(*tested, beta, DETERMINED)
+        statistic, free, covariance = (
+            penalised_wald(*tested, before, beta) if before.any() else wald(*tested, beta, DETERMINED)
         )
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         shapes = self.free(effect)
         tests = free + len(shapes)
-        p_value = float(stats.f.sf(wald / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
+        p_value = (
+            float(stats.f.sf(statistic / tests, tests, min(s.degrees_of_freedom for s in spectra))) if free else 1.0
+        )
         objection = ""
         # what the base explains wholly is left at zero, up to rounding
         size = np.sqrt(np.maximum(own[:k], 1e-300))
@@ -726,13 +742,27 @@ class Search:
             far = abs(beta[i]) / max(std[i], 1e-300)
             objection = f"its {name} would be {beta[i]:.3g} {parameter.unit}, {far:.0f} std of the wrong sign"
         elif len(shapes) and not effect.traits.coefficients_follow:
-            _, _, whole = _wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
+            _, _, whole = wald(bread, meat, own, np.r_[beta, np.zeros(len(shapes))], 1e-12)
             certain = beta @ np.linalg.pinv(whole[:k, :k], rcond=1e-10, hermitian=True) @ beta
             if not certain > BEYOND**2 * k:
                 objection = "with its shape open too, nothing of it is certain"
         objection = self.at_bound(effect) or objection
         white = float(beta @ bread[:k, :k] @ beta)
         return p_value, objection, float(beta @ meat[:k, :k] @ beta) / white if white > 0 else 1.0, left_over
+
+    def _spectra(self, residual: Array, power: Array) -> tuple[Spectrum, ...]:
+        """Of a residual (joints, N) with a candidate whose columns beside the base have so much `power` (joints, k) in each joint.
+
+        Where that is little, the candidate leaves what the model does.
+        """
+        spectra = list(self.model.spectra)
+        some = np.flatnonzero((power >= FAINT_PART * power.sum(axis=0)).any(axis=1))
+        absorbed = [self.model.absorbed[j] for j in some]
+        for j, own in zip(
+            some, residual_spectra(residual[some], self.regression.spans, absorbed, self.longest_lag), strict=True
+        ):
+            spectra[j] = own
+        return tuple(spectra)
 
     def at_bound(self, effect: Effect) -> str:
         """Which shape ran into an end of what this log can tell, in words; empty where none did."""
@@ -763,21 +793,3 @@ def _shuts_out(present: Effect, new: Effect) -> bool:
 def _times(matrices: Array, vectors: Array) -> Array:
     """Of each block its matrix (blocks, m, n) times its vector (blocks, n); shape (blocks, m)."""
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
-
-
-def _wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:
-    """Wald statistic of the determined combinations of coefficients, their number, and the covariance.
-
-    `own` (k,) are the squares of the candidate's columns before the base took its part: what is left of one is judged
-    against that, so that a column which the base explains wholly does not come back as rounding.
-    """
-    scale = np.sqrt(np.maximum(own, 1e-300))
-    values, vectors = np.linalg.eigh(bread / np.outer(scale, scale))
-    kept = values > tolerance
-    basis = vectors[:, kept] / scale[:, None]
-    inverse = (basis / values[kept]) @ basis.T
-    covariance = inverse @ meat @ inverse
-    along = vectors[:, kept] * scale[:, None]
-    combined = along.T @ beta
-    statistic = combined @ np.linalg.pinv(along.T @ covariance @ along, rcond=1e-10, hermitian=True) @ combined
-    return float(statistic), int(kept.sum()), covariance

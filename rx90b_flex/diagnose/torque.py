@@ -17,7 +17,7 @@ from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
-from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose
+from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, meet
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
@@ -181,8 +181,14 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return (Candidates(beside_motion, in_pairs=False, told=False),)
         return Candidates(laws), Candidates(last_resorts, in_pairs=False)
 
-    def trials(self, model: TorqueModel, some: Candidates, told: Callable[[float], None]) -> list[TorqueTrial]:
-        return self.search(model, some.kinds).run(told, families=not some.alone)
+    def trials(
+        self,
+        model: TorqueModel,
+        some: Candidates,
+        told: Callable[[float], None],
+        company_of: TorqueTrial | None = None,
+    ) -> list[TorqueTrial]:
+        return self.search(model, some.kinds).run(told, company_of.effect if company_of else None)
 
     def search(self, model: TorqueModel, kinds: Callable[[type[Effect]], bool] = laws) -> Search:
         """Everything that could be missing from a model."""
@@ -288,12 +294,15 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
 
     def apart(self, trials: Sequence[TorqueTrial], new: TorqueModel, old: TorqueModel) -> list[TorqueTrial]:
-        """Single effects on joints where nothing was added, that take no other's place and scale no torque."""
+        """Single effects on joints where nothing was added, that take no other's place and scale no torque; none of a type that was
+        tried as a family, which comes with the next round.
+        """
+        families = {type(t.effect) for t in trials if t.members}
         before = {(type(e), e.place) for e in old.effects}
         more = [e for e in new.effects if (type(e), e.place) not in before]
         touched = {j for e in more for j in e.joints or self.sites.joints}
         alone = [t for t in trials if not t.members and t.effect.joints and not t.effect.traits.multiplies]
-        alone = [t for t in alone if touched.isdisjoint(t.effect.joints)]
+        alone = [t for t in alone if touched.isdisjoint(t.effect.joints) and type(t.effect) not in families]
         if alone and self.at_floor(new):  # where nothing is left of a motion, nothing is looked for
             alone = [t for t in alone if beside_motion(type(t.effect))]
         out = []
@@ -322,10 +331,13 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def worth(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial:
         return self.search(model).without(find(model, trial.effect))
 
-    def needless(self, standing: Standing[TorqueModel, TorqueTrial], latest: int) -> Addition[TorqueTrial] | None:
+    def needless(
+        self, standing: Standing[TorqueModel, TorqueTrial], latest: int, everywhere: bool = True
+    ) -> Addition[TorqueTrial] | None:
         """The first of those before the latest; of several latest also one that does not belong to their family.
 
-        A curve of no known law makes nothing needless that has a name.
+        A curve of no known law makes nothing needless that has a name. What shares no joint with the latest has little to do with
+        them.
         """
         steps = standing.steps
         older = len(steps) - latest
@@ -341,6 +353,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             newest = i >= older
             if (newest and latest == 1) or _leaned_on(find(standing.model, step.trial.effect), standing.model.effects):
                 continue
+            if not (newest or everywhere or any(meet(step.trial.effect, s.trial.effect) for s in steps[older:])):
+                continue
+            if search.at_bound(find(standing.model, step.trial.effect)):
+                return step  # which is why it would not be added now
             joints = len(self.sites.joints)
             if not (worth(i).accepted or (worth(i).belongs and (newest or sure_together(i, steps, worth, joints)))):
                 return step

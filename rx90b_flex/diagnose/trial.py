@@ -219,6 +219,11 @@ def too_faint(torque: Array, measured: Array) -> str:
     return "" if part >= FAINTEST else f"its torque is {part:.1g} of a joint's, too little for a name"
 
 
+def meet(one: Effect, other: Effect) -> bool:
+    """Whether two effects act on a joint in common; one without joints acts on all."""
+    return not (one.joints and other.joints) or not set(one.joints).isdisjoint(other.joints)
+
+
 def off_a_joint(before: Array, after: Array, gain: float) -> float:
     """Part of the root mean square error that an effect takes off the joint for which it does most.
 
