@@ -84,6 +84,13 @@ def test_trees_take_over_where_no_sum_of_curves_follows():
     assert agree.mean() > 0.9
 
 
+def test_without_signals_there_are_no_trees():
+    columns = {name: (c, families(THERE)[name]) for name, c in families(HERE).items()}
+    product = np.sign(HERE[:, 0] * HERE[:, 2]) + noise(2)
+    assert best_form(columns, None, product, [parts()]).name == NO_FORM
+    assert best_form(columns, None, law(HERE) + noise(2), [parts()]).name == "smooth curves"
+
+
 def test_the_same_data_gives_the_same_form():
     residual = law(HERE) + np.sign(HERE[:, 0] * HERE[:, 2]) + noise(3)
     one, two = form(residual, [parts(3), parts(4)]), form(residual, [parts(3), parts(4)])

@@ -394,9 +394,7 @@ def _closed(
     residual = TorqueResidual(data, campaign, sites, fitted, gains, worth_while(jobs, data.regression.torque.size))
     loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))
     ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
-    return ended.result(
-        seed, checked, (*(c.message for c in constants), *scaled, *_stopped(ended.standing, loop.most)), tell
-    )
+    return ended.result(seed, checked, (*(c.message for c in constants), *scaled, *loop.stopped(ended.standing)), tell)
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,7 +426,7 @@ class _Ended:
         predictions = self._predictions()
         tell("asking how much can be explained at all", 0.97)
         compared_with = [HeldOut(p.torque, p.before) for p in predictions]
-        explainable = yardstick(self.declared.possible, held_out.weighted(None), compared_with, after.validation)
+        explainable = yardstick(self.declared.possible, held_out.weighted(None), compared_with, after.validation, floor)
         known = explainable if isinstance(explainable, Explainable) else None
         spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         beyond = self._beyond_model()
@@ -564,13 +562,6 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
     recordings = [p.recording for p in predictions]
     left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
     return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
-
-
-def _stopped(standing: Standing[TorqueModel, TorqueTrial], most: int) -> tuple[str, ...]:
-    """That the loop ended for its limit and not for want of candidates."""
-    if len(standing.steps) < most:
-        return ()
-    return (f"{len(standing.steps)} effects are as many as are added; more may be missing.",)
 
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:

@@ -57,7 +57,7 @@ class FreeForm:
 
 def best_form(
     families: Mapping[str, tuple[Array, Array]],
-    signals: tuple[Array, Array],
+    signals: tuple[Array, Array] | None,
     residual: Array,
     layouts: Sequence[Indices],
 ) -> FreeForm:
@@ -67,17 +67,18 @@ def best_form(
     ----------
     families : mapping
         Columns of the smooth curves by families, each with its values for the fit, (N, k), and elsewhere, (M, k).
-    signals : pair of array, shapes (N, s) and (M, s)
-        What the trees see.
+    signals : pair of array, shapes (N, s) and (M, s), or None
+        What the trees see; None: there are none.
     residual : array, shape (N,)
         N m.
     layouts : sequence of array, shape (N,)
         The part of each sample, in one or more ways to part the data; parts are held out in turn.
     """
-    nothing = FreeForm(NO_FORM, np.zeros(len(residual)), np.zeros(len(signals[1])))
+    nothing = FreeForm(NO_FORM, np.zeros(len(residual)), np.zeros(len(next(iter(families.values()))[1])))
     curves = smooth_curves(families, residual, layouts)
     best = nothing if curves is None else min(nothing, curves, key=lambda form: form.error(residual))
-    return boosted_trees(signals, residual, layouts[0], best.error(residual)) or best
+    trees = None if signals is None else boosted_trees(signals, residual, layouts[0], best.error(residual))
+    return trees or best
 
 
 def sure_gain(before: Array, after: Array) -> float:

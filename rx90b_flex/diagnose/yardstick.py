@@ -34,6 +34,7 @@ LEAST_DROP = 0.05  # of the declared model's error: coloured noise leaves values
 SPEEDS = np.array([0.001, 0.01, 0.03, 0.1, 0.3, 1.0])
 TRAVELS = np.array([1e-5, 3e-5, 1e-4, 1e-3, 1e-2])  # of the range of angles, within which friction turns over
 LAST_MOVE = 1e-3  # of the range of angles: what is less is no move
+AT_NOISE = 1.1  # error over noise floor up to which nothing is left
 KNOTS = 7  # of a curve over the range of an angle
 
 
@@ -76,7 +77,11 @@ class HeldOut:
 
 
 def yardstick(
-    declared: Identification, validation: Regression, held_out: Sequence[HeldOut], after: Errors
+    declared: Identification,
+    validation: Regression,
+    held_out: Sequence[HeldOut],
+    after: Errors,
+    floor: Array | None = None,
 ) -> Explainable | str:
     """Fit free forms to what the declared model leaves, and apply them to recordings that were not fitted.
 
@@ -94,6 +99,9 @@ def yardstick(
         The same recordings at their own rate.
     after : Errors
         Of the final model on the validation recordings.
+    floor : array, shape (joints,), optional
+        Noise of the torque, N m: a joint that the final model leaves with no more has nothing left that trees, which take longest,
+        could show, and is judged by smooth curves alone.
 
     Returns
     -------
@@ -114,7 +122,9 @@ def yardstick(
     here, there = (_signals(r, declared) for r in (fitted, validation))
     ranges = _Ranges.of(here)
     parts = _layouts(fitted)
-    forms = [_form(here, there, ranges, residual[:, j], j, parts) for j in range(len(fitted.joints))]
+    noise = np.zeros(len(fitted.joints)) if floor is None else floor
+    more_left = np.array(after.torque_rms) > AT_NOISE * noise
+    forms = [_form(here, there, ranges, residual[:, j], j, parts, more_left[j]) for j in range(len(fitted.joints))]
     said = _at_own_rate(np.stack([f.elsewhere for f in forms], axis=1), validation, held_out)
     errors = Errors.of([r.torque for r in held_out], [r.declared + s for r, s in zip(held_out, said, strict=True)])
     before = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
@@ -249,21 +259,22 @@ def _form(
     residual: Array,
     joint: int,
     layouts: Sequence[Indices],
+    trees: bool,
 ) -> FreeForm:
-    fitted = [_families(r, ranges, joint) for r in here]
-    other = [_families(r, ranges, joint) for r in there]
+    # one recording behind the other: at the rate at which they are worked out they take much room
+    fitted = [{n: r.segment.brought(x) for n, x in _families(r, ranges, joint).items()} for r in here]
+    other = [{n: r.filtered(x) for n, x in _families(r, ranges, joint).items()} for r in there]
     families = {
-        name: (
-            np.concatenate([r.segment.brought(f.pop(name)) for r, f in zip(here, fitted, strict=True)]),
-            np.concatenate([r.filtered(f.pop(name)) for r, f in zip(there, other, strict=True)]),
-        )
+        name: (np.concatenate([f.pop(name) for f in fitted]), np.concatenate([f.pop(name) for f in other]))
         for name in list(fitted[0])
     }
-    trees = (
+    if not trees:
+        return best_form(families, None, residual, layouts)
+    signals = (
         np.concatenate([r.segment.brought(_plain_signals(r, ranges, joint)) for r in here]),
         np.concatenate([r.filtered(_plain_signals(r, ranges, joint)) for r in there]),
     )
-    return best_form(families, trees, residual, layouts)
+    return best_form(families, signals, residual, layouts)
 
 
 def _families(signals: _Signals, ranges: _Ranges, joint: int) -> dict[str, Array]:
