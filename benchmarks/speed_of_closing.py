@@ -106,10 +106,13 @@ CASES: dict[str, tuple[Callable[[Path], Path], float, float]] = {
 
 def run(name: str) -> None:
     """One case, in this process."""
-    make, seconds, memory = CASES[name]
+    _, seconds, memory = CASES[name]
     with tempfile.TemporaryDirectory() as folder:
-        path = make(Path(folder))
-        # what making the data took does not count where it is less
+        # in another process: neither the time nor the room that making the data takes is the loop's
+        made = subprocess.run(
+            [sys.executable, __file__, "--make", name, folder], check=True, stdout=subprocess.PIPE, text=True
+        )
+        path = made.stdout.splitlines()[-1]
         before, processor, clock = peak(), time.process_time(), time.perf_counter()
         result = rf.close_loop(path)
         processor, clock = time.process_time() - processor, time.perf_counter() - clock
@@ -130,6 +133,8 @@ def main() -> None:
     match sys.argv[1:]:
         case ["--one", name]:
             run(name)
+        case ["--make", name, folder]:
+            print(CASES[name][0](Path(folder)))
         case arguments:
             names = [n for n in arguments if n != "--cold"]
             if unknown := [n for n in names if n not in CASES]:
