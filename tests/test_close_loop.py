@@ -644,3 +644,22 @@ def test_the_noise_floor_is_counted_on_identification_recordings_in_the_same_uni
     # both see the same noise: half of it differs between the two periods, all of it is left over
     free = 2 * PERIOD_S * RATE_HZ / 2 * passed() ** 2
     assert floor == pytest.approx(after, rel=DEVIATIONS / np.sqrt(2 * free) + len(DECLARED) / free)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 7])
+def test_from_a_bare_urdf_each_of_sixteen_effects_has_its_own_name(seed: int, tmp_path: Path) -> None:
+    """Coulomb and viscous friction of six joints and four effects more, no low-pass, nothing declared."""
+    arm, rng = ind.ur10(HEAVIER), np.random.default_rng([0, seed])
+    hidden = ("gear_ripple", "joint_coupling", "stribeck_friction", "load_friction")
+    torques = [ind.friction(COULOMB, VISCOUS), *(ind.hidden(kind, *HIDDEN[kind]) for kind in hidden)]
+    runs = []
+    for role in ("identification", "identification", "validation"):
+        m = ind.harmonics(rng, 6, period_s=10.0, periods=2, rate_hz=250.0, lines=8)
+        runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), NOISE), 10.0))
+    result = rf.close_loop(ind.write_files(tmp_path, arm, [], runs, cutoff_hz=None))
+    places = {kind: HIDDEN[kind][0] for kind in hidden}
+    expected = {(kind, JOINTS[p if isinstance(p, int) else p[0]]) for kind, p in places.items()}
+    expected |= {(kind, joint) for kind in ("coulomb_friction", "viscous_friction") for joint in JOINTS}
+    assert {(e.effect.type_name(), e.effect.joints[0]) for e in result.effects} == expected
+    assert result.verdict == "explained"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import independent as ind
@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.search import Search, laws
 from rx90b_flex.diagnose.trial import TorqueTrial
-from rx90b_flex.effects import Sites
+from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.signals import load_campaign
@@ -37,14 +37,30 @@ def logs(folder: Path, noise: Sequence[float], late_s: float = 0.0, more: Sequen
     return ind.write_files(folder, arm, DECLARED, runs)
 
 
-def best(campaign: Path, kind: str) -> TorqueTrial:
-    """The largest gain of one type, in all its places, beside the declared model."""
+def search_beside_declared(campaign: Path, kind: Callable[[type[Effect]], bool]) -> Search:
+    """Of some types, beside the declared model."""
     read = load_campaign(campaign)
     robot = rf.load_robot(read.robot_source)
     regression = Regression.of(robot, read.identification, read.cutoff_hz)
     model = identify(regression, regression.robot.effects, fit_links=True)
-    search = Search(model, Sites(regression.robot.joints, robot.tip_frame), lambda effect: effect.type_name() == kind)
-    return max(search.run(), key=lambda t: t.gain)
+    return Search(model, Sites(regression.robot.joints, robot.tip_frame), kind)
+
+
+def best(campaign: Path, kind: str) -> TorqueTrial:
+    """The largest gain of one type, in all its places, beside the declared model."""
+    return max(search_beside_declared(campaign, lambda e: e.type_name() == kind).run(), key=lambda t: t.gain)
+
+
+def test_the_company_of_an_effect_is_looked_for_on_its_joints_and_on_the_whole_robot(tmp_path: Path) -> None:
+    springs = [ind.hidden("joint_spring", j, {"stiffness": 30.0, "rest_angle": 0.4}) for j in (0, 1)]
+    search = search_beside_declared(logs(tmp_path, (0.05, 0.02), more=springs), laws)
+    every = {(type(t.effect), t.label): t for t in search.run() if not t.members}
+    company = search.run(company_of=catalogue()["gear_ripple"](joint="elbow"))
+    assert any(t.effect.joints == ("shoulder",) for t in every.values())
+    assert all("elbow" in t.effect.joints or not t.effect.joints for t in company)
+    both = [(t, every[type(t.effect), t.label]) for t in company if (type(t.effect), t.label) in every]
+    assert both
+    assert all(t.gain == other.gain and t.p_value == other.p_value for t, other in both)
 
 
 @pytest.mark.parametrize(
