@@ -137,6 +137,25 @@ def test_a_round_adds_no_more_than_may_be_added():
     assert len(closed(Apart(*names, helps=frozenset(names)), most=5).steps) == 5
 
 
+class Leaning(Names):
+    """With c in the model a is needless, and b goes where a goes."""
+
+    def needless(
+        self, standing: Standing[Model, Tried], latest: int, everywhere: bool = True
+    ) -> Addition[Tried] | None:
+        return next((s for s in standing.steps if s.trial.label == "a" and "c" in standing.model), None)
+
+    def without(self, model: Model, trial: Tried) -> tuple[Model, list[Tried]]:
+        return model - {trial.label, "b"}, []
+
+
+def test_what_goes_with_something_needless_is_no_addition_any_more():
+    standing = closed(Leaning("a", "b", "c", "d", helps=frozenset("abcd")), most=12)
+    assert {s.trial.label for s in standing.steps} == standing.model
+    assert "c" in standing.model
+    assert "a" not in standing.model
+
+
 @pytest.mark.parametrize(("most", "said"), [(2, "2 effects are as many"), (4, "")])
 def test_a_loop_that_a_limit_ends_says_so(most, said):
     names = ("a", "b", "c")

@@ -365,7 +365,8 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         model, back = self.residual.without(standing.model, step.trial)
         at = standing.steps.index(step)
         restored = [dataclasses.replace(step, trial=t) for t in back]
-        kept = [*standing.steps[:at], *restored, *standing.steps[at + 1 :]]
+        others = [*standing.steps[:at], *restored, *standing.steps[at + 1 :]]
+        kept = [s for s in others if self.residual.holds(model, s.trial)]
         if not kept:
             return dataclasses.replace(standing, model=self.declared, steps=())
         kept[-1] = dataclasses.replace(kept[-1], after=self.residual.errors_of(model))

@@ -70,7 +70,9 @@ class Remains:
     def left(self) -> bool:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
         if self.floor is not None:
-            return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor)).any())
+            # what happens at a few instants makes repeats differ, too: a floor that holds it hides it
+            happened = self._among([e.joint for e in self.events])
+            return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor) | happened).any())
         if self.events or any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
