@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rx90b_flex.diagnose.check import Checked
+from rx90b_flex.diagnose.events import Events
 from rx90b_flex.diagnose.evidence import Dependence
 from rx90b_flex.diagnose.refused import verdict_despite
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
@@ -75,6 +76,12 @@ def test_at_the_noise_where_fitted_and_far_above_it_elsewhere_is_not_explained()
 def test_a_little_above_the_noise_floor_it_takes_a_signal_that_the_residual_depends_on():
     assert verdict((1.0, 1.3), floor=(1.0, 1.0)) == "explained"
     assert verdict((1.0, 1.3), floor=(1.0, 1.0), where=(NAMED,)) == "partly_explained"
+
+
+def test_what_happened_at_an_instant_is_left_even_at_a_floor_that_holds_it():
+    happened = (Events("two", (("held out", 3.0),), share=0.6, times=8.0),)
+    left = Remains(JOINTS, True, roles(2.0, 2.0), roles(1.0, 1.0), np.ones(2), None, (), events=happened)
+    assert left.verdict == "partly_explained"
 
 
 def test_less_than_four_fifths_of_what_a_free_form_explains_is_not_enough():

@@ -63,6 +63,20 @@ def test_the_company_of_an_effect_is_looked_for_on_its_joints_and_on_the_whole_r
     assert all(t.gain == other.gain and t.p_value == other.p_value for t, other in both)
 
 
+def test_the_shapes_that_a_search_tries_are_counted_alike_with_and_without_its_starts(tmp_path: Path) -> None:
+    search = search_beside_declared(logs(tmp_path, (0.05, 0.02)), lambda e: True)
+    for effect, _ in search.candidates:
+        assert effect.independent_shapes(search.longest) == effect.shape_search(search.longest).independent, effect
+
+
+def test_a_drift_that_hardly_begins_while_a_log_lasts_is_none(tmp_path: Path) -> None:
+    search = search_beside_declared(logs(tmp_path, (0.05, 0.02)), laws)
+    (low,), (high,) = catalogue()["friction_drift"](joint="elbow").shape_range(search.longest)
+    # from its first tenth to a slope that loses 3 % in all of it
+    assert low == pytest.approx(0.1 * SECONDS, rel=0.01)
+    assert np.exp(-SECONDS / high) == pytest.approx(0.967, abs=0.001)
+
+
 @pytest.mark.parametrize(
     ("samples", "noise", "named"), [(0.003, 20.0, False), (0.1, 40.0, False), (0.1, 20.0, True), (0.5, 20.0, True)]
 )

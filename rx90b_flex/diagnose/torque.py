@@ -300,9 +300,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         families = {type(t.effect) for t in trials if t.members}
         before = {(type(e), e.place) for e in old.effects}
         more = [e for e in new.effects if (type(e), e.place) not in before]
-        touched = {j for e in more for j in e.joints or self.sites.joints}
         alone = [t for t in trials if not t.members and t.effect.joints and not t.effect.traits.multiplies]
-        alone = [t for t in alone if touched.isdisjoint(t.effect.joints) and type(t.effect) not in families]
+        alone = [t for t in alone if type(t.effect) not in families and not any(meet(t.effect, e) for e in more)]
         if alone and self.at_floor(new):  # where nothing is left of a motion, nothing is looked for
             alone = [t for t in alone if beside_motion(type(t.effect))]
         out = []
@@ -350,12 +349,12 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return search.without(find(standing.model, steps[i].trial.effect))
 
         for i, step in enumerate(steps):
-            newest = i >= older
-            if (newest and latest == 1) or _leaned_on(find(standing.model, step.trial.effect), standing.model.effects):
+            newest, effect = i >= older, find(standing.model, step.trial.effect)
+            if (newest and latest == 1) or _leaned_on(effect, standing.model.effects):
                 continue
-            if not (newest or everywhere or any(meet(step.trial.effect, s.trial.effect) for s in steps[older:])):
+            if not (newest or everywhere or any(meet(effect, s.trial.effect) for s in steps[older:])):
                 continue
-            if search.at_bound(find(standing.model, step.trial.effect)):
+            if search.at_bound(effect):
                 return step  # which is why it would not be added now
             joints = len(self.sites.joints)
             if not (worth(i).accepted or (worth(i).belongs and (newest or sure_together(i, steps, worth, joints)))):
