@@ -96,7 +96,7 @@ class Base:
     def held_out(self) -> Array:
         """Weighted squared error on each block when it is held out, shape (blocks,)."""
         theta, _ = self.without
-        predicted = (self.grams @ theta[:, :, None])[:, :, 0]
+        predicted = times(self.grams, theta)
         return np.asarray(self.powers + ((predicted - 2 * self.crosses) * theta).sum(axis=1))
 
     @cached_property
@@ -204,10 +204,10 @@ def solve_beside(left: Array, own: Array, score: Array, precision: Array | None 
         values, vectors = scaled[..., 0], np.ones_like(scaled)
     else:
         values, vectors = np.linalg.eigh(scaled)
-    along = (np.swapaxes(vectors, -1, -2) @ (score / scale)[..., None])[..., 0]
+    along = times(np.swapaxes(vectors, -1, -2), score / scale)
     kept = values > DETERMINED
     along = np.where(kept, along / np.where(kept, values, 1.0), 0.0)
-    return np.asarray((vectors @ along[..., None])[..., 0] / scale)
+    return times(vectors, along) / scale
 
 
 def _scaled(left: Array, own: Array) -> tuple[Array, Array]:
@@ -221,6 +221,11 @@ def parameters_told(left: Array, own: Array, precision: Array) -> float:
     if precision.any():
         return parameters_used(left, precision)
     return float((np.linalg.eigvalsh(_scaled(left, own)[1]) > DETERMINED).sum())
+
+
+def times(matrices: Array, vectors: Array) -> Array:
+    """Matrices (..., m, n) times vectors (..., n), each its own; shape (..., m)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
 def wald(bread: Array, meat: Array, own: Array, beta: Array, tolerance: float) -> tuple[float, int, Array]:

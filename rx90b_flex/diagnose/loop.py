@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any, Generic, TypeVar
 
 from rx90b_flex.diagnose.trial import Trial
@@ -143,9 +144,17 @@ class Residual(ABC, Generic[ModelT, TrialT]):
     def worth(self, model: ModelT, trial: TrialT) -> TrialT:
         """The trial of adding what a model holds to the same model without it."""
 
-    def apart(self, trials: Sequence[TrialT], new: ModelT, old: ModelT) -> list[TrialT]:
-        """Trials beside an old model that have nothing to do with what a new one has more."""
+    def apart(self, trials: Sequence[TrialT], new: ModelT, old: ModelT, beside: Sequence[TrialT] = ()) -> list[TrialT]:
+        """Trials beside an old model that have nothing to do with what a new one has more, nor with the trials `beside` it."""
         return []
+
+    def together(self, model: ModelT, trials: Sequence[TrialT]) -> ModelT | None:
+        """The settled model with several trials that have nothing to do with each other; None where any does not help in it."""
+        return None
+
+    def errors_along(self, old: ModelT, new: ModelT, trials: Sequence[TrialT]) -> list[Any]:
+        """Errors before and after each of the trials that are in the new model together, one more than there are."""
+        return [self.errors_of(old)] * len(trials) + [self.errors_of(new)]
 
     def once_more(self, model: ModelT, trial: TrialT) -> TrialT:
         """A trial beside another model, its candidate as it was."""
@@ -234,7 +243,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
         done, number = _done(standing), len(standing.steps) + 1
         for some in self.residual.candidates(standing):
             trials = self.residual.trials(standing.model, some, partial(self._tell_part, number, done))
-            more = self._several(standing, trials)
+            more = self._at_once(standing, trials) or self._several(standing, trials)
             if more is None and some.in_pairs:
                 more = self._once_fitted(standing, trials, some)
             if more is not None:
@@ -244,6 +253,31 @@ class ClosingLoop(Generic[ModelT, TrialT]):
 
     def _tell_part(self, number: int, done: float, fraction: float) -> None:
         self.tell(f"trying what may be missing, round {number}", done + 0.15 * (0.9 - done) * fraction)
+
+    def _at_once(self, standing: Standing[ModelT, TrialT], trials: list[TrialT]) -> Standing[ModelT, TrialT] | None:
+        """With all additions of a round that have nothing to do with each other; None where there is but one, or any falls in the
+        model with all.
+        """
+        residual, model, left = self.residual, standing.model, trials
+        best = residual.choose(left)
+        some: list[TrialT] = []
+        while best is not None and len(standing.steps) + len(some) < self.most:
+            some.append(best)
+            left = residual.apart([t for t in left if t is not best], model, model, some)
+            best = residual.choose(left)
+        if len(some) < 2:
+            return None
+        self.tell(f"adding {', '.join(t.label for t in some)}", _done(standing))
+        new = residual.together(model, some)
+        if new is None:
+            return None
+        errors = residual.errors_along(model, new, some)
+        steps = [
+            Addition(found, _others(trials, t), *between)
+            for t, between in zip(some, pairwise(errors), strict=True)
+            for found in residual.findings(t)
+        ]
+        return self._added(standing, new, (*standing.steps, *steps), len(steps))
 
     def _several(self, standing: Standing[ModelT, TrialT], trials: list[TrialT]) -> Standing[ModelT, TrialT] | None:
         """With the best addition, and those of its round that have nothing to do with it and pass beside it; None: there is none."""

@@ -40,6 +40,12 @@ class Errors:
         error *= error
         return Errors(relative, tuple(float(x) for x in np.sqrt(error.mean(axis=0))))
 
+    def partly(self, other: Errors, joints: Sequence[bool]) -> Errors:
+        """With another model's errors on some joints, of the same recordings."""
+        rms = tuple(b if here else a for a, b, here in zip(self.torque_rms, other.torque_rms, joints, strict=True))
+        size = float(np.linalg.norm(self.torque_rms))
+        return Errors(self.relative_error * float(np.linalg.norm(rms)) / size if size > 0.0 else 0.0, rms)
+
 
 @dataclass(frozen=True)
 class RoleErrors:
@@ -47,6 +53,12 @@ class RoleErrors:
 
     validation: Errors
     identification: Errors
+
+    def partly(self, other: RoleErrors, joints: Sequence[bool]) -> RoleErrors:
+        """With another model's errors on some joints."""
+        return RoleErrors(
+            self.validation.partly(other.validation, joints), self.identification.partly(other.identification, joints)
+        )
 
 
 @dataclass(frozen=True, eq=False)

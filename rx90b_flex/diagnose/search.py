@@ -18,6 +18,7 @@ from rx90b_flex.diagnose.base import (
     parameters_told,
     penalised_wald,
     solve_beside,
+    times,
     wald,
 )
 from rx90b_flex.diagnose.families import FAMILIES, family
@@ -101,7 +102,7 @@ class Search:
 
     def after(self, other: Search) -> Search:
         """This one with what another one has worked out of the same model."""
-        names = ("blocks", "longest_parts", "target", "shared", "present")
+        names = ("blocks", "longest_parts", "target", "shared", "present", "_worths")
         self.__dict__.update({name: other.__dict__[name] for name in names if name in other.__dict__})
         return self
 
@@ -394,12 +395,17 @@ class Search:
 
     def without(self, effect: Effect) -> TorqueTrial:
         """What an effect of the present model is worth: the trial of adding it to the model without it, what it replaces restored."""
-        base = self.base(effect)
-        restored = self.restored(effect)
-        present = self.base(effect, restored) if restored else base
-        found = self.trial(effect, base, present, self.tests)
-        self.regression.forget_long()
-        return found
+        key = effect, self.kinds
+        if key not in self._worths:
+            base, restored = self.base(effect), self.restored(effect)
+            present = self.base(effect, restored) if restored else base
+            self._worths[key] = self.trial(effect, base, present, self.tests)
+            self.regression.forget_long()
+        return self._worths[key]
+
+    @cached_property
+    def _worths(self) -> dict[tuple[Effect, Callable[[type[Effect]], bool]], TorqueTrial]:
+        return {}
 
     @property
     def sample_s(self) -> float:
@@ -686,14 +692,14 @@ class Search:
         bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x for x in (b, y, d))
         across = inverse @ bb
         turned = np.swapaxes(bb, 1, 2)
-        beta = solve_beside(dd - turned @ across, dd, yy - _times(turned, theta), precision)
-        new = theta - _times(across, beta)
+        beta = solve_beside(dd - turned @ across, dd, yy - times(turned, theta), precision)
+        new = theta - times(across, beta)
         return np.asarray(
             base.powers
             - 2 * ((base.crosses * new).sum(axis=1) + (y * beta).sum(axis=1))
-            + (new * _times(base.grams, new)).sum(axis=1)
-            + 2 * (new * _times(b, beta)).sum(axis=1)
-            + (beta * _times(d, beta)).sum(axis=1)
+            + (new * times(base.grams, new)).sum(axis=1)
+            + 2 * (new * times(b, beta)).sum(axis=1)
+            + (beta * times(d, beta)).sum(axis=1)
         )
 
     def _evidence(
@@ -788,8 +794,3 @@ def _shuts_out(present: Effect, new: Effect) -> bool:
     if type(present) is type(new) or present.type_name() == new.type_name():
         return not new.traits.repeats and (type(present) is type(new) or new.type_name() not in new.traits.replaces)
     return new.type_name() in present.traits.stands_for
-
-
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Of each block its matrix (blocks, m, n) times its vector (blocks, n); shape (blocks, m)."""
-    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])

@@ -21,9 +21,11 @@ def worth_while(jobs: int | None, samples: int) -> int:
     """So many processes, or, where it is not said how many, one a core if there are samples and cores enough."""
     if jobs is not None:
         return jobs
-    import joblib
+    if samples < WORTH or (os.cpu_count() or 1) < FEWEST:
+        return 1
+    import joblib  # here, for it takes a while, and knows of cores that this process may not have
 
-    cores = int(joblib.cpu_count()) if samples >= WORTH else 1
+    cores = int(joblib.cpu_count())
     return min(cores, MOST) if cores >= FEWEST else 1
 
 

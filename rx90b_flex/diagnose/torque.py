@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -194,7 +195,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """Everything that could be missing from a model."""
         new = Search(model.identified, self.sites, kinds, self.jobs)
         for latest in self._searches:
-            new = new.after(latest) if latest.model is new.model else new
+            if latest.model is new.model:
+                new = latest if latest.kinds is kinds else new.after(latest)
         self._searches[:] = [new]
         return new
 
@@ -223,27 +225,34 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def refit(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel | None, TorqueTrial]:
         new = self.joined(model, trial)
-        helps = new.identified.relative_error < model.identified.relative_error or _weighted_better(new, model)
-        if not helps:
+        if not _helps(new, model):
             return None, self.fallen(trial, "with everything fitted again it does not help")
         if not all(_physical(find(new, e)) for e in trial.effects):
             return None, self.fallen(trial, "with everything fitted again it has a value that it cannot have")
         new = self.settled(new)
-        worth = self.worth(new, trial) if len(trial.effects) == 1 else None
-        if worth is not None and (worth.p_value > SIGNIFICANCE or worth.small):
-            return None, self.fallen(trial, worth.small or "with everything fitted again next to nothing of it is left")
-        if text := self.unsure(new, trial):
+        if text := self._lost(new, trial):
             return None, self.fallen(trial, text)
-        ends = [text for e in trial.effects if (text := self.search(new).at_bound(find(new, e)))]
-        if ends and (plainer := self._plainer(new, trial)):
+        end = self._at_end(new, trial)
+        if end and (plainer := self._plainer(new, trial)):
             return self.refit(model, plainer)
-        if ends:
-            return None, dataclasses.replace(trial, lawful=False, objection=ends[0])
+        if end:
+            return None, dataclasses.replace(trial, lawful=False, objection=end)
         if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
             return None, self.fallen(
                 trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
             )
         return new, trial
+
+    def _lost(self, model: TorqueModel, trial: TorqueTrial) -> str:
+        """Why a trial falls in a model that was fitted with it, in words; empty where it does not."""
+        worth = self.worth(model, trial) if len(trial.effects) == 1 else None
+        if worth is not None and (worth.p_value > SIGNIFICANCE or worth.small):
+            return worth.small or "with everything fitted again next to nothing of it is left"
+        return self.unsure(model, trial)
+
+    def _at_end(self, model: TorqueModel, trial: TorqueTrial) -> str:
+        """Which of its shapes ran into an end of its range, in words; empty where none did."""
+        return next((text for e in trial.effects if (text := self.search(model).at_bound(find(model, e)))), "")
 
     def unsure(self, model: TorqueModel, trial: TorqueTrial) -> str:
         found = [find(model, e) for e in trial.effects]
@@ -293,13 +302,19 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """Where a lawful effect explains much, what keeps it from being sure is no noise."""
         return [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
 
-    def apart(self, trials: Sequence[TorqueTrial], new: TorqueModel, old: TorqueModel) -> list[TorqueTrial]:
+    def apart(
+        self,
+        trials: Sequence[TorqueTrial],
+        new: TorqueModel,
+        old: TorqueModel,
+        beside: Sequence[TorqueTrial] = (),
+    ) -> list[TorqueTrial]:
         """Single effects on joints where nothing was added, that take no other's place and scale no torque; none of a type that was
         tried as a family, which comes with the next round.
         """
         families = {type(t.effect) for t in trials if t.members}
         before = {(type(e), e.place) for e in old.effects}
-        more = [e for e in new.effects if (type(e), e.place) not in before]
+        more = [e for e in new.effects if (type(e), e.place) not in before] + [e for t in beside for e in t.effects]
         alone = [t for t in trials if not t.members and t.effect.joints and not t.effect.traits.multiplies]
         alone = [t for t in alone if type(t.effect) not in families and not any(meet(t.effect, e) for e in more)]
         if alone and self.at_floor(new):  # where nothing is left of a motion, nothing is looked for
@@ -310,6 +325,23 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             if here.isdisjoint(t.effect.traits.stands_for):
                 out.append(t)
         return out
+
+    def together(self, model: TorqueModel, trials: Sequence[TorqueTrial]) -> TorqueModel | None:
+        effects = [e for t in trials for e in t.effects]
+        new = self._identified(_with(model, effects), model, effects)
+        if not (_helps(new, model) and all(_physical(find(new, e)) for e in effects)):
+            return None
+        new = self.settled(new)
+        stays = not any(self._lost(new, t) or self._at_end(new, t) for t in trials)
+        touching = (self._explains_nothing(t.effects, new.errors, model.errors) for t in trials)
+        return new if stays and not self.spoils(new, model) and not any(touching) else None
+
+    def errors_along(self, old: TorqueModel, new: TorqueModel, trials: Sequence[TorqueTrial]) -> list[RoleErrors]:
+        """Those between are the new model's on joints that were touched so far, and the old one's on others."""
+        joints = self.campaign.joints
+        touched = accumulate(({j for e in t.effects for j in e.joints} for t in trials[:-1]), set.union)
+        between = [old.errors.partly(new.errors, [j in some for j in joints]) for some in touched]
+        return [old.errors, *between, new.errors]
 
     def once_more(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial:
         search = self.search(model)
@@ -344,7 +376,6 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return None
         search = self.search(standing.model)
 
-        @cache
         def worth(i: int) -> TorqueTrial:
             return search.without(find(standing.model, steps[i].trial.effect))
 
@@ -528,6 +559,11 @@ def reweighted(regression: Regression, model: Identification) -> Identification:
             break
         model = identify(regression.weighted(known), model.effects, fit_links=model.links_fitted, start=model)
     return model
+
+
+def _helps(new: TorqueModel, old: TorqueModel) -> bool:
+    """Whether the error became smaller, or the weighted one did."""
+    return new.identified.relative_error < old.identified.relative_error or _weighted_better(new, old)
 
 
 def _weighted_better(new: TorqueModel, old: TorqueModel) -> bool:

@@ -160,11 +160,28 @@ class _SearchedSpring(_SpringOfTwoLevers, part="spring", replaces=("gravity_spri
     ratio: float | None = shape("-", start=0.75, lower=0.02, upper=LARGEST_RATIO)
 
     def basis(self, at: JointMotion) -> Array:
-        angle, ratio = self.known_shape()
-        sine = np.sin(at.q - angle)
+        return self._at_shapes(at, self.known_shape()[None])
+
+    def side_by_side(
+        self, effects: Sequence[Effect], motion: Motion, leading: bool = False
+    ) -> tuple[Array | None, Array]:
+        if any(type(e) is not type(self) or e.joints != self.joints for e in effects):
+            return super().side_by_side(effects, motion, leading)
+        at = self.at(motion)
+        return at.port, self._at_shapes(at, np.array([e.known_shape() for e in effects]))
+
+    @staticmethod
+    def _at_shapes(at: JointMotion, shapes: Array) -> Array:
+        """Two columns of each of some angles and ratios (M, 2), one pair behind the other, (N, 2 M)."""
+        angle, ratio = shapes.T
+        s, c = np.sin(at.q)[:, None], np.cos(at.q)[:, None]
+        out = np.empty((len(at.q), len(shapes), 2))
+        sine, over_root = out[..., 0], out[..., 1]
+        sine[:] = s * np.cos(angle) - c * np.sin(angle)
         # a difference quotient by the ratio goes a little beyond its range
-        square = np.maximum(1.0 - ratio * np.cos(at.q - angle), 1.0 - LARGEST_RATIO)
-        return np.stack([sine, sine / np.sqrt(square)], axis=1)
+        square = np.maximum(1.0 - c * (ratio * np.cos(angle)) - s * (ratio * np.sin(angle)), 1.0 - LARGEST_RATIO)
+        np.divide(sine, np.sqrt(square), out=over_root)
+        return out.reshape(len(at.q), -1)
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         angles = np.pi * (2.0 * np.arange(ANGLES) / ANGLES - 1.0)

@@ -170,6 +170,16 @@ class Sample:
         """Torque of each joint as a reading has it, shape (R, joints), N m."""
         return self.torque_of(reading)[0][:, list(reading.torque_order)] * np.array(reading.torque_scale)
 
+    def torque_later(self, reading: Reading, lags: Array) -> Array:
+        """The same at some times (L,), s, after those that the reading has, shape (joints, L, R)."""
+        shift, order = np.zeros(len(self.joints)), list(reading.torque_order)
+        shift[order] = reading.shift_s
+        joint, out = np.arange(len(shift))[:, None, None], []
+        for track, more in zip(self.tracks, reading.recording_shift_s, strict=True):
+            late = np.round((shift[:, None] + lags + more) * track.rate_hz).astype(int)
+            out.append(track.torque[np.clip(track.rows + late[..., None], 0, len(track.torque) - 1), joint])
+        return np.asarray(np.concatenate(out, axis=2)[order] * np.array(reading.torque_scale)[:, None, None])
+
     def thinned(self, factor: int) -> Sample:
         """Every so many-th row."""
         tracks = tuple(dataclasses.replace(t, rows=t.rows[::factor]) for t in self.tracks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -43,12 +42,10 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
 
     def at(lags: Array) -> tuple[Array, Array]:
         """Products with the columns (tracks, joints, lags, p), and squares (tracks, joints, lags), of torques so much later."""
-        moved = (dataclasses.replace(reading, shift_s=tuple(s + lag for s in reading.shift_s)) for lag in lags.tolist())
-        y = np.stack([sample.torque_seen(m).T for m in moved], axis=1)
-        spans = sample.spans
-        return np.array([y[..., span] @ x[:, span] for span in spans]), np.array(
-            [(y[..., span] ** 2).sum(axis=2) for span in spans]
-        )
+        y = sample.torque_later(reading, lags)
+        parts = [(y[..., span] @ x[:, span], (y[..., span] ** 2).sum(axis=2)) for span in sample.spans]
+        products, squares = (np.array(p) for p in zip(*parts, strict=True))
+        return products, squares
 
     still = at(np.zeros(1))
     torque = sample.torque_seen(reading)
