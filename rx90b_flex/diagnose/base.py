@@ -11,7 +11,7 @@ import numpy as np
 
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.columns import ColumnsByJoint
-from rx90b_flex.identify.normal_equations import NormalEquations, solve_weighted
+from rx90b_flex.identify.normal_equations import NormalEquations, dependent, solved
 from rx90b_flex.identify.penalty import parameters_used
 
 LEAK = 0.02  # of a recording that is left out as a whole
@@ -27,6 +27,22 @@ class SharedColumns:
     weight: Array
     blocks: tuple[slice, ...]
     precision: Array  # (p, p) inverse covariance of coefficients before the data: penalties, and sizes of shapes
+    theta: Array  # (p,) coefficients of the present model
+    links: int = 0  # of the columns, the first ones
+
+    @cached_property
+    def spare(self) -> tuple[Indices, Array]:
+        """Columns of links (d,) for which others of links stand in all that a base explains, and the coefficients (p,) without them."""
+        own, theta = slice(self.links), self.theta.copy()
+        none = np.zeros(0, dtype=np.intp)
+        if not self.links or self.precision[own].any():
+            return none, theta
+        gram = np.einsum("j,bjpq->pq", self.weight, self.normal.gram[:, :, own, own])
+        out = dependent(gram)
+        rest = np.setdiff1d(np.arange(self.links), out)
+        theta[rest] += solved(gram[np.ix_(rest, rest)], gram[np.ix_(rest, out)] @ theta[out], 0.0 * rest)[0]
+        theta[out] = 0.0
+        return out, theta
 
     @cached_property
     def normal(self) -> NormalEquations:
@@ -77,8 +93,7 @@ class Base:
     @cached_property
     def whole(self) -> tuple[Array, Array]:
         """Coefficients and pseudo-inverse on all blocks."""
-        theta, inverse, _, _ = solve_weighted(self.grams.sum(axis=0), self.crosses.sum(axis=0), self.prior)
-        return theta, inverse
+        return solved(self.grams.sum(axis=0), self.crosses.sum(axis=0), self.prior)
 
     @cached_property
     def without(self) -> tuple[Array, Array]:
@@ -86,7 +101,7 @@ class Base:
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
         part = 1.0 - self.leak
         found = [
-            solve_weighted(gram - part * g, cross - part * c, self.prior)[:2]
+            solved(gram - part * g, cross - part * c, self.prior)
             for g, c in zip(self.grams, self.crosses, strict=True)
         ]
         theta, inverse = zip(*found, strict=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -300,10 +302,24 @@ def close_loop(
     tell = _rising(progress or (lambda _text, _part: None))
     with (
         threadpool_limits(limits=1, user_api="blas"),
+        _imports_set_aside(),
         told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)),
     ):
         closed = _closed(source, robot, seed, tell, despite_faults, jobs)
         return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
+
+
+@contextmanager
+def _imports_set_aside() -> Iterator[None]:
+    """What is loaded so far lives on: Python need not look through all of it each time that it looks for what does not."""
+    if gc.get_freeze_count():
+        yield  # others set theirs aside, and only all of it can be taken back
+        return
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:

@@ -92,13 +92,14 @@ def dependences(data: Sequence[tuple[Regression, Array]], seed: int = 0) -> tupl
         # a shift by s is the residual read at (i - s) modulo N
         back = (np.arange(len(rest))[:, None] - _shifts(len(rest), rng)) % len(rest)
         bins = [_bins(value[at]) for value in values]
-        real, chance = np.empty((len(names), len(joints))), np.empty((len(names), len(joints), SHUFFLES))
+        real, chance = np.empty((len(names), len(joints))), np.zeros((len(names), len(joints), SHUFFLES))
         for j in range(len(joints)):
-            shifted = rest[back, j]
+            shifted, power = rest[back, j], float((rest[:, j] ** 2).sum())
             for i in range(len(names)):
                 cells = _cells(2 * bins[i] + forward[j])
                 real[i, j] = _explained(rest[:, j : j + 1], cells)[0]
-                chance[i, j] = _explained(shifted, cells)
+                if real[i, j] > SMALLEST_SCORE * power:  # else it is not worth a line, whatever chance does
+                    chance[i, j] = _explained(shifted, cells)
         for name, explained, by_chance in zip(names, real, chance, strict=True):
             found += _dependences(joints, name, explained, by_chance, (rest**2).sum(axis=0), tests)
         angles = [values[names.index(f"{joint} position")][at] for joint in joints]
@@ -225,8 +226,10 @@ def _bins(value: Array) -> Indices:
 
 def _cells(cell: Indices) -> sparse.csr_array:
     """Ones where a sample is in a cell, (cells, N), for the cells that hold any."""
-    own, at = np.unique(cell, return_inverse=True)
-    return sparse.csr_array((np.ones(len(cell)), (at, np.arange(len(cell)))), shape=(len(own), len(cell)))
+    counts = np.bincount(cell)
+    order = np.argsort(cell.astype(np.int16), kind="stable")
+    ends = np.cumsum(counts[counts > 0])
+    return sparse.csr_array((np.ones(len(cell)), order, np.r_[0, ends]), shape=(len(ends), len(cell)))
 
 
 def _shifts(samples: int, rng: np.random.Generator) -> Indices:
@@ -274,7 +277,7 @@ def at_rest(regression: Regression) -> Mask:
 def _explained(residual: Array, cells: sparse.csr_array) -> Array:
     """Power of the means of residuals (N, k) over the samples of each cell, shape (k,)."""
     sums = cells @ residual
-    power: Array = (sums**2 / cells.sum(axis=1)[:, None]).sum(axis=0)
+    power: Array = (sums**2 / np.diff(cells.indptr)[:, None]).sum(axis=0)
     return power
 
 

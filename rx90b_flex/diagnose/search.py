@@ -127,8 +127,12 @@ class Search:
     @cached_property
     def target(self) -> Array:
         """Torque that the model's columns explain, beyond what penalties pull them to, shape (N, joints)."""
-        theta = np.concatenate([self.model.theta, np.zeros(len(self.model.shapes))]) - self.model.centre
-        return np.asarray(self.model.residual + self.model.derivatives.times(theta).T)
+        return np.asarray(self.model.residual + self.model.derivatives.times(self._theta).T)
+
+    @property
+    def _theta(self) -> Array:
+        # what shapes may still do to the model's torque counts with its columns: no candidate is credited with that
+        return np.concatenate([self.model.theta, np.zeros(len(self.model.shapes))]) - self.model.centre
 
     @cached_property
     def shared(self) -> SharedColumns:
@@ -138,7 +142,9 @@ class Search:
         of_shapes = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
         precision = self.model.precision + np.diag(of_shapes)
         target = np.ascontiguousarray(self.target.T)
-        return SharedColumns(self.model.derivatives, target, self.model.solution.sigma**-2.0, self.blocks, precision)
+        links = self.model.first_column(0) if self.model.links_fitted else 0
+        weight = self.model.solution.sigma**-2.0
+        return SharedColumns(self.model.derivatives, target, weight, self.blocks, precision, self._theta, links)
 
     @cached_property
     def present(self) -> Base:
@@ -148,9 +154,8 @@ class Search:
     def base(self, replaced: Effect | None = None, restored: Sequence[Effect] = ()) -> Base:
         """The present model without `replaced`, and with effects beside it that are not in it."""
         model = self.model
-        # what shapes may still do to the model's torque counts with its columns: no candidate is credited with that
-        theta = np.concatenate([model.theta, np.zeros(len(model.shapes))]) - model.centre
-        kept = np.arange(len(theta))
+        spare, theta = self.shared.spare
+        kept = np.setdiff1d(np.arange(len(theta)), spare)
         if replaced is not None:
             index = model.effects.index(replaced)
             first = model.first_column(index)
@@ -169,8 +174,9 @@ class Search:
             self.shared,
             columns=present.beside(more),
             precision=linalg.block_diag(self.shared.precision[np.ix_(kept, kept)], prior_precision(restored)),
+            theta=np.concatenate([theta[kept], none]),
         )
-        return Base(shared, np.arange(ends[-1]), np.concatenate([theta[kept], none]))
+        return Base(shared, np.arange(ends[-1]), shared.theta)
 
     @cached_property
     def candidates(self) -> list[tuple[Effect, Effect | None]]:

@@ -15,6 +15,7 @@ from rx90b_flex.identify.columns import ColumnsByJoint
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
 RANK_TOLERANCE = 1.0e-6
+SURELY = 10.0  # times that, below which a pivot's root leaves it open whether a direction is determined
 RIDGE = 1.0e-11  # of a column's square, where only the squares count that a solution leaves,
 CORRECTIONS = 3  # and solutions with it, each for what the last ones left
 ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
@@ -144,6 +145,24 @@ def solve_weighted(gram: Array, cross: Array, prior: Array) -> tuple[Array, Arra
     inverse = (basis / values[kept]) @ basis.T / np.outer(scale, scale)
     theta = prior + inverse @ (cross - gram @ prior)
     return theta, inverse, vectors[:, ~kept], scale
+
+
+def solved(gram: Array, cross: Array, prior: Array) -> tuple[Array, Array]:
+    """The first two of what `solve_weighted` gives: by Cholesky's factors, which are several times as fast, where all is determined."""
+    scale = column_scale(np.diag(gram))
+    factor, failed = linalg.lapack.dpotrf(gram / np.outer(scale, scale), lower=1)
+    if failed or not (np.diag(factor) > SURELY * RANK_TOLERANCE).all():
+        return solve_weighted(gram, cross, prior)[:2]
+    lower, _ = linalg.lapack.dpotri(factor, lower=1)
+    inverse = (lower + np.tril(lower, -1).T) / np.outer(scale, scale)
+    return prior + inverse @ (cross - gram @ prior), inverse
+
+
+def dependent(gram: Array) -> Indices:
+    """Columns (d,) for which others can stand, by their products (p, p): the last ones of Cholesky's factors with pivots."""
+    scale = column_scale(np.diag(gram))
+    _, pivots, rank, _ = linalg.lapack.dpstrf(gram / np.outer(scale, scale), tol=RANK_TOLERANCE**2 * len(gram))
+    return np.sort(pivots[rank:] - 1)
 
 
 def _coefficients(gram: Array, cross: Array, prior: Array) -> Array:
