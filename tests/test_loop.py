@@ -109,8 +109,10 @@ class Apart(Names):
         self.rounds += 1
         return super().trials(model, some, told)
 
-    def apart(self, trials: Sequence[Tried], new: Model, old: Model) -> list[Tried]:
-        more = {name[0] for name in new - old}
+    def apart(
+        self, trials: Sequence[Tried], new: Model, old: Model, beside: Sequence[Tried] = ()
+    ) -> list[Tried]:
+        more = {name[0] for name in new - old} | {t.label[0] for t in beside}
         return [t for t in trials if t.label[0] not in more]
 
     def once_more(self, model: Model, trial: Tried) -> Tried:
@@ -135,6 +137,46 @@ def test_what_no_longer_passes_beside_an_addition_is_not_added_with_it():
 def test_a_round_adds_no_more_than_may_be_added():
     names = tuple("abcdefgh")
     assert len(closed(Apart(*names, helps=frozenset(names)), most=5).steps) == 5
+
+
+class AtOnce(Apart):
+    """The same, with one fit for all additions of a round; its errors are how many names a model holds."""
+
+    def __init__(self, *names: str, helps: frozenset[str]) -> None:
+        super().__init__(*names, helps=helps)
+        self.fits = list[tuple[str, ...]]()
+
+    def together(self, model: Model, trials: Sequence[Tried]) -> Model | None:
+        labels = tuple(t.label for t in trials)
+        self.fits.append(labels)
+        return model | set(labels) if self.helps.issuperset(labels) else None
+
+    def errors_of(self, model: Model) -> int:
+        return len(model)
+
+    def errors_along(self, old: Model, new: Model, trials: Sequence[Tried]) -> list[int]:
+        return list(range(len(old), len(new) + 1))
+
+
+def test_additions_of_a_round_that_have_nothing_to_do_with_each_other_are_fitted_at_once():
+    residual = AtOnce("a1", "b1", "a2", "c1", helps=frozenset({"a1", "b1", "a2", "c1"}))
+    standing = closed(residual)
+    assert [s.trial.label for s in standing.steps] == ["a1", "b1", "c1", "a2"]
+    assert residual.fits == [("a1", "b1", "c1")] and residual.refits == ["a2"]
+    assert [(s.before, s.after) for s in standing.steps] == [(0, 1), (1, 2), (2, 3), (3, 4)]
+    assert [t.label for t in standing.steps[1].rivals] == ["a1", "a2", "c1"]
+
+
+def test_where_one_falls_with_the_others_they_are_added_one_by_one():
+    residual = AtOnce("a1", "b1", "c1", helps=frozenset({"a1", "c1"}))
+    assert [s.trial.label for s in closed(residual).steps] == ["a1", "c1"]
+    assert residual.fits[0] == ("a1", "b1", "c1") and residual.refits[:3] == ["a1", "b1", "c1"]
+
+
+def test_no_more_are_added_at_once_than_may_be_added():
+    names = tuple("abcdefgh")
+    residual = AtOnce(*names, helps=frozenset(names))
+    assert len(closed(residual, most=5).steps) == 5 and residual.fits == [tuple("abcde")]
 
 
 class Leaning(Names):
