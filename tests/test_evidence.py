@@ -29,3 +29,19 @@ def test_noise_repeats_with_no_angle():
     rng = np.random.default_rng(1)
     found = [order_dependence("joint", rng.normal(size=500), ANGLE[:500], 1, rng) for _ in range(100)]
     assert sum(f is not None for f in found) < 7
+
+
+def test_orders_worked_out_one_from_the_other_are_those_of_their_sines():
+    """Of 1,350 orders to 240, each comes from the one before."""
+    rng = np.random.default_rng(2)
+    angle = np.cumsum(rng.normal(size=2000)) * 0.02 + 20.0 * TIME[:2000] / TIME[1999]
+    left = np.sin(231.0 * angle) + 0.3 * rng.normal(size=2000)
+    found = order_dependence("joint", left, angle, 1, np.random.default_rng(0))
+    assert found is not None
+    order = np.arange(8.0 * np.pi / np.ptp(angle), 240.0, np.pi / np.ptp(angle))
+    assert len(order) == 1350
+    turn = np.outer(order, angle)
+    share = 2.0 * ((np.cos(turn) @ left) ** 2 + (np.sin(turn) @ left) ** 2) / len(left) / (left @ left)
+    assert found.signal == f"joint order {order[share.argmax()]:.1f}"
+    # the score is what is explained beyond chance, which for 2000 samples is about a hundredth
+    assert share.max() - 0.03 < found.score < share.max()

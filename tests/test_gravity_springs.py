@@ -10,7 +10,7 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.base import parameters_told
-from rx90b_flex.effects import effect_from_table
+from rx90b_flex.effects import Sites, catalogue, effect_from_table
 
 FAR, NEAR = 0.42, 0.16  # m from the axis to its anchors
 NOISE = (0.05, 0.05)
@@ -43,6 +43,21 @@ def test_a_hidden_spring_is_named_and_nothing_else(tmp_path: Path, seed: int, an
         runs.append(plain.run(arm, role, m, torques, plain.white(rng, len(m.time), NOISE)))
     result = rf.close_loop(plain.write_files(tmp_path, arm, declared, runs, cutoff_hz=15.0))
     assert [e.effect.label for e in result.effects] == ["elbow.gravity_spring"]
+
+
+def test_springs_of_several_angles_and_ratios_side_by_side_are_those_by_themselves() -> None:
+    robot = rf.load_robot("example-robot-data:ur10")
+    rng = np.random.default_rng(0)
+    motion = robot.motion(*rng.normal(size=(3, 50, 6)), np.arange(50) / 100.0)
+    kind = next(e for e in catalogue()["gravity_spring"].everywhere(Sites(robot.joints, "tool0")) if len(e.shape) == 2)
+    springs = [kind.with_shape(np.array([angle, ratio])) for angle in (-2.0, 0.3, 3.0) for ratio in (0.05, 0.5, 0.95)]
+    port, columns = kind.side_by_side(springs, motion)
+    q = motion.q[:, [robot.joints.index(kind.joints[0])]]
+    angle, ratio = np.array([e.shape for e in springs]).T
+    pull = np.sin(q - angle)
+    slack = pull / np.sqrt(1.0 - ratio * np.cos(q - angle))
+    np.testing.assert_allclose(columns, np.stack([pull, slack], axis=2).reshape(50, -1), atol=1e-12)
+    assert port is not None and np.array_equal(port, np.eye(6)[robot.joints.index(kind.joints[0])])
 
 
 def test_a_sine_of_which_less_than_a_period_shows_is_no_ripple() -> None:

@@ -109,9 +109,7 @@ class Apart(Names):
         self.rounds += 1
         return super().trials(model, some, told)
 
-    def apart(
-        self, trials: Sequence[Tried], new: Model, old: Model, beside: Sequence[Tried] = ()
-    ) -> list[Tried]:
+    def apart(self, trials: Sequence[Tried], new: Model, old: Model, beside: Sequence[Tried] = ()) -> list[Tried]:
         more = {name[0] for name in new - old} | {t.label[0] for t in beside}
         return [t for t in trials if t.label[0] not in more]
 

@@ -31,6 +31,17 @@ def roles(*rms: float) -> RoleErrors:
     return RoleErrors(errors(*rms), errors(*rms))
 
 
+def test_errors_on_some_joints_of_another_model_are_those_of_torques_put_together():
+    rng = np.random.default_rng(0)
+    measured = [rng.normal(size=(60, 3)), rng.normal(size=(40, 3))]
+    one, other = ([m + scale * rng.normal(size=m.shape) for m in measured] for scale in (0.5, 0.1))
+    mixed = [np.where([False, True, False], b, a) for a, b in zip(one, other, strict=True)]
+    found = Errors.of(measured, one).partly(Errors.of(measured, other), [False, True, False])
+    expected = Errors.of(measured, mixed)
+    assert found.relative_error == pytest.approx(expected.relative_error, rel=1e-12)
+    assert found.torque_rms == pytest.approx(expected.torque_rms, rel=1e-12)
+
+
 def explained_to(*rms: float, share: float, forms: tuple[str, ...] = CURVES) -> Explainable:
     return Explainable(errors(*rms), share, forms)
 

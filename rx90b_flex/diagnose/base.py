@@ -32,7 +32,7 @@ class SharedColumns:
 
     @cached_property
     def spare(self) -> tuple[Indices, Array]:
-        """Columns of links (d,) for which others of links stand in all that a base explains, and the coefficients (p,) without them."""
+        """Columns of links (d,) for which others can stand in all that a base explains, and coefficients (p,) without them."""
         own, theta = slice(self.links), self.theta.copy()
         none = np.zeros(0, dtype=np.intp)
         if not self.links or self.precision[own].any():
@@ -40,7 +40,7 @@ class SharedColumns:
         gram = np.einsum("j,bjpq->pq", self.weight, self.normal.gram[:, :, own, own])
         out = dependent(gram)
         rest = np.setdiff1d(np.arange(self.links), out)
-        theta[rest] += solved(gram[np.ix_(rest, rest)], gram[np.ix_(rest, out)] @ theta[out], 0.0 * rest)[0]
+        theta[rest] += solved(gram[np.ix_(rest, rest)], gram[np.ix_(rest, out)] @ theta[out], np.zeros(len(rest)))[0]
         theta[out] = 0.0
         return out, theta
 
@@ -101,8 +101,7 @@ class Base:
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
         part = 1.0 - self.leak
         found = [
-            solved(gram - part * g, cross - part * c, self.prior)
-            for g, c in zip(self.grams, self.crosses, strict=True)
+            solved(gram - part * g, cross - part * c, self.prior) for g, c in zip(self.grams, self.crosses, strict=True)
         ]
         theta, inverse = zip(*found, strict=True)
         return np.array(theta), np.array(inverse)

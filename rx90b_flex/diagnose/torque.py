@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
 
 import numpy as np
 
@@ -338,10 +337,11 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def errors_along(self, old: TorqueModel, new: TorqueModel, trials: Sequence[TorqueTrial]) -> list[RoleErrors]:
         """Those between are the new model's on joints that were touched so far, and the old one's on others."""
-        joints = self.campaign.joints
-        touched = accumulate(({j for e in t.effects for j in e.joints} for t in trials[:-1]), set.union)
-        between = [old.errors.partly(new.errors, [j in some for j in joints]) for some in touched]
-        return [old.errors, *between, new.errors]
+        out, touched = [old.errors], set[str]()
+        for trial in trials[:-1]:
+            touched |= {j for e in trial.effects for j in e.joints}
+            out.append(old.errors.partly(new.errors, [j in touched for j in self.campaign.joints]))
+        return [*out, new.errors]
 
     def once_more(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial:
         search = self.search(model)

@@ -168,10 +168,10 @@ class Sample:
 
     def torque_seen(self, reading: Reading) -> Array:
         """Torque of each joint as a reading has it, shape (R, joints), N m."""
-        return self.torque_of(reading)[0][:, list(reading.torque_order)] * np.array(reading.torque_scale)
+        return self.torque_later(reading, np.zeros(1))[:, 0].T
 
     def torque_later(self, reading: Reading, lags: Array) -> Array:
-        """The same at some times (L,), s, after those that the reading has, shape (joints, L, R)."""
+        """The same at some times (L,), s, after those that the reading has, shape (joints, L, R), N m."""
         shift, order = np.zeros(len(self.joints)), list(reading.torque_order)
         shift[order] = reading.shift_s
         joint, out = np.arange(len(shift))[:, None, None], []
