@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -74,8 +75,11 @@ def test_a_fault_in_another_process_is_told_here() -> None:
 def test_long_logs_get_processes_and_wrong_numbers_one_line(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert worth_while(None, WORTH - 1) == 1
     for cores, processes in ((1, 1), (FEWEST - 1, 1), (FEWEST, FEWEST), (MOST, MOST), (4 * MOST, MOST)):
+        monkeypatch.setattr(os, "cpu_count", lambda cores=cores: cores)
         monkeypatch.setattr(joblib, "cpu_count", lambda cores=cores: cores)
         assert worth_while(None, WORTH) == processes
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 2)  # of a machine's many this process has two
+    assert worth_while(None, WORTH) == 1
     assert worth_while(3, 1) == 3
     with pytest.raises(ValueError, match="--jobs is 0; expected 1 to"):
         rf.close_loop(campaign, jobs=0)

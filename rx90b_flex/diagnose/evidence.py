@@ -118,25 +118,34 @@ def order_dependence(joint: str, rest: Array, angle: Array, tests: int, rng: np.
     orders = np.arange(2 * np.pi * FEWEST_CYCLES / max(span, 1e-9), HIGHEST_ORDER, np.pi / max(span, 1e-9))
     if len(orders) < 2 or power == 0.0:
         return None
-    shifts = np.r_[0, _shifts(len(rest), rng)[:ORDER_SHUFFLES]]
-    shifted = np.stack([np.roll(rest, s) for s in shifts], axis=1)
-    highest, at = np.zeros(len(shifts)), 0.0
+    shifts = _shifts(len(rest), rng)[:ORDER_SHUFFLES]
+    (highest,), (at,) = _most_explained(rest[:, None], angle, orders)
+    if highest <= SMALLEST_SCORE * power:
+        return None  # beyond chance it is less still
+    chance = _most_explained(np.stack([np.roll(rest, s) for s in shifts], axis=1), angle, orders)[0] / power
+    highest /= power
+    scale = max(float(chance.std(ddof=1)) * np.sqrt(6.0) / np.pi, 1e-12)
+    p_value = min(1.0, tests * float(stats.gumbel_r.sf(highest, chance.mean() - np.euler_gamma * scale, scale)))
+    score = float(highest - chance.mean())
+    found = p_value < SIGNIFICANCE and score > SMALLEST_SCORE
+    return Dependence(joint, f"{joint} order {at:.1f}", score, p_value) if found else None
+
+
+def _most_explained(residuals: Array, angle: Array, orders: Array) -> tuple[Array, Array]:
+    """Power that the best of some orders, of equal distance, explains of each of residuals (N, k), and that order; each (k,)."""
+    highest, at = np.zeros(residuals.shape[1]), np.zeros(residuals.shape[1])
     turn, onward = np.exp(1j * orders[0] * angle), np.exp(1j * (orders[1] - orders[0]) * angle)
     for part in np.array_split(orders, len(orders) // TOGETHER + 1):
         cosine, sine = np.empty((2, len(part), len(angle)))
         for k in range(len(part)):
             cosine[k], sine[k] = turn.real, turn.imag
-            turn = turn * onward  # which is exact to 1e-13 after a thousand orders, in a tenth of the time
-        explained = 2.0 * ((cosine @ shifted) ** 2 + (sine @ shifted) ** 2) / len(rest) / power
-        if explained[:, 0].max() > highest[0]:
-            at = float(part[explained[:, 0].argmax()])
-        highest = np.maximum(highest, explained.max(axis=0))
-    chance = highest[1:]
-    scale = max(float(chance.std(ddof=1)) * np.sqrt(6.0) / np.pi, 1e-12)
-    p_value = min(1.0, tests * float(stats.gumbel_r.sf(highest[0], chance.mean() - np.euler_gamma * scale, scale)))
-    score = float(highest[0] - chance.mean())
-    found = p_value < SIGNIFICANCE and score > SMALLEST_SCORE
-    return Dependence(joint, f"{joint} order {at:.1f}", score, p_value) if found else None
+            turn = turn * onward  # exact to 1e-13 after a thousand orders, in a tenth of the time of sine and cosine
+        explained = 2.0 * ((cosine @ residuals) ** 2 + (sine @ residuals) ** 2) / len(angle)
+        best = explained.argmax(axis=0)
+        more = explained.max(axis=0)
+        at = np.where(more > highest, part[best], at)
+        highest = np.maximum(highest, more)
+    return highest, at
 
 
 @dataclass(frozen=True)

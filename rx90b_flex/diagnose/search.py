@@ -102,7 +102,7 @@ class Search:
 
     def after(self, other: Search) -> Search:
         """This one with what another one has worked out of the same model."""
-        names = ("blocks", "longest_parts", "target", "shared", "present", "_worths")
+        names = ("blocks", "longest_parts", "shared", "present", "_worths")
         self.__dict__.update({name: other.__dict__[name] for name in names if name in other.__dict__})
         return self
 
@@ -125,26 +125,17 @@ class Search:
         return tuple(np.flatnonzero((starts >= s.start) & (starts < s.stop)) for s in self.regression.spans)
 
     @cached_property
-    def target(self) -> Array:
-        """Torque that the model's columns explain, beyond what penalties pull them to, shape (N, joints)."""
-        return np.asarray(self.model.residual + self.model.derivatives.times(self._theta).T)
-
-    @property
-    def _theta(self) -> Array:
-        # what shapes may still do to the model's torque counts with its columns: no candidate is credited with that
-        return np.concatenate([self.model.theta, np.zeros(len(self.model.shapes))]) - self.model.centre
-
-    @cached_property
     def shared(self) -> SharedColumns:
-        """Columns and target in the form that trials use."""
-        shapes = self.model.shapes
-        sizes = shapes.per_step(shapes.values(self.model.effects))
-        of_shapes = np.concatenate([np.zeros(len(self.model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
-        precision = self.model.precision + np.diag(of_shapes)
-        target = np.ascontiguousarray(self.target.T)
-        links = self.model.first_column(0) if self.model.links_fitted else 0
-        weight = self.model.solution.sigma**-2.0
-        return SharedColumns(self.model.derivatives, target, weight, self.blocks, precision, self._theta, links)
+        """Columns, and the torque that they explain beyond what penalties pull them to, in the form that trials use."""
+        model, shapes = self.model, self.model.shapes
+        sizes = shapes.per_step(shapes.values(model.effects))
+        of_shapes = np.concatenate([np.zeros(len(model.theta)), SHAPES_KNOWN**-2.0 * sizes**-2.0])
+        # what shapes may still do to the model's torque counts with its columns: no candidate is credited with that
+        theta = np.concatenate([model.theta, np.zeros(len(shapes))]) - model.centre
+        target = np.ascontiguousarray(model.residual.T + model.derivatives.times(theta))
+        links, weight = model.first_column(0) if model.links_fitted else 0, model.solution.sigma**-2.0
+        precision = model.precision + np.diag(of_shapes)
+        return SharedColumns(model.derivatives, target, weight, self.blocks, precision, theta, links)
 
     @cached_property
     def present(self) -> Base:
@@ -168,7 +159,7 @@ class Search:
         ends = len(kept) + np.cumsum([0, *(len(e.coefficients) for e in restored)])
         places = [np.arange(a, b) for a, b in pairwise(ends)]
         parts = [(at, *self.regression.compact([e])) for at, e in zip(places, restored, strict=True)]
-        more = ColumnsByJoint.of(parts, len(self.target.T), len(self.target))
+        more = ColumnsByJoint.of(parts, *self.shared.target.shape)
         none = np.zeros(ends[-1] - len(kept))
         shared = dataclasses.replace(
             self.shared,

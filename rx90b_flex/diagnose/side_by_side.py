@@ -23,7 +23,7 @@ def worth_while(jobs: int | None, samples: int) -> int:
         return jobs
     if samples < WORTH or (os.cpu_count() or 1) < FEWEST:
         return 1
-    import joblib  # here, for it takes a while, and knows of cores that this process may not have
+    import joblib  # here, for it takes a while; it knows of cores that this process may not have
 
     cores = int(joblib.cpu_count())
     return min(cores, MOST) if cores >= FEWEST else 1

@@ -316,7 +316,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         more = [e for e in new.effects if (type(e), e.place) not in before] + [e for t in beside for e in t.effects]
         alone = [t for t in trials if not t.members and t.effect.joints and not t.effect.traits.multiplies]
         alone = [t for t in alone if type(t.effect) not in families and not any(meet(t.effect, e) for e in more)]
-        if alone and self.at_floor(new):  # where nothing is left of a motion, nothing is looked for
+        if alone and new is not old and self.at_floor(new):  # where nothing is left of a motion, nothing is looked for
             alone = [t for t in alone if beside_motion(type(t.effect))]
         out = []
         for t in alone:
