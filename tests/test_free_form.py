@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rx90b_flex.diagnose.free_form import NO_FORM, best_form
+from rx90b_flex.diagnose.free_form import NO_FORM, Families, best_form
 
 SAMPLES, NOISE = 1500, 0.2
 WAVES = np.random.default_rng(7).uniform(0.5, 2.0, 3)
@@ -30,7 +30,7 @@ def parts(count: int = 3) -> np.ndarray:
 
 
 def form(residual: np.ndarray, layouts: list[np.ndarray] | None = None):
-    columns = {name: (c, families(THERE)[name]) for name, c in families(HERE).items()}
+    columns = Families(families(HERE), families(THERE).__getitem__, len(THERE))
     return best_form(columns, (HERE, THERE), residual, layouts or [parts()])
 
 
@@ -85,7 +85,7 @@ def test_trees_take_over_where_no_sum_of_curves_follows():
 
 
 def test_without_signals_there_are_no_trees():
-    columns = {name: (c, families(THERE)[name]) for name, c in families(HERE).items()}
+    columns = Families(families(HERE), families(THERE).__getitem__, len(THERE))
     product = np.sign(HERE[:, 0] * HERE[:, 2]) + noise(2)
     assert best_form(columns, None, product, [parts()]).name == NO_FORM
     assert best_form(columns, None, law(HERE) + noise(2), [parts()]).name == "smooth curves"
@@ -98,7 +98,19 @@ def test_the_same_data_gives_the_same_form():
     np.testing.assert_array_equal(one.elsewhere, two.elsewhere)
 
 
+def test_only_families_that_are_taken_in_are_asked_for_elsewhere():
+    asked = []
+
+    def there(name: str) -> np.ndarray:
+        asked.append(name)
+        return families(THERE)[name]
+
+    assert best_form(Families(families(HERE), there, len(THERE)), None, law(HERE) + noise(0), [parts()]).name != NO_FORM
+    assert asked == ["over 1"]
+
+
 def test_constant_columns_do_no_harm():
-    columns = {"still": (np.full((SAMPLES, 2), 3.0), np.full((600, 2), 3.0)), "over 1": (HERE[:, [1]], THERE[:, [1]])}
+    here, there = ({"still": np.full((len(x), 2), 3.0), "over 1": x[:, [1]]} for x in (HERE, THERE))
+    columns = Families(here, there.__getitem__, len(THERE))
     found = best_form(columns, (HERE, THERE), HERE[:, 1] + noise(4), [parts()])
     assert found.elsewhere == pytest.approx(THERE[:, 1], abs=0.1)

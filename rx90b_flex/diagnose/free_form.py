@@ -9,7 +9,7 @@ approximation: a gradient boosting machine", Annals of Statistics 29(5), 2001, w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -55,8 +55,17 @@ class FreeForm:
         return float(((residual - self.held_out) ** 2).sum())
 
 
+@dataclass(frozen=True, eq=False)
+class Families:
+    """Columns of smooth curves by families: of each its values for the fit, (N, k), and what asks for those elsewhere, (M, k)."""
+
+    here: Mapping[str, Array]
+    there: Callable[[str], Array]
+    samples_there: int
+
+
 def best_form(
-    families: Mapping[str, tuple[Array, Array]],
+    families: Families,
     signals: tuple[Array, Array] | None,
     residual: Array,
     layouts: Sequence[Indices],
@@ -65,8 +74,8 @@ def best_form(
 
     Parameters
     ----------
-    families : mapping
-        Columns of the smooth curves by families, each with its values for the fit, (N, k), and elsewhere, (M, k).
+    families : Families
+        Columns of the smooth curves.
     signals : pair of array, shapes (N, s) and (M, s), or None
         What the trees see; None: there are none.
     residual : array, shape (N,)
@@ -74,7 +83,7 @@ def best_form(
     layouts : sequence of array, shape (N,)
         The part of each sample, in one or more ways to part the data; parts are held out in turn.
     """
-    nothing = FreeForm(NO_FORM, np.zeros(len(residual)), np.zeros(len(next(iter(families.values()))[1])))
+    nothing = FreeForm(NO_FORM, np.zeros(len(residual)), np.zeros(families.samples_there))
     curves = smooth_curves(families, residual, layouts)
     best = nothing if curves is None else min(nothing, curves, key=lambda form: form.error(residual))
     trees = None if signals is None else boosted_trees(signals, residual, layouts[0], best.error(residual))
@@ -91,9 +100,7 @@ def sure_gain(before: Array, after: Array) -> float:
 # ---- smooth curves ------------------------------------------------------------------------------------------
 
 
-def smooth_curves(
-    families: Mapping[str, tuple[Array, Array]], residual: Array, layouts: Sequence[Indices]
-) -> FreeForm | None:
+def smooth_curves(families: Families, residual: Array, layouts: Sequence[Indices]) -> FreeForm | None:
     """Sum of families of columns by ridge regression, families taken in one by one while parts held out gain by it.
 
     Where there are several layouts, the mean of what each chooses: one recording can be parted in many ways, and the
@@ -106,7 +113,7 @@ def smooth_curves(
     return FreeForm(
         "smooth curves",
         np.mean([f.held_out for f in found], axis=0),
-        np.mean([table.elsewhere[:, table.columns(f.names)] @ f.theta for f in found], axis=0),
+        np.mean([table.there(f.names) @ f.theta for f in found], axis=0),
     )
 
 
@@ -115,27 +122,35 @@ class _Table:
     """Columns of all families side by side, of variance one, and a constant at the end."""
 
     here: Array  # (N, p)
-    elsewhere: Array  # (M, p)
     residual: Array
     places: Mapping[str, Indices]
+    families: Families
 
     @staticmethod
-    def of(families: Mapping[str, tuple[Array, Array]], residual: Array) -> _Table:
-        here, elsewhere, places, at = [], [], {}, 0
-        for name, (x, other) in families.items():
-            mean, std = x.mean(axis=0), x.std(axis=0)
-            moves = std > CONSTANT * np.abs(x).max(axis=0)
-            here.append((x - mean)[:, moves] / std[moves])
-            elsewhere.append((other - mean)[:, moves] / std[moves])
-            places[name] = np.arange(at, at + int(moves.sum()))
-            at += int(moves.sum())
-        here.append(np.ones((len(residual), 1)))
-        elsewhere.append(np.ones((len(elsewhere[0]), 1)))
-        return _Table(np.hstack(here), np.hstack(elsewhere), residual, places)
+    def of(families: Families, residual: Array) -> _Table:
+        here, places, at = [], {}, 0
+        for name, x in families.here.items():
+            own = _of_variance_one(x, x)
+            here.append(own)
+            places[name] = np.arange(at, at + own.shape[1])
+            at += own.shape[1]
+        return _Table(np.hstack([*here, np.ones((len(residual), 1))]), residual, places, families)
+
+    def there(self, names: Sequence[str]) -> Array:
+        """Columns of some families elsewhere, brought to scale as those of the fit, and the constant."""
+        parts = [_of_variance_one(self.families.there(n), self.families.here[n]) for n in names]
+        return np.hstack([*parts, np.ones((self.families.samples_there, 1))])
 
     def columns(self, names: Sequence[str]) -> Indices:
         """Places of some families' columns and of the constant."""
         return np.concatenate([*(self.places[n] for n in names), [self.here.shape[1] - 1]])
+
+
+def _of_variance_one(columns: Array, fitted: Array) -> Array:
+    """Columns (M, k), less the means of those of the fit (N, k) and over their standard deviations, as far as these vary."""
+    std = fitted.std(axis=0)
+    moves = std > CONSTANT * np.abs(fitted).max(axis=0)
+    return np.asarray((columns - fitted.mean(axis=0))[:, moves] / std[moves])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy import interpolate
 
 from rx90b_flex.compiled.signals import dahl
-from rx90b_flex.diagnose.free_form import NO_FORM, FreeForm, best_form
+from rx90b_flex.diagnose.free_form import NO_FORM, Families, FreeForm, best_form
 from rx90b_flex.diagnose.residual import Errors
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices
@@ -263,11 +264,16 @@ def _form(
 ) -> FreeForm:
     # one recording behind the other: at the rate at which they are worked out they take much room
     fitted = [{n: r.segment.brought(x) for n, x in _families(r, ranges, joint).items()} for r in here]
-    other = [{n: r.filtered(x) for n, x in _families(r, ranges, joint).items()} for r in there]
-    families = {
-        name: (np.concatenate([f.pop(name) for f in fitted]), np.concatenate([f.pop(name) for f in other]))
-        for name in list(fitted[0])
-    }
+
+    @cache
+    def other(at: int) -> dict[str, Array]:
+        return _families(there[at], ranges, joint)
+
+    families = Families(
+        {name: np.concatenate([f.pop(name) for f in fitted]) for name in list(fitted[0])},
+        lambda name: np.concatenate([r.filtered(other(i)[name]) for i, r in enumerate(there)]),
+        sum(len(r.position) for r in there),
+    )
     if not trees:
         return best_form(families, None, residual, layouts)
     signals = (
