@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import gc
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -516,6 +517,19 @@ def assert_same(found: dict[str, Any], expected: dict[str, Any], rel: float) -> 
 
 def test_the_spring_of_the_plain_campaign_is_found(plain):
     assert [(e["type"], e["joint"]) for e in plain["effects"]] == [("joint_spring", "elbow")]
+
+
+def test_what_is_set_aside_from_pythons_collector_while_the_loop_runs_is_taken_back_unless_others_did_it(tmp_path):
+    campaign = arm_campaign(tmp_path / "arm")
+    rf.close_loop(campaign)
+    assert gc.get_freeze_count() == 0
+    gc.freeze()
+    try:
+        kept = gc.get_freeze_count()
+        rf.close_loop(campaign)
+        assert gc.get_freeze_count() >= 0.9 * kept > 0  # objects may go by themselves
+    finally:
+        gc.unfreeze()
 
 
 def test_the_order_of_the_joints_in_a_campaign_need_not_be_that_of_the_tree(plain, tmp_path):
