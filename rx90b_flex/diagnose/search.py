@@ -25,7 +25,7 @@ from rx90b_flex.diagnose.families import FAMILIES, family
 from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
 from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
-from rx90b_flex.diagnose.trial import AS_GOOD, TorqueTrial, meet, off_a_joint, shows_by_itself, too_faint
+from rx90b_flex.diagnose.trial import AS_GOOD, SMALLEST_GAIN, TorqueTrial, meet, off_a_joint, shows_by_itself, too_faint
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
@@ -230,7 +230,7 @@ class Search:
             tried: dict[tuple[type[Effect], str], TorqueTrial] = {}
             # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
             bent = [r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN]
-            ranked = [*rough[:REFINED], *bent]
+            ranked = [*filter(self._may_matter, rough[:REFINED]), *bent]
             found = beside.each(Search._tried, ranked)
             for item in ranked:
                 if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):
@@ -294,6 +294,12 @@ class Search:
     def _bases(self) -> dict[Effect, Base]:
         return {}
 
+    def _may_matter(self, item: Rough) -> bool:
+        """Whether its first look leaves it open that an effect explains enough of a joint that it acts on for a name."""
+        rows = zip((*self.regression.joints, *self.regression.sensors), self.present.squares, strict=True)
+        least = min((x for joint, x in rows if joint in item.effect.joints), default=0.0)
+        return item.effect.traits.multiplies or UNREFINED * item.gain > SMALLEST_GAIN * least
+
     def _families(
         self,
         rough: Sequence[Rough],
@@ -315,7 +321,7 @@ class Search:
             if UNREFINED * sums[kind] < sure:
                 break  # neither this one nor those behind it can win
             # the weakest first: it tells soonest that they are too few
-            left = [item for item in reversed(kinds[kind]) if item.gain > FAMILY_GAIN]
+            left = [item for item in reversed(kinds[kind]) if item.gain > FAMILY_GAIN and self._may_matter(item)]
             new = beside.each(Search._tried, [r for r in left if (kind, r.effect.label) not in tried])
             members: list[TorqueTrial] = []
             for behind, item in zip(range(len(left), 0, -1), left, strict=True):
