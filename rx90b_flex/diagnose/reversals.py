@@ -99,7 +99,8 @@ def _width(segment: Segment) -> int:
 
 
 def _force(segment: Segment, of: list[Effect], **changes: Any) -> Array:
-    return with_forces(np.zeros_like(segment.motion.v), of, dataclasses.replace(segment.motion, **changes))
+    motion = dataclasses.replace(segment.motion, **changes) if changes else segment.motion
+    return with_forces(np.zeros_like(motion.v), of, motion)
 
 
 def _rounding(segment: Segment) -> Array:
