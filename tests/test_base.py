@@ -51,6 +51,14 @@ def test_normal_equations_have_one_solution_by_factors_and_by_eigenvalues(seed):
         )
 
 
+def test_of_no_columns_there_is_nothing_to_solve(capfd):
+    theta, inverse = solved(np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+    assert theta.shape == (0,) and inverse.shape == (0, 0)
+    assert len(dependent(np.zeros((0, 0)))) == 0 and list(dependent(np.zeros((2, 2)))) == [0, 1]
+    said = capfd.readouterr()
+    assert not said.out and not said.err, "LAPACK complains to the terminal"
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_base_is_the_same_without_the_links_for_which_others_stand(seed):
     rng = np.random.default_rng(seed)
