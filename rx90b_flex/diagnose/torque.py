@@ -327,6 +327,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def together(self, model: TorqueModel, trials: Sequence[TorqueTrial]) -> TorqueModel | None:
         effects = [e for t in trials for e in t.effects]
+        if any(e.traits.coefficients_follow for e in effects):
+            return None  # drives that twist: a long descent, which is not gone with what may fall
         new = self._identified(_with(model, effects), model, effects)
         if not (_helps(new, model) and all(_physical(find(new, e)) for e in effects)):
             return None
