@@ -16,6 +16,7 @@ from data_folder import data_folder
 
 import rx90b_flex as rf
 from rx90b_flex import cli
+from rx90b_flex.diagnose.faults.sample import Reading, Sample, Track
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.signals.data_fault import KINDS
 
@@ -374,3 +375,32 @@ def test_basics_are_identified_where_they_are_asked_for(
     for joint, dry, viscous in zip(JOINTS, COULOMB, VISCOUS, strict=True):
         assert values[f"{joint}.coulomb_friction.torque"] == pytest.approx(dry, rel=0.1)
         assert values[f"{joint}.viscous_friction.coefficient"] == pytest.approx(viscous, rel=0.1)
+
+
+def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
+    rng = np.random.default_rng(0)
+    logs = [rng.normal(size=(50, 3)), rng.normal(size=(40, 3))]
+    rows = [np.arange(12, 38, 3), np.arange(10, 30, 4)]
+    tracks = tuple(Track(t, r, 10.0) for t, r in zip(logs, rows, strict=True))
+    empty = np.zeros((14, 3))
+    sample = Sample(("a", "b", "c"), *[empty] * 4, tracks, np.zeros(14, dtype=int), 1.0)
+    plain = Reading.of(rf.load_robot("rx90b_3dof"), 3, 2)
+    reading = dataclasses.replace(
+        plain,
+        torque_order=(2, 0, 1),
+        torque_scale=(1.0, -2.0, 0.5),
+        shift_s=(0.3, 0.0, -0.2),
+        recording_shift_s=(0.0, 0.4),
+    )
+    lags = np.array([-1.0, 0.0, 0.6, 9.0])
+    expected = np.empty((3, len(lags), 14))
+    for j, (column, scale, shift) in enumerate(zip((2, 0, 1), (1.0, -2.0, 0.5), (3, 0, -2), strict=True)):
+        for k, lag in enumerate((-10, 0, 6, 90)):
+            at = [np.clip(r + shift + lag + more, 0, len(t) - 1) for r, t, more in zip(rows, logs, (0, 4), strict=True)]
+            expected[j, k] = scale * np.concatenate([t[i, column] for t, i in zip(logs, at, strict=True)])
+    np.testing.assert_array_equal(sample.torque_later(reading, lags), expected)
+    np.testing.assert_array_equal(sample.torque_seen(reading), expected[:, 1].T)
+    torque, inside = sample.torque_of(reading)
+    assert inside.all()
+    np.testing.assert_array_equal(torque[:, [2, 0, 1]] * reading.torque_scale, expected[:, 1].T)
+    assert not sample.torque_of(dataclasses.replace(reading, shift_s=(9.0, 0.0, 0.0)))[1].any()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -157,14 +157,19 @@ class Sample:
 
         A column is taken at the shift of the joint that reads it.
         """
+        columns, out, inside = np.arange(len(self.joints)), [], []
+        for track, at in self._rows(reading, np.zeros(1)):
+            inside.append(((at >= 0) & (at < len(track.torque))).all(axis=(0, 1)))
+            out.append(track.torque[np.clip(at[:, 0].T, 0, len(track.torque) - 1), columns])
+        return np.concatenate(out), np.concatenate(inside)
+
+    def _rows(self, reading: Reading, lags: Array) -> Iterator[tuple[Track, Indices]]:
+        """Samples of each log at which each torque column is taken, (L,) s later; (columns, L, r), beyond its ends too."""
         shift = np.zeros(len(self.joints))
         shift[list(reading.torque_order)] = reading.shift_s
-        out, inside = [], []
         for track, more in zip(self.tracks, reading.recording_shift_s, strict=True):
-            at = track.rows[:, None] + np.round((shift + more) * track.rate_hz).astype(int)
-            inside.append(((at >= 0) & (at < len(track.torque))).all(axis=1))
-            out.append(track.torque[np.clip(at, 0, len(track.torque) - 1), np.arange(len(shift))])
-        return np.concatenate(out), np.concatenate(inside)
+            late = np.round((shift[:, None] + lags + more) * track.rate_hz).astype(int)
+            yield track, track.rows + late[..., None]
 
     def torque_seen(self, reading: Reading) -> Array:
         """Torque of each joint as a reading has it, shape (R, joints), N m."""
@@ -172,12 +177,8 @@ class Sample:
 
     def torque_later(self, reading: Reading, lags: Array) -> Array:
         """The same at some times (L,), s, after those that the reading has, shape (joints, L, R), N m."""
-        shift, order = np.zeros(len(self.joints)), list(reading.torque_order)
-        shift[order] = reading.shift_s
-        joint, out = np.arange(len(shift))[:, None, None], []
-        for track, more in zip(self.tracks, reading.recording_shift_s, strict=True):
-            late = np.round((shift[:, None] + lags + more) * track.rate_hz).astype(int)
-            out.append(track.torque[np.clip(track.rows + late[..., None], 0, len(track.torque) - 1), joint])
+        columns, order = np.arange(len(self.joints))[:, None, None], list(reading.torque_order)
+        out = [t.torque[np.clip(at, 0, len(t.torque) - 1), columns] for t, at in self._rows(reading, lags)]
         return np.asarray(np.concatenate(out, axis=2)[order] * np.array(reading.torque_scale)[:, None, None])
 
     def thinned(self, factor: int) -> Sample:
