@@ -93,3 +93,31 @@ def test_links_that_are_pulled_to_the_trees_values_all_stay():
     )  # fmt: skip
     out, theta = shared.spare
     assert len(out) == 0 and np.array_equal(theta, np.ones(LINKS))
+
+
+def by_itself(columns: np.ndarray, target: np.ndarray) -> Base:
+    """A base of columns (N, p) of one joint."""
+    size = columns.shape[1]
+    shared = SharedColumns(
+        ColumnsByJoint.of_dense(np.arange(size), iter(columns[None])),
+        target[None], np.ones(1), BLOCKS, np.zeros((size, size)), np.zeros(size),
+    )  # fmt: skip
+    return Base(shared, np.arange(size), np.zeros(size))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_left_of_a_block_by_a_fit_to_the_others(seed):
+    """Where these tell everything it is that of a fit without the block; where they tell next to nothing, it stays bounded."""
+    rng = np.random.default_rng(seed)
+    columns, noise = rng.standard_normal((SAMPLES, 6)), rng.standard_normal(SAMPLES)
+    target = columns @ rng.standard_normal(6) + noise
+    left = []
+    for block in BLOCKS:
+        others = np.delete(np.arange(SAMPLES), block)
+        theta = np.linalg.lstsq(columns[others], target[others], rcond=None)[0]
+        left.append(((target[block] - columns[block] @ theta) ** 2).sum())
+    np.testing.assert_allclose(by_itself(columns, target).held_out, left, rtol=0.02)
+    # another column, which moves in the first block and elsewhere only a little, with one that it goes beside there
+    alone = np.where(np.arange(SAMPLES) < 50, 1.0, 1e-4) * rng.standard_normal(SAMPLES)
+    more = by_itself(np.concatenate([columns, alone[:, None]], axis=1), target + 3.0 * alone).held_out
+    assert (more < 3.0 * np.array(left)).all()

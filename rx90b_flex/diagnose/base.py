@@ -14,7 +14,7 @@ from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.normal_equations import NormalEquations, dependent, solved
 from rx90b_flex.identify.penalty import parameters_used
 
-LEAK = 0.02  # of a recording that is left out as a whole
+LEAK = 0.02  # of what is left out which a fit to the rest sees all the same: what that leaves open must not run away
 DETERMINED = 1.0e-5  # part of a column's square that the model must leave for it to count as its own
 
 
@@ -63,7 +63,7 @@ class Base:
     shared: SharedColumns
     kept: Indices  # places of the base's columns among the shared ones
     prior: Array
-    leak: float = 0.0  # part of a block that is held out which a fit to the others sees all the same
+    leak: float = 0.0  # part of a block that is held out which the fit of a candidate sees all the same
 
     @property
     def weight(self) -> Array:
@@ -97,9 +97,12 @@ class Base:
 
     @cached_property
     def without(self) -> tuple[Array, Array]:
-        """Coefficients and pseudo-inverse with each block held out; shapes (blocks, p) and (blocks, p, p)."""
+        """Coefficients and pseudo-inverse with each block held out, but for a trace; shapes (blocks, p) and (blocks, p, p).
+
+        A trace of a block beside all others is a pull to the fit on all blocks, which tells where these tell next to nothing.
+        """
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
-        part = 1.0 - self.leak
+        part = 1.0 - LEAK
         found = [
             solved(gram - part * g, cross - part * c, self.prior) for g, c in zip(self.grams, self.crosses, strict=True)
         ]
@@ -118,7 +121,7 @@ class Base:
         return {}
 
     def grouped(self, groups: Sequence[Indices]) -> Base:
-        """With blocks put together, of which a fit to the others sees a trace: what they leave open must not run away."""
+        """With blocks put together, of which a fit to the others sees a trace, of a candidate as well."""
         key = tuple(tuple(at.tolist()) for at in groups)
         if key not in self._grouped:  # every trial asks for it
             self._grouped[key] = self._of_groups(groups)
