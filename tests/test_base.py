@@ -121,3 +121,21 @@ def test_what_is_left_of_a_block_by_a_fit_to_the_others(seed):
     alone = np.where(np.arange(SAMPLES) < 50, 1.0, 1e-4) * rng.standard_normal(SAMPLES)
     more = by_itself(np.concatenate([columns, alone[:, None]], axis=1), target + 3.0 * alone).held_out
     assert (more < 3.0 * np.array(left)).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("grouped", [False, True])
+def test_a_candidate_beside_a_base_leaves_what_it_leaves_as_a_part_of_it(seed, grouped):
+    """Also where the base explains most of it without the candidate, and where one block alone tells of it."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((SAMPLES, 6))
+    new = np.stack([columns[:, 0] + 0.03 * rng.standard_normal(SAMPLES), rng.standard_normal(SAMPLES)], axis=1)
+    new[50:, 1] = 0.0
+    target = columns[:, 0] + 5.0 * new[:, 0] + 2.0 * new[:, 1] + rng.standard_normal(SAMPLES)
+    base, whole = (by_itself(x, target) for x in (columns, np.concatenate([columns, new], axis=1)))
+    b, y, d = (np.array(x) for x in zip(*(base.products(np.array([0]), new[:, None], k) for k in BLOCKS), strict=True))
+    if grouped:
+        groups = tuple(np.array_split(np.arange(len(BLOCKS)), 3))
+        b, y, d = (np.array([x[at].sum(axis=0) for at in groups]) for x in (b, y, d))
+        base, whole = base.grouped(groups), whole.grouped(groups)
+    np.testing.assert_allclose(base.held_out_beside(b, y, d, np.zeros((2, 2))), whole.held_out, rtol=1e-6)

@@ -63,7 +63,6 @@ class Base:
     shared: SharedColumns
     kept: Indices  # places of the base's columns among the shared ones
     prior: Array
-    leak: float = 0.0  # part of a block that is held out which the fit of a candidate sees all the same
 
     @property
     def weight(self) -> Array:
@@ -97,10 +96,7 @@ class Base:
 
     @cached_property
     def without(self) -> tuple[Array, Array]:
-        """Coefficients and pseudo-inverse with each block held out, but for a trace; shapes (blocks, p) and (blocks, p, p).
-
-        A trace of a block beside all others is a pull to the fit on all blocks, which tells where these tell next to nothing.
-        """
+        """Coefficients and pseudo-inverse with each block held out; shapes (blocks, p) and (blocks, p, p)."""
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
         part = 1.0 - LEAK
         found = [
@@ -116,19 +112,42 @@ class Base:
         predicted = times(self.grams, theta)
         return np.asarray(self.powers + ((predicted - 2 * self.crosses) * theta).sum(axis=1))
 
+    def held_out_beside(self, b: Array, y: Array, d: Array, precision: Array) -> Array:
+        """The same with a candidate, both fitted to the other blocks, from its `products` on each; shape (blocks,).
+
+        Parameters
+        ----------
+        b, y, d : array, shape (blocks, p, k), (blocks, k) and (blocks, k, k)
+        precision : array, shape (k, k)
+            Of the candidate's coefficients before the data.
+        """
+        theta, inverse = self.without
+        bb, yy, dd = (x.sum(axis=0) - (1.0 - LEAK) * x for x in (b, y, d))
+        across = inverse @ bb
+        turned = np.swapaxes(bb, 1, 2)
+        beta = solve_beside(dd - turned @ across, dd, yy - times(turned, theta), precision)
+        new = theta - times(across, beta)
+        return np.asarray(
+            self.powers
+            - 2 * ((self.crosses * new).sum(axis=1) + (y * beta).sum(axis=1))
+            + (new * times(self.grams, new)).sum(axis=1)
+            + 2 * (new * times(b, beta)).sum(axis=1)
+            + (beta * times(d, beta)).sum(axis=1)
+        )
+
     @cached_property
     def _grouped(self) -> dict[tuple[tuple[int, ...], ...], Base]:
         return {}
 
     def grouped(self, groups: Sequence[Indices]) -> Base:
-        """With blocks put together, of which a fit to the others sees a trace, of a candidate as well."""
+        """With blocks put together."""
         key = tuple(tuple(at.tolist()) for at in groups)
         if key not in self._grouped:  # every trial asks for it
             self._grouped[key] = self._of_groups(groups)
         return self._grouped[key]
 
     def _of_groups(self, groups: Sequence[Indices]) -> Base:
-        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared), leak=LEAK)
+        other = dataclasses.replace(self, shared=dataclasses.replace(self.shared))
         other.shared.__dict__["normal"] = self.shared.normal.grouped(groups)
         return other
 

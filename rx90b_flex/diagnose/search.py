@@ -587,13 +587,13 @@ class Search:
         left = d.sum(axis=0) - b.sum(axis=0).T @ inverse @ b.sum(axis=0)
         if effect.penalty is not None:
             effect = smoothed(
-                effect, d.sum(axis=0), lambda e: float(self._held_out(base, b, y, d, prior_precision([e])).sum())
+                effect, d.sum(axis=0), lambda e: float(base.held_out_beside(b, y, d, prior_precision([e])).sum())
             )
         before = prior_precision([effect])
         used = parameters_told(left, d.sum(axis=0), before)
         size += round(used) - k
         beta = solve_beside(left, d.sum(axis=0), y.sum(axis=0) - b.sum(axis=0).T @ theta, before)
-        block_gains = present.held_out - self._held_out(base, b, y, d, before)
+        block_gains = present.held_out - base.held_out_beside(b, y, d, before)
         # one that takes another's place and adds no parameter is there if it tells something beside that one, too
         known, also = base, beta
         if size <= 0:
@@ -638,7 +638,7 @@ class Search:
             return np.zeros(0), np.zeros(0)
         b, y, d = (np.array([part[at].sum(axis=0) for at in self.longest_parts]) for part in products)
         before = present.grouped(self.longest_parts)
-        lost = self._held_out(base.grouped(self.longest_parts), b, y, d, precision) - before.held_out
+        lost = base.grouped(self.longest_parts).held_out_beside(b, y, d, precision) - before.held_out
         parts = np.array([len(at) for at in self.longest_parts]) / len(self.blocks)
         # what a fit to the others costs a recording by chance: as much as it is longer than they are together
         spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
@@ -688,22 +688,6 @@ class Search:
             return base.residual
         left, own, score = base.projected(rows, columns)
         return base.residual - base.apart(rows, columns) @ solve_beside(left, own, score, prior_precision([effect]))
-
-    def _held_out(self, base: Base, b: Array, y: Array, d: Array, precision: Array) -> Array:
-        """Weighted squared error of base and candidate on each block, both fitted to the others."""
-        theta, inverse = base.without
-        bb, yy, dd = (x.sum(axis=0) - (1.0 - base.leak) * x for x in (b, y, d))
-        across = inverse @ bb
-        turned = np.swapaxes(bb, 1, 2)
-        beta = solve_beside(dd - turned @ across, dd, yy - times(turned, theta), precision)
-        new = theta - times(across, beta)
-        return np.asarray(
-            base.powers
-            - 2 * ((base.crosses * new).sum(axis=1) + (y * beta).sum(axis=1))
-            + (new * times(base.grams, new)).sum(axis=1)
-            + 2 * (new * times(b, beta)).sum(axis=1)
-            + (beta * times(d, beta)).sum(axis=1)
-        )
 
     def _evidence(
         self, effect: Effect, base: Base, rows: Indices, beside: Array, beta: Array
