@@ -18,7 +18,6 @@ from rx90b_flex.diagnose.base import (
     parameters_told,
     penalised_wald,
     solve_beside,
-    times,
     wald,
 )
 from rx90b_flex.diagnose.families import FAMILIES, family
