@@ -117,7 +117,7 @@ def test_what_is_left_of_a_block_by_a_fit_to_the_others(seed):
         theta = np.linalg.lstsq(columns[others], target[others], rcond=None)[0]
         left.append(((target[block] - columns[block] @ theta) ** 2).sum())
     np.testing.assert_allclose(by_itself(columns, target).held_out, left, rtol=0.02)
-    # another column, which moves in the first block and elsewhere only a little, with one that it goes beside there
+    # another column, of which blocks other than the first tell next to nothing
     alone = np.where(np.arange(SAMPLES) < 50, 1.0, 1e-4) * rng.standard_normal(SAMPLES)
     more = by_itself(np.concatenate([columns, alone[:, None]], axis=1), target + 3.0 * alone).held_out
     assert (more < 3.0 * np.array(left)).all()

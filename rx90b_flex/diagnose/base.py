@@ -96,7 +96,7 @@ class Base:
 
     @cached_property
     def without(self) -> tuple[Array, Array]:
-        """Coefficients and pseudo-inverse with each block held out; shapes (blocks, p) and (blocks, p, p)."""
+        """Coefficients and pseudo-inverse with each block held out but for a trace; shapes (blocks, p) and (blocks, p, p)."""
         gram, cross = self.grams.sum(axis=0), self.crosses.sum(axis=0)
         part = 1.0 - LEAK
         found = [
