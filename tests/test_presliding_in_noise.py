@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rx90b_flex.compiled.signals import dahl, maxwell
 from rx90b_flex.diagnose.trial import added
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.hints import LeftOver
@@ -140,3 +141,19 @@ def test_beside_another_number_of_elements_the_search_still_has_its_starts(robot
     for effect in MaxwellSlipFriction.everywhere(Sites(robot.joints, robot.tip_frame)):
         starts = effect.shape_search(moved, LeftOver((), instead_of=known)).starts
         assert len(starts) > 1 and starts.shape[1] == len(effect.shape_parameters)
+
+
+@pytest.mark.parametrize("law", [dahl, maxwell])
+@pytest.mark.parametrize("towards", [1.0, -1.0])
+def test_where_a_log_begins_at_rest_noise_does_not_say_how_friction_stands(law, towards: float) -> None:
+    """It stands as after a move towards where the joint goes first, whatever noise does before, and however often it is sampled."""
+    clean = towards * np.concatenate([np.zeros(400), angle("stands")])
+    begun = law(clean, 1e-3)
+    for seed in range(10):
+        noisy = clean + 1e-9 * np.random.default_rng(seed).normal(size=len(clean))
+        for found, known in ((law(noisy, 1e-3), begun), (law(noisy[::2], 1e-3), begun[::2])):
+            np.testing.assert_allclose(found, known, atol=0.01)
+        assert begun[0] == towards
+    # one that only stands never goes as far: its friction stays where it stands
+    standing = 1e-9 * np.random.default_rng(0).normal(size=400)
+    assert np.ptp(law(standing, 1e-3)) < 0.01 and abs(law(standing, 1e-3)[0]) == 1.0

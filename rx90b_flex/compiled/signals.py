@@ -73,24 +73,25 @@ def _run(work: Array, sections: Array, steady: Array, begin: int, step: int) -> 
 def hysteresis(q: Array, deflection: float, slips: bool) -> Array:
     """Hysteresis over its torque along angles q (N,), rad: from each turn towards 1 or -1, at once at its end if it slips, ever
     more slowly if not.
+
+    How it stands at first nobody knows: at the end towards which the angle first goes further than the deflection, or goes furthest.
     """
     out = np.zeros(len(q))
-    direction = 0.0
-    at = turned = 0.0
-    started = False
+    direction, farthest = 0.0, 0.0
+    for i in range(1, len(q)):
+        off = abs(q[i] - q[0])
+        if off > farthest:
+            farthest = off
+            direction = 1.0 if q[i] > q[0] else -1.0
+        if off > deflection:
+            break
+    at, turned = direction, q[0]
+    out[:1] = direction
     for i in range(1, len(q)):
         step = q[i] - q[i - 1]
         s = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else direction)
-        if s == 0.0:
-            continue
         if s != direction:
-            at = out[i - 1] if started else s
-            turned = q[i - 1]
-            if not started:
-                for k in range(i):
-                    out[k] = s
-                started = True
-            direction = s
+            at, turned, direction = out[i - 1], q[i - 1], s
         if slips:
             out[i] = min(max(at + (q[i] - turned) / deflection, -1.0), 1.0)
         else:
