@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.loop import Addition, Standing
 from rx90b_flex.diagnose.search import Search, laws
+from rx90b_flex.diagnose.torque import TorqueData, TorqueModel, TorqueResidual
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect, Sites, catalogue
+from rx90b_flex.effects.stand_in import form_stated
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.signals import load_campaign
@@ -115,3 +118,33 @@ def test_less_than_a_thousandth_of_a_joints_torque_is_not_named(tmp_path: Path, 
     assert found.effect.joints == ("shoulder",) and found.p_value < 1e-6
     assert found.accepted is named, found.refusal
     assert named or found.refusal == "its torque is 0.0005 of a joint's, too little for a name"
+
+
+@pytest.mark.parametrize("friction", [2.0, -2.0])
+def test_what_later_additions_turn_into_a_value_that_it_cannot_have_is_taken_out_whatever_stands_on_it(
+    tmp_path: Path, friction: float
+) -> None:
+    """Dry friction that pushes, beside a Stribeck effect that needs one in its place."""
+
+    def elbow(m: ind.Motion, load: np.ndarray) -> np.ndarray:
+        v = m.v[:, 1]
+        dropped = 6.0 * np.exp(-((np.abs(v) / 0.3) ** 2)) * np.sign(v)
+        return np.column_stack([np.zeros(len(v)), friction * np.sign(v) + dropped])
+
+    read = load_campaign(logs(tmp_path, (0.05, 0.02), more=[elbow]))
+    robot = rf.load_robot(read.robot_source)
+    data, sites = TorqueData.of(robot, read), Sites(("shoulder", "elbow"), robot.tip_frame)
+    residual = TorqueResidual(data, read, sites, fit_links=True)
+    dry = catalogue()["presliding_friction"](joint="elbow", deflection=1e-4)
+    along_angle = form_stated(catalogue()["stribeck_friction"], ["deflection"])
+    fallen = along_angle(joint="elbow", velocity=0.3, power=2.0, deflection=1e-4)
+    model = TorqueModel(identify(data.regression, (*data.regression.robot.effects, dry, fallen), fit_links=True), data)
+    fitted = next(e for e in model.effects if e.type_name() == "presliding_friction")
+    assert fitted.coefficients[0] * friction > 0.0
+    trials = [
+        residual.search(model).without(e)
+        for e in model.effects
+        if e.type_name() in ("presliding_friction", "stribeck_friction")
+    ]
+    steps = tuple(Addition(t, (), None, None) for t in trials)
+    assert residual.needless(Standing(model, steps), latest=1) is (steps[0] if friction < 0.0 else None)
