@@ -1,6 +1,6 @@
 """Base parameters of the TX40 recording beside figaroh 1.0's, on the same filtered samples, with the time of both.
 
-Both get the samples that `rx90b_flex.identify.regression.prepare` makes: angles differentiated behind one low-pass,
+Both get the samples that `rx90b_flex.identify.segment.prepare` makes: angles differentiated behind one low-pass,
 torques behind another. Both build their regressor from them (links, drive inertia, viscous and dry friction, offset),
 low-pass and thin out its columns alike, and fit. figaroh: `build_regressor_basic`, `QRDecomposer` (double QR), ordinary
 least squares with `relative_stdev`, then its weighted least squares. Ours: `identify`, weighted least squares over the

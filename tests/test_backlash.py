@@ -8,7 +8,8 @@ import pytest
 from rx90b_flex.effects import Effect, Motion, catalogue
 from rx90b_flex.effects.crossings import Gap, between_crossings
 from rx90b_flex.identify.least_squares import identify
-from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
 

@@ -24,7 +24,7 @@ from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
 from rx90b_flex.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.command import identify_campaign
-from rx90b_flex.identify.regression import prepare
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign, write_campaign
 from rx90b_flex.simulate import Noise, Simulation, design_cs8, harmonics, rigid_inertia, simulate

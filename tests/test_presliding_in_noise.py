@@ -13,7 +13,7 @@ from rx90b_flex.effects.maxwell_slip import MaxwellSlipFriction
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.presliding import PreslidingFriction
 from rx90b_flex.effects.reversal import Resolution, last_direction
-from rx90b_flex.identify.regression import prepare
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Recording
 

@@ -17,7 +17,8 @@ from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.effects.reversal import SHARP
 from rx90b_flex.export import save_robot
 from rx90b_flex.identify.least_squares import Identification, identify
-from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign
 

@@ -18,7 +18,7 @@ from rx90b_flex.effects.flexibility import DAMPING_TIME, DriveFlexibility
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify import deflection as gears
 from rx90b_flex.identify.least_squares import Estimate, Identification
-from rx90b_flex.identify.regression import prepare
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, noise_cutoff_hz
 

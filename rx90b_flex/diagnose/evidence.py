@@ -9,7 +9,8 @@ import numpy as np
 from scipy import sparse, stats
 
 from rx90b_flex.effects.motion import Array, Indices, Mask
-from rx90b_flex.identify.regression import Regression, Segment
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import Segment
 
 BINS = 12
 SHUFFLES = 200

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.identify.regression import Regression, prepare
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign
 from rx90b_flex.signals.recording import Role

@@ -10,7 +10,7 @@ import numpy as np
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.log_effect import between
 from rx90b_flex.effects.motion import Array, with_forces
-from rx90b_flex.identify.regression import Segment
+from rx90b_flex.identify.segment import Segment
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, periods
 

@@ -20,7 +20,8 @@ from scipy import ndimage
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, with_forces
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import STANDING_S, Regression, Segment
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import STANDING_S, Segment
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.signals.facts import counter_steps
 

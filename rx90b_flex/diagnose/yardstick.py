@@ -21,7 +21,8 @@ from rx90b_flex.diagnose.residual import Errors
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.least_squares import Identification
-from rx90b_flex.identify.regression import Regression, Segment
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import Segment
 from rx90b_flex.signals import lowpass
 
 FEWEST_SAMPLES = 200  # of a fit: with less, parts of it are too short to hold out

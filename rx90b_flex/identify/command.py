@@ -21,7 +21,8 @@ from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
-from rx90b_flex.identify.regression import Regression, Segment, prepare
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import Segment, prepare
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated, sensors_to_use, wrong_sensors
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS, Robot, load_robot

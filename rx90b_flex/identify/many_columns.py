@@ -11,7 +11,7 @@ import numpy as np
 from rx90b_flex.effects.motion import Array, Indices
 
 if TYPE_CHECKING:
-    from rx90b_flex.identify.regression import Segment
+    from rx90b_flex.identify.segment import Segment
 
 FILTERED_BYTES = 2e7  # of columns that go through a filter at once, where that is more
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from rx90b_flex.identify.regression import prepare
+from rx90b_flex.identify.segment import prepare
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Campaign, load_campaign
 from rx90b_flex.signals.facts import sensible_cutoff_hz
