@@ -458,11 +458,11 @@ class Search:
             yield from zip((times * base.gains(rows, columns, k)).tolist(), part, strict=True)
 
     def _looked_at(self, effect: Effect, base: Base, glimpsed: bool) -> tuple[Regression, Base, float]:
-        """What a first look is taken at: an excerpt of a long log and a base on it, and how much longer the whole is.
+        """What a first look is taken at, an excerpt of a long log or fewer samples, a base on it, and how much longer the whole is.
 
         A line's frequency shows over the whole time only.
         """
-        pieces = self.regression.excerpt or (self.regression.glimpse if glimpsed else None)
+        pieces = self.regression.excerpt or (self.regression.glimpse if glimpsed else None) or self.regression.halved
         if pieces is None or effect.traits.by_clock:
             return self.regression, base, 1.0
         regression, samples = pieces

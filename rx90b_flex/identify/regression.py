@@ -201,20 +201,30 @@ class Regression:
     def excerpt(self) -> tuple[Regression, Indices] | None:
         """Pieces of a long log, which show what is there in less time, and which samples these are; None where it is short."""
         working = sum(len(s.motion) for s in self.segments)
-        found = self._pieces(max(LOOKED_AT, LOOKED_AT_PART * working) / working)
-        if found is not None:
-            found[0].__dict__["_first_looks"] = self._first_looks_of_excerpt
-        return found
+        return self._pieces(max(LOOKED_AT, LOOKED_AT_PART * working) / working, self._first_looks_of_excerpt)
 
     @cached_property
     def glimpse(self) -> tuple[Regression, Indices] | None:
         """Fewer and shorter ones, which tell shapes and effects apart that show all the time; None where they are no less work."""
         # of a log that is not long some effect asks the tree at all samples anyway
         working = sum(len(s.motion) for s in self.segments)
-        found = self._pieces(GLIMPSE / working, of_whole=working <= LOOKED_AT)
-        if found is not None:
-            found[0].__dict__["_first_looks"] = self._first_looks_of_glimpse
-        return found
+        seen, samples = self.halved or (self, np.arange(len(self)))
+        found = seen._pieces(GLIMPSE / working, self._first_looks_of_glimpse, of_whole=working <= LOOKED_AT)
+        return found and (found[0], samples[found[1]])
+
+    @cached_property
+    def halved(self) -> tuple[Regression, Indices] | None:
+        """Every other sample of a log that is not long, and which samples these are; None where the low-pass bears no fewer."""
+        if self.excerpt is not None:
+            return None
+        parts, samples = [], []
+        for segment, span in zip(self.segments, self.spans, strict=True):
+            half = segment.halved()
+            if half is None:
+                return None
+            parts.append(half[0])
+            samples.append(span.start + half[1])
+        return self._of_samples(parts, np.concatenate(samples), self._first_looks_of_excerpt)
 
     @property
     def _all_first_looks(self) -> tuple[FirstLooks, ...]:
@@ -258,12 +268,14 @@ class Regression:
                 self.__dict__.pop("_untouched_links", None)
 
     def forget_pieces(self) -> None:
-        """The same of the excerpt and the glimpse."""
-        for name in ("excerpt", "glimpse"):
+        """The same of the excerpt, the glimpse, and every other sample."""
+        for name in ("excerpt", "glimpse", "halved"):
             if self.__dict__.get(name) is not None:
                 self.__dict__[name][0].forget()
 
-    def _pieces(self, part: float, of_whole: bool = False) -> tuple[Regression, Indices] | None:
+    def _pieces(
+        self, part: float, first_looks: FirstLooks, of_whole: bool = False
+    ) -> tuple[Regression, Indices] | None:
         """A part of all recordings in pieces, and which samples these are; None where it is more than half."""
         if part > 0.5:
             return None
@@ -273,8 +285,16 @@ class Regression:
             for p, at in s.pieces(part, of_whole)
         ]
         samples = np.concatenate([at + np.arange(len(p)) for p, at in pairs])
+        return self._of_samples([p for p, _ in pairs], samples, first_looks)
+
+    def _of_samples(
+        self, segments: Sequence[Segment], samples: Indices, first_looks: FirstLooks
+    ) -> tuple[Regression, Indices]:
+        """A regression on segments that have some of the samples, and these."""
         row_weights = None if self.row_weights is None else self.row_weights[samples]
-        return dataclasses.replace(self, segments=tuple(p for p, _ in pairs), row_weights=row_weights), samples
+        found = dataclasses.replace(self, segments=tuple(segments), row_weights=row_weights)
+        found.__dict__["_first_looks"] = first_looks
+        return found, samples
 
     def columns(self, effect: Effect) -> Array:
         """Columns of an effect, shape (N, rows, k)."""

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from rx90b_flex.effects import Motion
-from rx90b_flex.effects.motion import Array, Held, Mask
+from rx90b_flex.effects.motion import Array, Held, Indices, Mask
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.robot import Robot
@@ -40,6 +40,7 @@ STANDING_S = 0.2  # within which the angle of a joint that stands still
 STANDING_NOISE = 8.0  # stays in a range of so many standard deviations of the log's noise
 MAD_TO_STD = 1.4826  # of a normal distribution
 WIDER = 2.0  # times the cutoff of positions: another guess at the velocity
+COARSEST = 10.0  # times the cutoff: working rate that is enough for a first look
 PIECES = 4  # of a recording in an excerpt
 RUN_IN_S = 0.25  # before and after each, for what remembers the motion
 
@@ -173,6 +174,30 @@ class Segment:
         whole = min(period * self.rate_hz, len(self))
         starts = (min(int((k % repeats + k / PIECES) * whole), len(self) - length) for k in range(PIECES))
         return [(self._piece(slice(at, at + length), self._run_in, of_whole), at) for at in starts]
+
+    def halved(self) -> tuple[Segment, Indices] | None:
+        """Every other working sample, and which of the fit's samples are among these; None where the low-pass bears no fewer.
+
+        The tree is asked once at all samples (`Motion.piece`).
+        """
+        if self.cutoff_hz is not None and self.rate_hz * self.factor < 2.0 * COARSEST * self.cutoff_hz:
+            return None
+        every = 1 if self.factor % 2 == 0 else 2
+        samples = np.arange(-self.kept.start % every, len(self), every)
+        begin = -(-self.kept.start // every)
+        new = dataclasses.replace(
+            self,
+            motion=self.motion.piece(slice(None, None, 2)),
+            time=self.time[samples],
+            torque=self.torque[samples],
+            sensed=None if self.sensed is None else self.sensed[samples],
+            rate_hz=self.rate_hz / every,
+            factor=self.factor * every // 2,
+            working_factor=2 * self.working_factor,
+            kept=slice(begin, begin + len(samples)),
+            first=self.first // 2,
+        )
+        return new, samples
 
     def split(self) -> Iterator[Segment]:
         """Pieces of `AT_ONCE` working samples or fewer, behind whose low-pass columns of one instant are those of the whole."""
