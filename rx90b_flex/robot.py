@@ -257,20 +257,22 @@ class Robot:
                 out[:, row, at] = port[row] * basis
         return out if 2 in (np.ndim(q), np.ndim(v), np.ndim(a)) else out[0]
 
-    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, time: Array | None = None) -> Array:
         """Generalised forces for a motion, every declared effect included (left side of equation 3.65).
 
         Parameters
         ----------
         q, v, a : array, shape (n,) or (N, n)
             Coordinates in the order of `coordinates`; rad, rad/s, rad/s^2.
+        time : array, shape (N,), optional
+            Seconds, where the samples are one motion: effects that remember it, such as friction at rest, need to know.
 
         Returns
         -------
         array, shape (n,) or (N, n)
             N m; for a consistent motion the rows of flexible coordinates are zero.
         """
-        motion = self.motion(q, v, a)
+        motion = self.motion(q, v, a, time)
         force = self.link_torque(motion)
         for effect in self.forces:
             force = force + effect.force(motion)

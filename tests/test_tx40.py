@@ -17,6 +17,7 @@ import rx90b_flex as rf
 from rx90b_flex.diagnose.close import FoundEffect
 from rx90b_flex.diagnose.evidence import STANDSTILL
 from rx90b_flex.diagnose.output import write_result
+from rx90b_flex.effects.log_effect import between
 
 BYTES = 2e9
 pytestmark = pytest.mark.slow  # the coupling where it is declared: test_tx40_identification.py
@@ -37,14 +38,19 @@ def value(found: FoundEffect, name: str) -> tuple[float, float]:
     return estimate.value, estimate.std
 
 
+def fall(found: FoundEffect) -> float:
+    """Of the relative error on held-out data, with an effect, or with those of one law that were added together."""
+    return found.before.relative_error - found.after.relative_error
+
+
 def test_the_coupling_of_joints_5_and_6_is_found_first(result):
     first = result.effects[0].effect
     assert (first.type_name(), first.joints) == ("joint_coupling", ("joint_5", "joint_6"))
 
 
-def test_the_validation_error_falls_from_a_fifth_to_a_seventh(result):
+def test_the_validation_error_falls_from_a_fifth_to_less_than_a_tenth(result):
     assert 0.20 < result.before.validation.relative_error < 0.22
-    assert result.after.validation.relative_error <= 0.14
+    assert result.after.validation.relative_error <= 0.09
 
 
 def test_the_identification_error_falls_by_half(result):
@@ -52,11 +58,15 @@ def test_the_identification_error_falls_by_half(result):
     assert result.after.identification.relative_error <= 0.055
 
 
-def test_most_of_the_fall_on_held_out_data_is_the_coupling(result):
-    coupling, before, after = result.effects[0], result.before.validation, result.after.validation
-    assert coupling.before == before
-    fall = before.relative_error - coupling.after.relative_error
-    assert fall > 0.8 * (before.relative_error - after.relative_error)
+def test_half_of_the_fall_on_held_out_data_is_the_coupling_and_nearly_all_of_the_rest_what_friction_holds_at_rest(
+    result,
+):
+    assert result.effects[0].before == result.before.validation
+    whole = result.before.validation.relative_error - result.after.validation.relative_error
+    coupling = fall(result.effects[0])
+    held = fall(of_type(result, "held_friction")[0])  # one law of several joints, which were added together
+    assert coupling > 0.5 * whole and coupling > held > 0.3 * whole
+    assert coupling + held > 0.9 * whole
 
 
 def test_the_coupling_is_that_of_a_motor(result):
@@ -91,12 +101,20 @@ def test_every_effect_is_significant_after_correction_for_all_that_was_tried(res
     assert all(e.gain_t > 2 for e in alone)
 
 
-def test_what_no_effect_explains_is_the_standstill_of_joint_2(result):
-    """While the robot rests, dry friction holds any torque within its bounds: no model of velocity tells which."""
+def test_joint_2_holds_friction_at_rest_which_no_function_of_its_motion_tells(result):
+    """While the robot rests, dry friction holds any torque within its bounds; smooth curves leave it as it was."""
+    (held,) = (e for e in of_type(result, "held_friction") if e.effect.joints == ("joint_2",))
+    torque, std = value(held, "torque")
+    assert torque > 5 * std > 0
+    joint = result.joints.index("joint_2")
+    before, after, free = (e.validation.torque_rms[joint] for e in (result.before, result.after, result.explainable))
+    assert free > 0.9 * before and after < 0.5 * before
+
+
+def test_what_no_effect_explains_is_standstill(result):
     assert result.verdict == "partly_explained"
     where = result.unexplained.where
-    assert (where[0].joint, where[0].signal) == ("joint_2", STANDSTILL)
-    assert where[0].score > 0.5
+    assert where[0].signal == STANDSTILL and where[0].score > 0.3
 
 
 def lowpass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
@@ -106,7 +124,7 @@ def lowpass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
 def test_the_saved_model_predicts_the_validation_part_as_well_as_reported(result, tmp_path):
     """`robot.toml`, whose links a body can have, on the held-out motion, differentiated by NumPy alone."""
     write_result(result, tmp_path)
-    robot = rf.load_robot(tmp_path / "robot.toml")
+    robot = rf.load_robot(tmp_path / "robot.toml").over_time()
     (prediction,) = result.predictions
     recording = prediction.recording
     rate, cutoff = recording.sample_rate_hz, 40.0
@@ -114,7 +132,10 @@ def test_the_saved_model_predicts_the_validation_part_as_well_as_reported(result
     q = lowpass(recording.position, 2 * cutoff, rate)
     v = np.gradient(q, 1 / rate, axis=0)
     a = np.gradient(v, 1 / rate, axis=0)
-    error = lowpass(recording.torque - robot.inverse_dynamics(q, v, a), cutoff, rate)
+    torque = robot.inverse_dynamics(q, v, a, recording.time)
+    for effect in between(robot.effects):  # which stand between the robot and its log
+        torque = effect.logged(robot.motion(q, v, a, recording.time), torque)
+    error = lowpass(recording.torque - torque, cutoff, rate)
     # away from the ends by four periods of the cutoff: how signals go on beyond them is each filter's own affair
     inside = slice(round(4 / cutoff * rate), -round(4 / cutoff * rate))
     reported = np.linalg.norm((prediction.torque - prediction.after)[inside])

@@ -22,7 +22,8 @@ class HeldFriction(RememberingLaw, DryFriction):
 
     Signature
     ---------
-    At rest, a torque that has the sign of the last move and stays until the next one; nothing while the joint moves.
+    At rest, a torque that has the sign of the last move and stays until the next one; nothing while the joint moves. Before the
+    first move nobody knows what came before: it is taken to have the sign of that.
 
     Neighbours
     ----------
@@ -40,7 +41,7 @@ class HeldFriction(RememberingLaw, DryFriction):
     def basis(self, at: JointMotion) -> Array:
         if not at.follows:
             return np.zeros((len(at.q), 1))
-        last = last_direction(at)  # nothing before the first move, of which nobody knows what came before
+        last = last_direction(at)
         return np.where(last == 0.0, 0.0, last - self.direction(at))[:, None]
 
     def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:

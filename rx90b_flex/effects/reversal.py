@@ -141,7 +141,7 @@ def turnover_start(at: JointMotion) -> float:
 
 
 def last_direction(at: JointMotion) -> Array:
-    """Direction of the last move, kept across rests, shape (N,); zero before the first.
+    """Direction of the last move, kept across rests, before the first that of it, shape (N,); zero where there is none.
 
     A move is what has a velocity that the log knows, or, however slow, goes farther than noise takes a joint at rest.
     """
