@@ -95,6 +95,21 @@ def test_a_slow_move_counts_as_the_last_one_where_it_goes_beyond_noise(robot: Ro
         assert (last_direction(at)[time > 6.5] == last).all()
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-6])
+def test_what_creeps_back_less_than_friction_needs_to_turn_is_no_move_however_little_noise_there_is(
+    robot: Robot, noise: float
+) -> None:
+    """A joint that settles: 1e-4 of its travel back after an overshoot counts, the 3e-6 that it creeps after that do not."""
+    time = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+
+    def move(begin: float, length: float) -> Array:
+        return 0.5 * (1.0 - np.cos(np.pi * np.clip((time - begin) / length, 0.0, 1.0)))
+
+    q = move(0.0, 4.0) - 1e-4 * move(4.0, 0.5) + 3e-6 * move(6.0, 3.0)
+    at = moving(robot, q + noise * np.random.default_rng(3).normal(size=len(time))).joint("joint_1")
+    assert (last_direction(at)[time > 5.0] == -1.0).all()
+
+
 @pytest.mark.parametrize("ratio", [2.0, 4.0, 15.0])
 def test_two_elements_are_searched_near_those_that_one_smooth_one_stands_for(robot: Robot, ratio: float) -> None:
     """Whatever their ratio, a start lies near enough for steps to lead there."""

@@ -29,6 +29,9 @@ QUIET = 0.02  # part of the windows that count as the quietest
 SLOWEST = 1e-300  # rad/s, in place of standstill
 NOISY = 2.0  # standard deviations of an angle's noise within which nothing is known of a deflection
 MOST_HELD = 0.9999  # of the friction
+SHORTEST_MOVE = (
+    1e-5  # of a joint's travel: along less, dry friction winds up and does not turn, however little noise there is
+)
 SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log's noise
 
 
@@ -143,11 +146,12 @@ def turnover_start(at: JointMotion) -> float:
 def last_direction(at: JointMotion) -> Array:
     """Direction of the last move, kept across rests, before the first that of it, shape (N,); zero where there is none.
 
-    A move is what has a velocity that the log knows, or, however slow, goes farther than noise takes a joint at rest.
+    A move is what has a velocity that the log knows, or, however slow, goes farther than noise takes a joint at rest and than dry
+    friction needs to turn.
     """
     known = Resolution.of(at)
     moving = np.abs(at.v) > max(known.noise, 1e-3 * known.speed)
-    way = maxwell(at.q, max(2.0 * known.wander, 4.0 * known.angle))
+    way = maxwell(at.q, max(2.0 * known.wander, 4.0 * known.angle, SHORTEST_MOVE * known.travel))
     moved = moving | (np.abs(way) >= 1.0)
     last = np.maximum.accumulate(np.where(moved, np.arange(len(at.v)), -1))
     direction = np.where(moving, np.sign(at.v), np.sign(way))
