@@ -43,8 +43,11 @@ class ColumnsByJoint:
     @staticmethod
     def of_dense(places: Indices, rows: Iterable[Array]) -> ColumnsByJoint:
         """From each joint's columns (N, k) that stand in `places` (k,), without what is zero."""
-        touched = ((columns, columns.any(axis=0)) for columns in rows)
-        pairs = [(places[t], np.ascontiguousarray(columns[:, t])) for columns, t in touched]
+        pairs = []
+        for columns in rows:
+            touched = columns.any(axis=0)
+            pairs.append((places[touched], np.ascontiguousarray(columns[:, touched])))
+            del columns  # of a long log, before the next one's are made
         return ColumnsByJoint(tuple(at for at, _ in pairs), tuple(x for _, x in pairs))
 
     def beside(self, *others: ColumnsByJoint) -> ColumnsByJoint:

@@ -445,10 +445,12 @@ class _Fit:
     @property
     def _link_columns(self) -> Iterator[Array]:
         """Of the links, with what effects change by them; of each row (N, 10 * bodies)."""
-        for i, factor in enumerate(self.factors):
-            columns = self.regression.links_in(i)
-            seen = columns if self.by_links is None else columns + self.by_links[:, i]
-            yield seen if (self.factors == 1.0).all() else seen * factor
+        return map(self._link_columns_in, range(len(self.factors)))
+
+    def _link_columns_in(self, row: int) -> Array:
+        columns = self.regression.links_in(row)
+        seen = columns if self.by_links is None else columns + self.by_links[:, row]
+        return seen if (self.factors == 1.0).all() else seen * self.factors[row]
 
     @cached_property
     def _places(self) -> tuple[Indices, ...]:

@@ -430,7 +430,10 @@ class Regression:
     def links_in(self, row: int) -> Array:
         """The same in one row, (N, 10 * bodies)."""
         own = self._counted(self._untouched_links[:, row : row + 1], np.array([row]))[:, 0]
-        return own if self.links_shown.all() else own * self.links_shown
+        if self.links_shown.all():
+            return own
+        # of a long log one more copy is much
+        return np.multiply(own, self.links_shown, out=None if self._factors is None else own)
 
     def link_torque(self, link_parameters: Array) -> Array:
         """What the links ask for, (N, rows), N m."""
