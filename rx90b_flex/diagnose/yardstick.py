@@ -298,7 +298,7 @@ def _families(signals: _Signals, ranges: _Ranges, joint: int) -> dict[str, Array
         "friction over velocity": np.hstack(
             [signals.forces[:, joint], turning, v, np.abs(v), v * np.abs(v), acceleration[:, [joint]]]
         ),
-        "friction over travel": memory,
+        "friction over travel": np.hstack([memory, _at_first(signals, ranges, joint)[:, None]]),
         "friction over load": _over_load(
             load[:, [joint]], np.hstack([np.tanh(v / 0.03), np.tanh(v / 0.3), memory[:, [3]], v])
         ),
@@ -330,6 +330,13 @@ def _rates(signals: _Signals, ranges: _Ranges, joint: int) -> Array:
 def _direction(signals: _Signals, ranges: _Ranges, joint: int, part: float) -> Array:
     """Direction of a joint's last move, kept across rests; it turns over within a part of the joint's range of angles."""
     return dahl(signals.position[:, joint], part * float(ranges.travel[joint]))
+
+
+def _at_first(signals: _Signals, ranges: _Ranges, joint: int) -> Array:
+    """The same until the joint first moves, for what it held before nobody knows; zero from then on."""
+    angle = signals.position[:, joint]
+    moved = np.abs(angle - angle[0]) > LAST_MOVE * ranges.travel[joint]
+    return np.where(np.logical_or.accumulate(moved), 0.0, _direction(signals, ranges, joint, LAST_MOVE))
 
 
 def _plain_signals(signals: _Signals, ranges: _Ranges, joint: int) -> Array:
