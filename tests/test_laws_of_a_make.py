@@ -72,7 +72,7 @@ def campaign(folder, arm: Arm, law: Torque, seed: int):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1])
 def test_friction_that_fades_with_speed_behind_hysteresis_is_found_on_all_joints(tmp_path, seed):
     arm = ur10()
     result = rf.close_loop(campaign(tmp_path, arm, bristles, seed))
