@@ -29,9 +29,8 @@ QUIET = 0.02  # part of the windows that count as the quietest
 SLOWEST = 1e-300  # rad/s, in place of standstill
 NOISY = 2.0  # standard deviations of an angle's noise within which nothing is known of a deflection
 MOST_HELD = 0.9999  # of the friction
-SHORTEST_MOVE = (
-    1e-5  # of a joint's travel: along less, dry friction winds up and does not turn, however little noise there is
-)
+# Of a joint's travel: along less, dry friction winds up and does not turn, however little noise there is.
+SHORTEST_MOVE = 3e-6
 SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log's noise
 
 
