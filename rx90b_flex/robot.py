@@ -271,8 +271,15 @@ class Robot:
         -------
         array, shape (n,) or (N, n)
             N m; for a consistent motion the rows of flexible coordinates are zero.
+
+        Raises
+        ------
+        ValueError
+            Shapes that do not fit the robot or each other; times that do not increase.
         """
         motion = self.motion(q, v, a, time)
+        if motion.time.shape != (len(motion.q),) or (time is not None and not (np.diff(motion.time) > 0.0).all()):
+            raise ValueError(f"time has shape {motion.time.shape}; expected ({len(motion.q)},), increasing")
         force = self.link_torque(motion)
         for effect in self.forces:
             force = force + effect.force(motion)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rx90b_flex import signals
 from rx90b_flex.compiled.signals import dahl, maxwell
 from rx90b_flex.diagnose.trial import added
-from rx90b_flex.effects import Effect, Sites
+from rx90b_flex.effects import Effect, Sites, effect_from_table
 from rx90b_flex.effects.hints import LeftOver
 from rx90b_flex.effects.maxwell_slip import MaxwellSlipFriction
 from rx90b_flex.effects.motion import Array, Motion
@@ -172,3 +173,19 @@ def test_where_a_log_begins_at_rest_noise_does_not_say_how_friction_stands(law, 
     # one that only stands never goes as far: its friction stays where it stands
     standing = 1e-9 * np.random.default_rng(0).normal(size=400)
     assert np.ptp(law(standing, 1e-3)) < 0.01 and abs(law(standing, 1e-3)[0]) == 1.0
+
+
+def test_a_motion_with_times_holds_at_rest_what_it_last_overcame_and_wrong_times_are_refused(robot: Robot) -> None:
+    """Dry friction of a joint that moves to and fro, and rests for four seconds on its way back."""
+    table = {"type": "held_friction", "joint": "joint_1", "torque": 2.0}
+    links, held = (robot.with_effects(e) for e in ([], [effect_from_table(table, "", robot.joints)]))
+    time = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    q, v, a = (np.asarray(x) for x in signals.motion(angle("stands")[:, None], RATE_HZ))
+    rest = (time > 4.2) & (time < 7.8)
+    v[rest] = a[rest] = 0.0
+    alone = links.inverse_dynamics(q, v, a)
+    np.testing.assert_array_equal(held.inverse_dynamics(q, v, a), alone)
+    np.testing.assert_allclose((held.inverse_dynamics(q, v, a, time) - alone)[rest], -2.0)
+    for wrong in (time[:-1], time[::-1], np.zeros_like(time)):
+        with pytest.raises(ValueError, match=r"time has shape .*; expected \(3000,\), increasing"):
+            held.inverse_dynamics(q, v, a, wrong)

@@ -384,7 +384,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         for i, step in enumerate(steps):
             newest, effect = i >= older, find(standing.model, step.trial.effect)
             if not _physical(effect):
-                return step
+                return step  # whatever stands on it: a robot file cannot hold it
             if (newest and latest == 1) or _leaned_on(effect, standing.model.effects):
                 continue
             if not (newest or everywhere or any(meet(effect, s.trial.effect) for s in steps[older:])):
