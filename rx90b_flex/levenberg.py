@@ -62,7 +62,7 @@ def descent(at: Place, evaluations: int, damping: Damping = USUAL, patience: int
     """The places on the way down, from where it begins to where no step helps, or so many in a row were worth too little."""
     at, now, idle = at.renewed(), damping.begin, 0
     yield at
-    while evaluations > 0 and idle < patience:
+    while evaluations > 0 and idle < patience and np.isfinite(at.goal):  # from no number there is no way down
         curvature, fall = at.equations()
         better, enough = at, at.enough
         failed: tuple[Array, float] | None = None  # the latest step that did not help, and what it lost

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90b_flex import flexify as virtual
+from rx90b_flex import tree_derivatives
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
@@ -457,7 +458,7 @@ class _RobotTreeMotion:
         return self._in_each_pose(pin.computeGeneralizedGravity, *self._under_gravity(direction))
 
     def gravity_derivative(self, direction: Array) -> Array:
-        return self._in_each_pose(pin.computeGeneralizedGravityDerivatives, *self._under_gravity(direction))
+        return tree_derivatives.of_gravity(self._under_gravity(direction)[0], self.motion.q)
 
     def gravity_potential(self, direction: Array) -> Array:
         return self._in_each_pose(pin.computePotentialEnergy, *self._under_gravity(direction))
@@ -487,7 +488,7 @@ class _RobotTreeMotion:
         return out[:, :, _TO_TABLE_ORDER]
 
     def body_derivatives(self, frame: str, body: Array) -> tuple[Array, Array, Array]:
-        return _tree_derivatives(*self._only_body(frame, body), self.motion)
+        return tree_derivatives.of_torques(self._only_body(frame, body)[0], self.motion)
 
     def body_potential(self, frame: str, body: Array) -> Array:
         return self._in_each_pose(pin.computePotentialEnergy, *self._only_body(frame, body))
@@ -513,8 +514,7 @@ class _RobotTreeMotion:
 
     @cached_property
     def _derivatives(self) -> tuple[Array, Array, Array]:
-        model = self._own_links()
-        return _tree_derivatives(model, model.createData(), self.motion)
+        return tree_derivatives.of_torques(self._own_links(), self.motion)
 
     def with_hinges(self, hinges: tuple[Any, ...]) -> Motion:
         if hinges not in self.hinged:
@@ -555,16 +555,6 @@ def _inertia(body: Array) -> pin.Inertia:
     dynamic = np.empty(10)
     dynamic[_TO_TABLE_ORDER] = body
     return pin.Inertia.FromDynamicParameters(dynamic)
-
-
-def _tree_derivatives(model: pin.Model, data: pin.Data, motion: Motion) -> tuple[Array, Array, Array]:
-    """Derivatives of a tree's inverse dynamics by q, v and a, each (N, n, n)."""
-    by_q, by_v, by_a = (np.empty((len(motion), model.nv, model.nv)) for _ in range(3))
-    for k, (q, v, a) in enumerate(zip(motion.q, motion.v, motion.a, strict=True)):
-        dq, dv, da = pin.computeRNEADerivatives(model, data, q, v, a)
-        by_q[k], by_v[k], by_a[k] = dq, dv, da
-    upper = np.triu(np.ones((model.nv, model.nv), bool))  # pinocchio fills this half of the mass matrix
-    return by_q, by_v, np.where(upper, by_a, by_a.transpose(0, 2, 1))
 
 
 # ---- robot files --------------------------------------------------------------------------------------------
