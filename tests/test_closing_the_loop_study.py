@@ -304,6 +304,8 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
         study.Case("hidden", "backlash", 10.0, 899, "z1", "sign", "ar"),
         # an element of negative torque on its way through a fit
         study.Case("hidden", "line_interference", 10.0, 10113, "z1", "sign", "ar"),
+        # one drive whose twist explains what others' would, beside a resolver that bends the links as much
+        study.Case("pair", "resolver_error+drive_flexibility", 10.0, 22011, "z1", "tanh_1", "white"),
     ],
     ids=lambda case: case.name,
 )

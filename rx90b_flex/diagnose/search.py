@@ -305,11 +305,15 @@ class Search:
         tried: Mapping[tuple[type[Effect], str], TorqueTrial],
         beside: SideBySide[Search],
     ) -> list[TorqueTrial]:
-        """One law on several joints, for the types that a first look at all joints together likes best."""
+        """One law on several joints, for the types that a first look at all joints together likes best.
+
+        Gains add up where each acts on a joint of its own: what one twisting drive does to all joints, another explains too.
+        """
         kinds: dict[type[Effect], list[Rough]] = {}
         for item in rough:
             kind = type(item.effect)
-            if kind.traits.on == "joint" and kind.traits.of_make and not kind.traits.multiplies:
+            of_all_joints = kind.traits.multiplies or kind.traits.coefficients_follow
+            if kind.traits.on == "joint" and kind.traits.of_make and not of_all_joints:
                 kinds.setdefault(kind, []).append(item)
         sums = {kind: sum(max(item.gain, 0.0) for item in items) for kind, items in kinds.items()}
         liked = sorted(kinds, key=lambda kind: -sums[kind])[:FAMILIES]
