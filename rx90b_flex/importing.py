@@ -90,8 +90,9 @@ def import_into(
         raise ValueError(f"--format {file_format}: expected {', '.join(FORMATS)}")
     check_folder(folder, CAMPAIGN, overwrite)
     loaded = load_robot(robot)
-    limits = (tuple(map(float, x)) for x in (loaded.tree.lowerPositionLimit, loaded.tree.upperPositionLimit))
-    imported = _with_facts(import_logs(files, Axes(loaded.joints, *limits), options))
+    lower, upper = (tuple(map(float, x)) for x in (loaded.tree.lowerPositionLimit, loaded.tree.upperPositionLimit))
+    slides = tuple(joint.shortname().startswith("JointModelP") for joint in list(loaded.tree.joints)[1:])
+    imported = _with_facts(import_logs(files, Axes(loaded.joints, lower, upper, slides), options))
     imported, cutoff = _with_low_pass(imported)
     if not basics:
         imported = _with_offer(imported, loaded)

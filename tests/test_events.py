@@ -20,7 +20,7 @@ def bump(at_s: float, size: float, lasts_s: float = 0.15) -> Array:
 
 
 def found(left: Array, velocity: Array = VELOCITY) -> list[str]:
-    return [e.words for e in events(JOINTS, ["a"], [RATE_HZ], [left], [velocity])]
+    return [e.words(False) for e in events(JOINTS, ["a"], [RATE_HZ], [left], [velocity])]
 
 
 @pytest.mark.parametrize("seed", range(5))

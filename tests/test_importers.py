@@ -6,6 +6,7 @@ import json
 import sys
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -222,6 +223,36 @@ def test_every_format_gives_the_same_recording(tmp_path: Path, write: Callable[[
 
 
 # ---- what is worked out ---------------------------------------------------------------------------------------
+
+
+def test_a_joint_that_slides_is_in_metres_where_the_others_are_in_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table(["time", *numbered("q", "tau")], TIME, np.column_stack([Q[:, 0], np.rad2deg(Q[:, 1:])]), TAU).to_csv(
+        path, index=False
+    )
+    imported = import_logs([path], replace(AXES, prismatic=(True, False, False)), ReadingOptions())
+    assert whole(imported, "position") == pytest.approx(Q, abs=1e-9)
+
+
+@pytest.mark.parametrize("cell", ["19,439.7", "194 N m"])
+def test_a_torque_that_is_no_number_is_no_joint_without_torques(tmp_path: Path, cell: str) -> None:
+    data = table(["time", *numbered("q", "tau")], TIME, Q, TAU)
+    path = tmp_path / "run.csv"
+    data.assign(tau2=cell).to_csv(path, index=False)
+    with pytest.raises(ValueError, match=f"run.csv: column 'tau2' can be torque of joint_2, but holds '{cell}'"):
+        import_logs([path], AXES, ReadingOptions())
+    path = tmp_path / "run.parquet"
+    data.assign(tau2=cell).to_parquet(path)
+    with pytest.raises(ValueError, match=f"run.parquet: column 'tau2' can be torque of joint_2, but holds '{cell}'"):
+        import_logs([path], AXES, ReadingOptions())
+
+
+def test_times_that_are_no_numbers_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    data = table(["time", *numbered("q", "tau")], TIME, Q, TAU)
+    data.assign(time="2026-11-27T08:00").to_csv(path, index=False)
+    with pytest.raises(ValueError, match="column 'time' can be time, but holds '2026-11-27T08:00'"):
+        import_logs([path], AXES, ReadingOptions())
 
 
 def test_angles_that_fit_the_limits_only_in_degrees_are_degrees(tmp_path: Path) -> None:

@@ -14,7 +14,16 @@ from pathlib import Path
 import pytest
 from test_cli import write_campaign
 
-from rx90b_flex.signals.folders import CAMPAIGN, CLOSED_LOOP, PATH_CHECK, RUN, Output, check_folder, fill_folder
+from rx90b_flex.signals.folders import (
+    CAMPAIGN,
+    CLOSED_LOOP,
+    PATH_CHECK,
+    RUN,
+    Output,
+    check_folder,
+    files_read,
+    fill_folder,
+)
 from rx90b_flex.signals.single import check_file
 
 
@@ -127,6 +136,33 @@ def test_what_a_run_reads_is_not_replaced_by_what_it_writes(tmp_path: Path) -> N
     with pytest.raises(ValueError, match=r"campaign\.toml, which this run reads"):
         check_folder(out, CLOSED_LOOP, reads=[out / "campaign.toml"])
     check_folder(tmp_path / "other", CLOSED_LOOP, reads=[out / "campaign.toml"])
+
+
+def test_nothing_that_a_campaign_names_is_replaced(tmp_path: Path) -> None:
+    """Its robot file, which has the name of a result's, with URDF and controller, and a recording, also by --overwrite."""
+    (tmp_path / "robot.toml").write_text('urdf = "robot.urdf"\ncontroller = "own.toml"\n')
+    for name in ("robot.urdf", "own.toml", "prediction_test.csv"):
+        (tmp_path / name).write_text("1")
+    campaign = tmp_path / "mine.toml"
+    campaign.write_text('robot = "robot.toml"\n[[recording]]\nfile = "prediction_test.csv"\n')
+    reads = files_read(campaign)
+    assert {p.name for p in reads} == {"mine.toml", "robot.toml", "robot.urdf", "own.toml", "prediction_test.csv"}
+    with pytest.raises(ValueError, match="which this run reads; give another folder"):
+        check_folder(tmp_path, CLOSED_LOOP, overwrite=True, reads=reads)
+    for read in reads:
+        with pytest.raises(ValueError, match="is what this run reads"):
+            check_file(read, campaign)
+    assert files_read(tmp_path / "robot.urdf") == [tmp_path / "robot.urdf"]
+
+
+def test_a_page_does_not_replace_a_file_of_the_run_that_it_shows(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    listed = '[[recording]]\nfile = "line.parquet"\n'
+    fill_folder(run, writes(state_dot_parquet="1", line_dot_parquet="1", campaign_dot_toml=listed), RUN)
+    for name in ("state.parquet", "line.parquet", "campaign.toml"):
+        with pytest.raises(ValueError, match="is what this run reads"):
+            check_file(run / name, run)
+    check_file(run / "view.html", run)
 
 
 def test_a_link_to_nothing_is_no_folder_and_one_to_a_folder_is(tmp_path: Path) -> None:

@@ -20,9 +20,9 @@ def camera_command(
     On the links beside a joint, along a motion or in poses at rest: torsion and both bendings with their standard deviations, in the
     robot's file, too.
     """
-    from rx90b_flex.signals.folders import CAMERA, check_folder
+    from rx90b_flex.signals.folders import CAMERA, check_folder, files_read
 
-    check_folder(out, CAMERA, overwrite, [markers])
+    check_folder(out, CAMERA, overwrite, files_read(markers))
     from rx90b_flex.identify.camera_command import fit_markers, read_markers, write_camera
     from rx90b_flex.view.camera_report import headline, write_camera_report
 

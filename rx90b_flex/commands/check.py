@@ -25,9 +25,9 @@ def check_command(
 
     Columns, signs, units, times, the URDF; and what the motion can tell. Exit status: 0 usable, 1 a fault was found, 2 bad input.
     """
-    from rx90b_flex.signals.folders import CHECKED, check_folder, fill_folder
+    from rx90b_flex.signals.folders import CHECKED, check_folder, files_read, fill_folder
 
-    check_folder(out, CHECKED, overwrite, [campaign])
+    check_folder(out, CHECKED, overwrite, files_read(campaign))
     with progress() as tell:
         tell("reading", 0.0)
         from rx90b_flex.diagnose.check import check

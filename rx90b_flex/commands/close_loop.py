@@ -72,9 +72,9 @@ def close_loop_command(
     if goes and campaign.exists():  # what is not there is said to be missing, further on
         raise ValueError(f"{goes}; {campaign} is neither")
     from rx90b_flex.closing import LoopOptions, close_campaign
-    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder
+    from rx90b_flex.signals.folders import CLOSED_LOOP, check_folder, files_read
 
-    check_folder(out, CLOSED_LOOP, overwrite, [campaign])
+    check_folder(out, CLOSED_LOOP, overwrite, files_read(campaign))
     with progress() as tell:
         tell("reading", 0.0)
         closed = close_campaign(campaign, LoopOptions(seed, basics, despite_faults, jobs), tell)
@@ -139,10 +139,13 @@ def print_result(result: Any) -> None:
 
 
 def _values(parameters: Sequence[Any]) -> Iterator[str]:
-    """Of an effect; what of it is not determined is said once."""
-    yield from (value_words(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None)
+    """Of an effect; what of it is not determined is said once, and of a curve its range."""
+    from rx90b_flex.view.report import of_a_curve, untold_names
+
+    curve = of_a_curve(parameters)
+    yield from (value_words(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None and not curve)
+    if curve:
+        yield curve
     missing = [p.name for p in parameters if p.value is None]
     if missing:
-        from rx90b_flex.view.report import untold_names
-
         yield f"{untold_names(missing)} not determined"

@@ -71,9 +71,9 @@ def frf_command(
     CAMPAIGN is what `rx90b-flex excite` writes, with the logs of its motions.
     """
     from rx90b_flex.early import check_jobs, read_campaign
-    from rx90b_flex.signals.folders import MOTOR_SIGNALS, check_folder
+    from rx90b_flex.signals.folders import MOTOR_SIGNALS, check_folder, files_read
 
-    check_folder(out, MOTOR_SIGNALS, overwrite, [campaign])
+    check_folder(out, MOTOR_SIGNALS, overwrite, files_read(campaign))
     if not 0.0 < low_hz < high_hz:
         raise ValueError(
             f"--low-hz and --high-hz are {low_hz:g} and {high_hz:g}; expected a low and a higher frequency above 0"

@@ -36,9 +36,9 @@ def identify_command(
     Parameters with standard deviations, robot file and URDF, predictions, report.
     """
     from rx90b_flex.early import read_campaign
-    from rx90b_flex.signals.folders import CHECKED, IDENTIFIED, check_folder, fill_folder
+    from rx90b_flex.signals.folders import CHECKED, IDENTIFIED, check_folder, files_read, fill_folder
 
-    check_folder(out, IDENTIFIED, overwrite, [campaign])
+    check_folder(out, IDENTIFIED, overwrite, files_read(campaign))
     if estimator != "least_squares":  # the usual one is there, and its libraries take a while
         from rx90b_flex.identify.estimators.estimator import estimator_named
 

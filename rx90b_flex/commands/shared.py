@@ -9,10 +9,21 @@ from typing import Annotated, Any
 
 import typer
 
+
+def _folder(text: str) -> Path:
+    """Of ``--out``; an empty one, as an unset variable of a shell leaves it, is no folder."""
+    if not text:
+        raise typer.BadParameter("is empty; expected a folder")
+    return Path(text)
+
+
 Out = Annotated[
     Path,
     typer.Option(
-        "--out", help="Folder for the results; made if it does not exist, an earlier result in it is replaced."
+        "--out",
+        parser=_folder,
+        metavar="PATH",
+        help="Folder for the results; made if it does not exist, an earlier result in it is replaced.",
     ),
 ]
 ROBOT_HELP = "Robot name, robot file, URDF, or example-robot-data:NAME."
@@ -115,5 +126,6 @@ def numbers(name: str, text: str) -> tuple[float, ...]:
 
 
 def value_words(name: str, value: float, std: float | None, unit: str) -> str:
-    """A parameter with its standard deviation."""
-    return f"{name} {value:.4g} ± {std:.2g} {unit}" if unit != "-" else f"{name} {value:.4g} ± {std:.2g}"
+    """A parameter with its standard deviation where it has one."""
+    spread = "" if std is None else f" ± {std:.2g}"
+    return f"{name} {value:.4g}{spread}" + ("" if unit == "-" else f" {unit}")

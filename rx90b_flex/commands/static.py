@@ -20,9 +20,9 @@ def static_command(
     Loads up and down again, deformations, and where the lever is not given the pose: stiffnesses with their standard deviations, in
     the robot's file, too.
     """
-    from rx90b_flex.signals.folders import STATIC, check_folder
+    from rx90b_flex.signals.folders import STATIC, check_folder, files_read
 
-    check_folder(out, STATIC, overwrite, [tests])
+    check_folder(out, STATIC, overwrite, files_read(tests))
     from rx90b_flex.identify.static_command import fit_tests, read_static_tests, write_static
     from rx90b_flex.view.static_report import headline, write_static_report
 

@@ -37,7 +37,7 @@ from rx90b_flex.diagnose.torque import (
     TorqueData,
     TorqueModel,
     TorqueResidual,
-    find,
+    find_each,
     predict,
 )
 from rx90b_flex.diagnose.trial import TorqueTrial
@@ -451,6 +451,7 @@ class _Ended:
         happened = _events(campaign.joints, predictions)
         remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread, happened)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
+        of_motion = [] if known is None else known.much_less(campaign.joints, after.validation)
         tell("done", 1.0)
         return ClosedLoop(
             before,
@@ -479,7 +480,7 @@ class _Ended:
                 *_sensor_words(declared, model),
                 *_held_words(model),
                 *self._beyond_fitted(),
-                *(e.words for e in happened),
+                *(e.words(e.joint in of_motion) for e in happened),
             ),
         )
 
@@ -516,7 +517,7 @@ class _Ended:
         search, words = Search(free, self.residual.sites), []
         if less < LINKS_OFF * left:
             words.append(f"they would leave {less:.2%} of the torque held out instead of {left:.2%}")
-        added = [find(TorqueModel(free, data), step.trial.effect) for step in self.standing.steps]
+        added = find_each(TorqueModel(free, data), [step.trial.effect for step in self.standing.steps])
         spare = [e.label for e in added if not search.without(e).accepted]
         if spare:
             words.append(f"{', '.join(spare)} would not be needed")
@@ -546,8 +547,8 @@ class _Ended:
     def _found(self, search: Search) -> tuple[FoundEffect, ...]:
         model = self.standing.model
         out = []
-        for step in self.standing.steps:
-            effect = find(model, step.trial.effect)
+        steps = self.standing.steps
+        for step, effect in zip(steps, find_each(model, [s.trial.effect for s in steps]), strict=True):
             out.append(
                 FoundEffect(
                     effect,

@@ -39,14 +39,18 @@ class Events:
     share: float
     times: float
 
-    @property
-    def words(self) -> str:
-        """One caution."""
+    def words(self, follows_motion: bool) -> str:
+        """One caution; other words where a free form of the motion leaves much less of the joint's error."""
         where = " and ".join(f"{time:.1f} s of {name}" for name, time in self.at)
+        why = (
+            "smooth curves of its motion leave much less of it, so that it is a law which shows there, and has no name here."
+            if follows_motion
+            else "something happened there (it touched something, its encoder slipped, samples are wrong), or a law shows that no "
+            "other part of these recordings does."
+        )
         return (
             f"{self.share:.0%} of the squared error that {self.joint} keeps in motion, held out, lies around {where} alone, "
-            f"{self.times:.0f} times the error elsewhere: something happened there that is no law of its motion (it touched "
-            "something, its encoder slipped, samples are wrong)."
+            f"{self.times:.0f} times the error elsewhere: {why}"
         )
 
 

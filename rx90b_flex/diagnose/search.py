@@ -32,12 +32,12 @@ from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.coloured import Spectrum, residual_spectra, scatter
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.first_looks import FirstColumns
+from rx90b_flex.identify.first_shapes import shared_values
 from rx90b_flex.identify.least_squares import (
     BEYOND,
     CORRELATION_S,
     Identification,
     identify,
-    shared_values,
 )
 from rx90b_flex.identify.penalty import prior_precision, smoothed
 from rx90b_flex.identify.regression import Regression

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import optimize
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
 from rx90b_flex.diagnose.carried import rise
@@ -260,6 +261,21 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         unknown = [_unknown(model.identified, e) for e in found]
         return f"this log does not tell its {unknown[0]}" if all(unknown) else ""
 
+    def _not_missed(self, model: TorqueModel, steps: Sequence[Addition[TorqueTrial]]) -> Addition[TorqueTrial] | None:
+        """The first addition with a name of which a model tells no value, and without which it fits as well."""
+        for step in steps:
+            if not step.trial.effect.traits.last_resort and self._untold(model, step.trial):
+                less = self._without(model, step.trial)
+                if not self.spoils(less[0], model):
+                    self._lesser[:] = [(model, step.trial, less)]
+                    return step
+        return None
+
+    def _untold(self, model: TorqueModel, trial: TorqueTrial) -> bool:
+        """Whether none of its values is certain, or known at all."""
+        values = model.identified.estimates(model.effects.index(find(model, trial.effect)))
+        return all(e.value is None for e in values) or bool(self.unsure(model, trial))
+
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
         search = self.search(model)
@@ -369,20 +385,22 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     ) -> Addition[TorqueTrial] | None:
         """The first of those before the latest; of several latest also one that does not belong to their family.
 
-        A curve of no known law makes nothing needless that has a name. What shares no joint with the latest has little to do with
-        them.
+        A curve of no known law makes nothing needless that has a name, but for what has no certain value beside it. What shares no
+        joint with the latest has little to do with them.
         """
         steps = standing.steps
         older = len(steps) - latest
         if any(s.trial.effect.traits.last_resort for s in steps[older:]):
-            return None
+            return self._not_missed(standing.model, steps[:older])
         search = self.search(standing.model)
 
+        added_ones = find_each(standing.model, [s.trial.effect for s in steps])
+
         def worth(i: int) -> TorqueTrial:
-            return search.without(find(standing.model, steps[i].trial.effect))
+            return search.without(added_ones[i])
 
         for i, step in enumerate(steps):
-            newest, effect = i >= older, find(standing.model, step.trial.effect)
+            newest, effect = i >= older, added_ones[i]
             if not _physical(effect):
                 return step  # whatever stands on it: a robot file cannot hold it
             if (newest and latest == 1) or _leaned_on(effect, standing.model.effects):
@@ -602,5 +620,19 @@ def _unknown(model: Identification, effect: Effect) -> str:
 
 def find(model: TorqueModel, like: Effect) -> Effect:
     """The identified form of an effect that was added: same type and place, nearest shape."""
-    same = [e for e in model.effects if type(e) is type(like) and e.place == like.place]
-    return min(same, key=lambda e: float(np.abs(e.shape - like.shape).sum()) if len(e.shape) else 0.0)
+    return find_each(model, [like])[0]
+
+
+def find_each(model: TorqueModel, likes: Sequence[Effect]) -> list[Effect]:
+    """Of several that were added; of those with one type and place each another one, the nearest shapes in all."""
+    out: list[Effect] = list(likes)
+    for kind, place in dict.fromkeys((type(e), e.place) for e in likes):
+        mine = [i for i, e in enumerate(likes) if type(e) is kind and e.place == place]
+        same = [e for e in model.effects if type(e) is kind and e.place == place]
+        apart = np.array([[np.abs(e.shape - likes[i].shape).sum() for e in same] for i in mine])
+        nearest = apart.argmin(axis=1)
+        of_which, own = optimize.linear_sum_assignment(apart)
+        nearest[of_which] = own
+        for i, at in zip(mine, nearest, strict=True):
+            out[i] = same[at]
+    return out

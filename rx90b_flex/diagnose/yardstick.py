@@ -36,6 +36,7 @@ LEAST_DROP = 0.05  # of the declared model's error: coloured noise leaves values
 SPEEDS = np.array([0.001, 0.01, 0.03, 0.1, 0.3, 1.0])
 TRAVELS = np.array([1e-5, 3e-5, 1e-4, 1e-3, 1e-2])  # of the range of angles, within which friction turns over
 LAST_MOVE = 1e-3  # of the range of angles: what is less is no move
+MUCH_LESS = 0.5  # of a final model's error
 AT_NOISE = 1.1  # error over noise floor up to which nothing is left
 KNOTS = 7  # of a curve over the range of an angle
 
@@ -64,6 +65,11 @@ class Explainable:
     def of(self, before: Errors, after: Errors) -> Explainable:
         """The same measure for another final model, with its share of the drop."""
         return dataclasses.replace(self, share=_share(before, after, self.validation))
+
+    def much_less(self, joints: Sequence[str], after: Errors) -> list[str]:
+        """Joints of which the free forms leave much less than the final model does."""
+        pairs = zip(joints, self.validation.torque_rms, after.torque_rms, strict=True)
+        return [joint for joint, free, left in pairs if free < MUCH_LESS * left]
 
 
 @dataclass(frozen=True, eq=False)

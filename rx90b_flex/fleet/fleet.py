@@ -18,7 +18,7 @@ from rx90b_flex.fleet.robots import REFUSED, Outcome, Task, close_robot, fit_aga
 from rx90b_flex.fleet.second_fit import SecondFit
 from rx90b_flex.interrupts import calm
 from rx90b_flex.showing import Showing
-from rx90b_flex.signals.folders import CLOSED_LOOP, FLEET, check_folder, claim, claimed
+from rx90b_flex.signals.folders import CLOSED_LOOP, FLEET, check_folder, claim, claimed, files_read, refuse_reading
 
 PLAN_FILE = "plan.json"
 ROBOTS = "robots"  # what a folder's plan is of
@@ -138,6 +138,9 @@ def close_loop_many(
     place = Path(os.path.abspath(out))
     check_folder(place, FLEET, overwrite, [Path(c) for c in campaigns])
     tasks = _tasks(campaigns, place, options)
+    every = [file for task in tasks for file in files_read(task.campaign)]
+    for task in tasks:
+        refuse_reading(task.folder, CLOSED_LOOP, every)
     new = not (place / PLAN_FILE).exists()
     _claim(tasks, place, overwrite)
     try:

@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.effects.stand_in import as_in_files
 from rx90b_flex.identify import near_tree
 from rx90b_flex.identify.coloured import Spectrum
 from rx90b_flex.identify.columns import ColumnsByJoint
+from rx90b_flex.identify.first_shapes import begun, with_starts, without_value
 from rx90b_flex.identify.normal_equations import (
     NormalEquations,
     Solution,
@@ -217,7 +217,10 @@ class Identification:
         if (
             k and not determined[:k].any() and not effect.traits.coefficients_follow
         ):  # of a joint that never moves, say: its shape is not told either
-            return tuple(Estimate(name, None, None, unit) for name, unit, _ in effect.public_values())
+            known = (
+                effect.traits.last_resort
+            )  # a curve is told, but for what of it is straight: that stands beside it, too
+            return tuple(Estimate(name, x if known else None, None, unit) for name, unit, x in effect.public_values())
 
         def public(x: Array) -> Array:
             shown = effect.with_coefficients(np.where(determined, x, np.nan)[:k]).with_shape(x[k:])
@@ -294,14 +297,14 @@ def identify(
     -------
     Identification
     """
-    effects = with_starts(effects, regression)
+    given, effects = effects, with_starts(effects, regression)
     links = regression.robot.link_parameters if start is None else start.link_parameters
     circular = any(e.traits.needs_load or e.traits.needs_model for e in effects)
     known = effects if start is None else start.effects
     if links_near is None:
         links_near = 0.0 if start is None else start.links_near
     seen = regression.with_model(links, known) if circular else regression
-    fit = _Fit.of(seen, effects, fit_links, links_near).smoothed()
+    fit = begun(_Fit.of(seen, effects, fit_links, links_near).smoothed(), without_value(given))
     # shapes that an earlier fit of all these effects settled need no order among them
     together = start is not None and {e.label for e in effects} <= {e.label for e in start.effects}
     if any(e.traits.coefficients_follow and len(e.shape) for e in effects):
@@ -315,31 +318,6 @@ def identify(
             if abs(fit.misfit - before.misfit) < SAME_MISFIT:
                 break
     return fit.finished(regression.with_model(fit.link_parameters, fit.valued), with_covariance)
-
-
-def with_starts(effects: Sequence[Effect], regression: Regression) -> tuple[Effect, ...]:
-    """Effects whose shape parameters all have values: their own, those that they share with others, or a start."""
-    known = shared_values(effects)
-    out = []
-    for effect in effects:
-        shape = np.array(
-            [
-                x if key is None else known.get(key, x)
-                for key, x in zip(shared_shapes(effect), effect.shape, strict=True)
-            ]
-        )
-        if np.isnan(shape).any():
-            starts = effect.shape_search(regression.longest).starts
-            shape = np.where(np.isnan(shape), starts[len(starts) // 2], shape)
-            known.update((k, x) for k, x in zip(shared_shapes(effect), shape, strict=True) if k is not None)
-        out.append(effect.with_shape(shape) if len(shape) else effect)
-    return tuple(out)
-
-
-def shared_values(effects: Sequence[Effect]) -> dict[tuple[str, ...], float]:
-    """Values of the shape parameters that effects share, where they are known."""
-    pairs = ((key, x) for e in effects for key, x in zip(shared_shapes(e), e.shape, strict=True) if key is not None)
-    return {key: float(x) for key, x in pairs if not np.isnan(x)}
 
 
 def _settled(fit: _Fit, links: Array, regression: Regression, start: Identification | None, together: bool) -> _Fit:

@@ -17,6 +17,7 @@ import re
 import secrets
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,14 +144,49 @@ def check_folder(folder: Path, output: Output, overwrite: bool = False, reads: S
         if folder.is_dir():
             place = Path(os.path.realpath(folder))
             _refuse_what_is_in_the_way(place, output.own(place), output, overwrite)
-            going = output.own(place) | _earlier(place, output)
-            for read in (Path(os.path.realpath(r)) for r in reads):
-                if read == place or (read.parent == place and read.name in going):
-                    raise ValueError(
-                        f"{shortened(folder)}: holds {read.name}, which this run reads; give another folder"
-                    )
+            refuse_reading(folder, output, reads)
     except OSError as error:
         raise ValueError(f"{shortened(folder)}: cannot be written: {why(error)}") from None
+
+
+def refuse_reading(folder: Path, output: Output, reads: Sequence[Path | str]) -> None:
+    """Refuse an output folder in which what a run writes would take the place of a file that it reads.
+
+    Raises
+    ------
+    ValueError
+        One line that names both.
+    """
+    place = Path(os.path.realpath(folder))
+    going = output.own(place) | _earlier(place, output) if place.is_dir() else set()
+    for read in (Path(os.path.realpath(r)) for r in reads):
+        if read == place or (read.parent == place and read.name in going):
+            raise ValueError(f"{shortened(folder)}: holds {read.name}, which this run reads; give another folder")
+
+
+def files_read(source: Path) -> list[Path]:
+    """A file and what it names, as far as that can be read: a campaign's robot file, with URDF and controller, and recordings.
+
+    Of a folder of `rx90b-flex simulate` what is of the run.
+    """
+    if source.is_dir():
+        return [source / name for name in RUN.own(source)]
+    out, stated = [source], _table(source)
+    recordings = stated.get("recording", [])
+    named = [stated.get("robot"), stated.get("urdf"), *(r.get("file") for r in recordings if isinstance(r, dict))]
+    out += [source.parent / name for name in named if isinstance(name, str)]
+    for robot in [p for p in out[1:] if p.suffix == ".toml"]:
+        more = [_table(robot).get(key) for key in ("urdf", "controller")]
+        out += [robot.parent / name for name in more if isinstance(name, str)]
+    return [p for p in out if p.exists()]
+
+
+def _table(path: Path) -> dict[str, Any]:
+    """Of a file that may hold no TOML: nothing then."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
 
 
 def refuse_unwritable(folder: Path) -> None:

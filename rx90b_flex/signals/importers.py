@@ -68,11 +68,17 @@ class Axes:
     ----------
     joints : names, in tree order.
     lower, upper : position limits, rad, one a joint.
+    prismatic : whether a joint's positions are in m, one a joint; empty: none's are.
     """
 
     joints: tuple[str, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
+    prismatic: tuple[bool, ...] = ()
+
+    def turns(self, joint: str) -> bool:
+        """Whether a joint's positions are angles."""
+        return not self.prismatic or not self.prismatic[self.joints.index(joint)]
 
 
 @dataclass(frozen=True)
@@ -307,6 +313,9 @@ class _Import:
             self.found.add(f"time: column {name!r}, in {unit}", "sure" if sure else "likely")
             return time * scale, name
         if options.rate_hz is None:
+            for name in log.words:
+                if _is_time(name):
+                    self._refuse_words(name, "time")
             raise self._problem("no time column; expected one named time, or --rate with the sample rate in Hz")
         self.found.add(f"time: {options.rate_hz:g} Hz", "stated")
         return np.arange(len(log.values)) / options.rate_hz, None
@@ -328,6 +337,10 @@ class _Import:
             column = self._column(name, from_zero)
             if column is not None and column.signal not in stated:
                 read.setdefault(column.signal, []).append(column)
+        for name in log.words:
+            column = self._column(name, from_zero)
+            if column is not None and column.signal in REQUIRED and column.signal not in stated:
+                self._refuse_words(name, f"{column.signal} of {column.joint}")
         joints = self.options.joints or self.axes.joints
         for signal, names in stated.items():
             if len(names) > len(joints):
@@ -339,6 +352,9 @@ class _Import:
                 for name, joint in zip(names, joints, strict=False)
             ]
         return read
+
+    def _refuse_words(self, name: str, what: str) -> None:
+        raise self._problem(f"column {name!r} can be {what}, but holds {self.log.words[name]!r}, which is no number")
 
     def _column(self, name: str, from_zero: bool) -> _Column | None:
         """What a column is by the format itself, else by its name; None: nothing known."""
@@ -432,10 +448,13 @@ class _Import:
             self.found.add(f"angles: in {'degrees' if degrees else 'rad'}", "stated")
         first = 1.0
         for signal, columns in signals.items():
-            assumed = _DEGREE if degrees and "torque" not in signal else 1.0
+            in_degrees = bool(degrees) and "torque" not in signal
+            assumed = [_DEGREE if in_degrees and self.axes.turns(c.joint) else 1.0 for c in columns]
             # an option overrules what names say
             overruled = self.options.degrees is not None and "torque" not in signal
-            scales = np.array([assumed if c.scale is None or overruled else c.scale for c in columns])
+            scales = np.array(
+                [a if c.scale is None or overruled else c.scale for a, c in zip(assumed, columns, strict=True)]
+            )
             values[signal] = values[signal] * scales
             told = [c.name for c in columns if c.scale not in (None, 1.0)]
             if told and not overruled:
@@ -448,11 +467,12 @@ class _Import:
         """Whether angles fit the robot's limits in degrees but not in rad; refused where they fit in neither."""
         at = [self.axes.joints.index(j) for j in joints]
         lower, upper = np.array(self.axes.lower)[at], np.array(self.axes.upper)[at]
+        turns = np.array([self.axes.turns(j) for j in joints])
         slack = 0.1  # rad: offsets, and overshoot over the limits
 
         def outside(scale: float) -> NDArray[np.bool_]:
             q = scale * position
-            return np.asarray((q.min(axis=0) < lower - slack) | (q.max(axis=0) > upper + slack))
+            return np.asarray(turns & ((q.min(axis=0) < lower - slack) | (q.max(axis=0) > upper + slack)))
 
         if not outside(1.0).any():
             return False

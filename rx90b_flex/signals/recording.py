@@ -617,11 +617,12 @@ def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, 
             if layout.gear_matrix is None or item.always_joint_side
             else "probably degrees, or joint side although [motor] gives a gear_matrix, or a wrong gear_matrix"
         )
-        beyond = tuple(name for name, x in zip(joints, largest, strict=True) if x > _LARGEST_ANGLE)
         degrees = layout.gear_matrix is None and largest[worst] <= _LARGEST_DEGREES
+        # what stays within a turn in rad may well be in rad
+        beyond = tuple(n for n, x in zip(joints, largest, strict=True) if x > (math.tau if degrees else _LARGEST_ANGLE))
         message = f"{found} rad on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
         factor = 180.0 / math.pi if degrees else None
-        raise DataFaultError(DataFault("unit", item.key, joints if degrees else beyond, message, factor=factor))
+        raise DataFaultError(DataFault("unit", item.key, beyond, message, factor=factor))
     if largest[worst] > tables.LARGEST:
         raise ValueError(f"{found} on the joint side; SI units, below {tables.LARGEST:g}, are expected")
 

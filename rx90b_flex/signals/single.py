@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rx90b_flex.files.toml import read_toml
-from rx90b_flex.signals.folders import refuse_unwritable, why
+from rx90b_flex.signals.folders import files_read, refuse_unwritable, why
 from rx90b_flex.signals.tables import write_whole
 
 
@@ -18,7 +17,7 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
     path : Path
         File to write; one that is there is replaced.
     source : str or path, optional
-        What is read, which must not be replaced, nor the URDF that it names where it is a robot file.
+        What is read, which must not be replaced, nor what it names (`files_read`).
 
     Raises
     ------
@@ -32,12 +31,7 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
         refuse_unwritable(next(p for p in path.absolute().parents if p.exists()))
     except OSError as error:
         raise ValueError(f"{path}: cannot be written: {why(error)}") from None
-    if source is None or not os.path.isfile(source):
-        return
-    own = [Path(source)]
-    if own[0].suffix == ".toml":
-        urdf = read_toml(own[0], "robot file").get("urdf")
-        own += [own[0].parent / urdf] if isinstance(urdf, str) else []
+    own = [] if source is None or not os.path.exists(source) else files_read(Path(source))
     if any(path.resolve() == file.resolve() for file in own):
         raise ValueError(f"{path}: is what this run reads; expected another file to write")
 

@@ -13,7 +13,7 @@ from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zero
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rates import sample_rates
 from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE, RigidFit
-from rx90b_flex.diagnose.faults.shifts import shifted
+from rx90b_flex.diagnose.faults.shifts import SMALLEST_S, shifted
 from rx90b_flex.diagnose.faults.signs import reversed_axes, reversed_positions, reversed_torques
 from rx90b_flex.diagnose.faults.swapped import swapped
 from rx90b_flex.diagnose.faults.units import other_units, outside
@@ -131,7 +131,8 @@ def _best(look: Look) -> Found | None:
     for gain, rank, hypothesis in finals:
         if gain.total > PROMISING * max(best, MODEST):
             better, std = look.refined(hypothesis, OF_KNOWN if gain.credible else 0.0)
-            refined.append((bases.gain(better), rank, better, std))
+            if better.kind != "time_shift" or abs(better.factor or 0.0) >= SMALLEST_S:
+                refined.append((bases.gain(better), rank, better, std))
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
     # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's
     beside = look.beside(with_effects=True)

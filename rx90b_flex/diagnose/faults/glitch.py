@@ -20,6 +20,8 @@ EDGE = 0.8  # of that jump, from the sample before and to the one behind: a peak
 OF_FASTEST = 2.0  # of the fastest motion from a sample to the next: a step that is none of the motion
 FEW = 8  # steps that are larger than it at the most
 BESIDE = [1, 1, 0, 1, 1]  # the steps that one is held against
+TURNS = (2.0 * np.pi, 360.0)  # rad, degrees
+OF_A_TURN, MUCH_OF_A_TURN = 0.02, 0.25  # that a joint moves beside within a sample that wraps round, and in any other
 SHOWN = 20  # rows in a result
 LABELS = {"torque": "torque", "position": "motor_position"}
 
@@ -27,7 +29,9 @@ LABELS = {"torque": "torque", "position": "motor_position"}
 def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Recording]]:
     """Faults, and the recordings with straight lines over the samples in question."""
     out, mended = [], []
-    for recording in recordings:
+    for logged in recordings:
+        turned, recording = _turned(logged)
+        out += turned
         changed: dict[str, Array] = {}
         for name, part in (("torque", OF_TORQUE), ("position", OF_POSITION)):
             values = getattr(recording, name)
@@ -52,6 +56,25 @@ def _listed(rows: Iterable[str]) -> str:
     """The first few."""
     every = list(rows)
     return ", ".join(every[:5]) + (" and others" if len(every) > 5 else "")
+
+
+def _turned(recording: Recording) -> tuple[list[DataFault], Recording]:
+    """Angles that wrap round by whole turns, and the recording with them unwrapped."""
+    out, position = [], recording.position.copy()
+    for k, joint in enumerate(recording.joints):
+        step = np.diff(position[:, k])
+        for turn in TURNS:
+            wraps = np.abs(np.abs(step) - turn) < OF_A_TURN * turn
+            if not wraps.any() or np.abs(step[~wraps]).max(initial=0.0) > MUCH_OF_A_TURN * turn:
+                continue
+            rows = np.flatnonzero(wraps) + 2
+            shown = _listed(f"{row} by {step[row - 2]:.3g}" for row in rows)
+            where = f"{recording.file_name}: position of {joint}"
+            message = f"{where} wraps round by whole turns (row {shown}): unwrap it (numpy.unwrap)."
+            out.append(DataFault("glitch", LABELS["position"], (joint,), message, rows=tuple(rows[:SHOWN].tolist())))
+            position[1:, k] -= np.cumsum(np.where(wraps, np.sign(step) * turn, 0.0))
+            break
+    return out, dataclasses.replace(recording, position=position) if out else recording
 
 
 def _slips(recording: Recording) -> Iterator[DataFault]:

@@ -128,14 +128,15 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
 def effects_of(sample: Sample, reading: Reading) -> Array:
     """Columns of what may be missing in a joint's own drive, (R, joints, k): what a fault has to do better than.
 
-    Springs and gravity compensators (q, sin q, cos q), friction quadratic in velocity, and the neighbours' motion, with which a
-    coupled motor or a cable goes.
+    Springs and gravity compensators (q, sin q, cos q), friction quadratic in velocity, friction that winds up before it slides and
+    so comes late, and the neighbours' motion, with which a coupled motor or a cable goes.
     """
     q, v, a, dry = sample.seen(reading)
+    wound = sample.wound_seen(reading)
     n = q.shape[1]
     blocks = []
     for j in range(n):
-        own = [q[:, j], np.sin(q[:, j]), np.cos(q[:, j]), v[:, j] * np.abs(v[:, j])]
+        own = [q[:, j], np.sin(q[:, j]), np.cos(q[:, j]), v[:, j] * np.abs(v[:, j]), *wound[:, j].T]
         for k in (j - 1, j + 1):
             if 0 <= k < n:
                 own += [q[:, k], v[:, k], a[:, k], dry[:, k]]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
@@ -22,6 +23,7 @@ FOLDS = 4  # each is held out once
 BLOCKS = 12  # contiguous segments of which a fold gets every fourth
 HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
+WINDINGS = (1e-3, 3e-3, 1e-2)  # of a joint's travel, over which friction winds up before it slides
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
 
@@ -116,6 +118,8 @@ class Sample:
     joints : tuple of str
     q, v, a, dry : array, shape (R, joints)
         Angles, velocities, accelerations, and the low-passed sign of velocity; rad, s.
+    wound : array, shape (R, joints, len(WINDINGS))
+        Low-passed friction that winds up over a part of a joint's travel before it slides, over its torque.
     tracks : tuple of Track
     fold : array of int, shape (R,)
         Which block a row is held out with.
@@ -127,6 +131,7 @@ class Sample:
     v: Array
     a: Array
     dry: Array
+    wound: Array
     tracks: tuple[Track, ...]
     fold: Indices
     cutoff_hz: float
@@ -143,14 +148,14 @@ class Sample:
         cutoff = campaign.cutoff_hz or sensible_cutoff_hz(recordings)
         total = sum(r.samples for r in recordings)
         parts = [_part(r, cutoff, max(1, total // ROWS)) for r in recordings]
-        q, v, a, dry = (np.concatenate([p[k] for p, _ in parts]) for k in range(4))
+        q, v, a, dry, wound = (np.concatenate([p[k] for p, _ in parts]) for k in range(5))
         tracks = tuple(track for _, track in parts)
         blocks = [max(2, round(BLOCKS * r.samples / total)) for r in recordings]
         fold = np.concatenate(
             [np.arange(len(t.rows)) * n // max(1, len(t.rows)) for t, n in zip(tracks, blocks, strict=True)]
         )
         starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
-        return Sample(campaign.joints, q, v, a, dry, tracks, (fold + starts) % FOLDS, cutoff)
+        return Sample(campaign.joints, q, v, a, dry, wound, tracks, (fold + starts) % FOLDS, cutoff)
 
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
         """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool.
@@ -185,8 +190,8 @@ class Sample:
         """Every so many-th row."""
         tracks = tuple(dataclasses.replace(t, rows=t.rows[::factor]) for t in self.tracks)
         rows = np.concatenate([np.arange(span.start, span.stop)[::factor] for span in self.spans])
-        q, v, a, dry, fold = (x[rows] for x in (self.q, self.v, self.a, self.dry, self.fold))
-        return dataclasses.replace(self, q=q, v=v, a=a, dry=dry, fold=fold, tracks=tracks)
+        arrays = {name: getattr(self, name)[rows] for name in ("q", "v", "a", "dry", "wound", "fold")}
+        return dataclasses.replace(self, **arrays, tracks=tracks)
 
     @property
     def spans(self) -> tuple[slice, ...]:
@@ -203,6 +208,10 @@ class Sample:
             self.a[:, order] * scale * reading.rate**2,
             self.dry[:, order] * np.sign(scale),
         )
+
+    def wound_seen(self, reading: Reading) -> Array:
+        """`wound` of each joint as a reading has it."""
+        return self.wound[:, list(reading.order)] * np.sign(reading.scale)[:, None]
 
     def motion(self, reading: Reading) -> Motion:
         """The tree's motion in tree order."""
@@ -221,11 +230,13 @@ def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array,
         # friction that turns over within a hundredth of the fastest motion: finer is the loop's business
         turn = 1e-2 * np.abs(v).max(axis=0) + 1e-9
         dry = lowpass((2.0 / np.pi) * np.arctan(v / turn), cutoff, rate)
+        over = [[dahl(x, part * float(np.ptp(x)) + 1e-9) for part in WINDINGS] for x in q.T]
+        wound = lowpass(np.array(over).transpose(2, 0, 1), cutoff, rate)
     except ValueError as error:
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     edge = min(minimum_samples(cutoff, rate) // 3, recording.samples // 20)
     rows = np.arange(edge, recording.samples - edge, every)
-    return tuple(x[rows] for x in (q, v, a, dry)), Track(torque, rows, rate)
+    return tuple(x[rows] for x in (q, v, a, dry, wound)), Track(torque, rows, rate)
 
 
 def other_effects(robot: Robot) -> tuple[Effect, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ class ParquetReader(Reader):
         if lerobot.is_episode(table):
             return log_of(path, *lerobot.columns_of(path, table))
         names, columns = [], []
+        words: dict[str, str] = {}
         for name, column in zip(table.column_names, table.columns, strict=True):
             if pa.types.is_timestamp(column.type):
                 ticks = column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy(zero_copy_only=False)
@@ -31,6 +33,8 @@ class ParquetReader(Reader):
             elif pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
                 names.append(name)
                 columns.append(column.to_numpy(zero_copy_only=False).astype(float))
+            elif len(column):
+                words[name] = str(column[0].as_py())[:40]
         if not columns:
             raise ValueError(f"{path}: no columns of numbers")
-        return log_of(path, names, np.stack(columns, axis=1), [])
+        return dataclasses.replace(log_of(path, names, np.stack(columns, axis=1), []), words=words)

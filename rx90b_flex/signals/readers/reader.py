@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -28,6 +28,7 @@ class Log:
     notes : what was worked out while reading, a line each.
     time : (N,) s, where the format itself says which column that is; else None.
     roles : column -> (signal, joint), where the format itself says so.
+    words : columns that hold no numbers -> what stands in their first row.
     """
 
     path: Path
@@ -36,6 +37,7 @@ class Log:
     notes: tuple[str, ...] = ()
     time: Array | None = None
     roles: Mapping[str, tuple[str, str]] | None = None
+    words: Mapping[str, str] = field(default_factory=dict)
 
     def column(self, name: str) -> Array:
         """(N,) values of a column."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import gzip
 from pathlib import Path
 
@@ -68,7 +69,8 @@ def _read_cells(path: Path, header: list[str], rows: list[list[str]], decimal_co
                 number = np.nan
             values[r, c] = number
     kept = [c for c in range(len(header)) if c not in text_columns and header[c]]
-    return log_of(path, [header[c] for c in kept], values[:, kept], notes)
+    words = {header[c]: rows[0][c].strip()[:40] for c in sorted(text_columns) if header[c]}
+    return dataclasses.replace(log_of(path, [header[c] for c in kept], values[:, kept], notes), words=words)
 
 
 def _separator(lines: list[str]) -> str | None:
