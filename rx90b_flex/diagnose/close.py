@@ -451,7 +451,6 @@ class _Ended:
         happened = _events(campaign.joints, predictions)
         remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread, happened)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
-        of_motion = [] if known is None else known.much_less(campaign.joints, after.validation)
         tell("done", 1.0)
         return ClosedLoop(
             before,
@@ -480,7 +479,7 @@ class _Ended:
                 *_sensor_words(declared, model),
                 *_held_words(model),
                 *self._beyond_fitted(),
-                *(e.words(e.joint in of_motion) for e in happened),
+                *_event_words(happened, campaign.joints, known, after.validation),
             ),
         )
 
@@ -579,6 +578,13 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
     recordings = [p.recording for p in predictions]
     left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
     return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
+
+
+def _event_words(
+    happened: Sequence[Events], joints: Sequence[str], known: Explainable | None, left: Errors
+) -> list[str]:
+    follows = known.much_less(joints, left) if known else []
+    return [e.words(e.joint in follows) for e in happened]
 
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:

@@ -17,13 +17,13 @@ import re
 import secrets
 import shutil
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rx90b_flex.files.keys import shortened
+from rx90b_flex.files.toml import read_toml
 from rx90b_flex.interrupts import calm
 
 
@@ -184,7 +184,7 @@ def files_read(source: Path) -> list[Path]:
 def _table(path: Path) -> dict[str, Any]:
     """Of a file that may hold no TOML: nothing then."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return read_toml(path, "file")
     except (OSError, ValueError):
         return {}
 
