@@ -13,7 +13,7 @@ import pytest
 import rx90b_flex as rf
 from rx90b_flex.diagnose.loop import Addition, Standing
 from rx90b_flex.diagnose.search import Search, laws
-from rx90b_flex.diagnose.torque import TorqueData, TorqueModel, TorqueResidual
+from rx90b_flex.diagnose.torque import TorqueData, TorqueModel, TorqueResidual, find, find_each
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.stand_in import form_stated
@@ -148,3 +148,39 @@ def test_what_later_additions_turn_into_a_value_that_it_cannot_have_is_taken_out
     ]
     steps = tuple(Addition(t, (), None, None) for t in trials)
     assert residual.needless(Standing(model, steps), latest=1) is (steps[0] if friction < 0.0 else None)
+
+
+def test_of_two_ripples_of_one_joint_each_is_found_again_as_itself(tmp_path: Path) -> None:
+    """Where a fit has moved both, so that one of them is the nearest to what either began as."""
+    kind = catalogue()["gear_ripple"]
+    begun = [kind(joint="elbow", order=order, amplitude=1.0, phase=0.0) for order in (11.0, 12.0)]
+    moved = [dataclasses.replace(e, order=order) for e, order in zip(begun, (11.6, 15.0), strict=True)]
+    model = type("Model", (), {"effects": (moved[1], moved[0])})()
+    assert find(model, begun[0]) is find(model, begun[1]) is moved[0]
+    assert find_each(model, begun) == moved
+    assert find_each(model, begun[::-1]) == moved[::-1]
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 20.0])
+def test_what_has_no_certain_value_beside_a_curve_is_taken_out(tmp_path: Path, stiffness: float) -> None:
+    """A spring beside a curve of friction, which otherwise makes nothing needless that has a name."""
+
+    def elbow(m: ind.Motion, load: np.ndarray) -> np.ndarray:
+        v = m.v[:, 1]
+        bump = 4.0 * np.exp(-(((v - 0.3) / 0.2) ** 2)) + stiffness * (m.q[:, 1] - 0.2)
+        return np.column_stack([np.zeros(len(v)), bump])
+
+    read = load_campaign(logs(tmp_path, (0.05, 0.02), more=[elbow]))
+    robot = rf.load_robot(read.robot_source)
+    data, sites = TorqueData.of(robot, read), Sites(("shoulder", "elbow"), robot.tip_frame)
+    residual = TorqueResidual(data, read, sites, fit_links=True)
+    spring = catalogue()["joint_spring"](joint="elbow")
+    curve = catalogue()["friction_curve"](joint="elbow", velocities=tuple(np.linspace(-1.0, 1.0, 15)))
+    model = TorqueModel(
+        identify(data.regression, (*data.regression.robot.effects, spring, curve), fit_links=True), data
+    )
+    trials = [
+        residual.search(model).without(e) for e in model.effects if e.type_name() in ("joint_spring", "friction_curve")
+    ]
+    steps = tuple(Addition(t, (), None, None) for t in trials)
+    assert residual.needless(Standing(model, steps), latest=1) is (None if stiffness else steps[0])

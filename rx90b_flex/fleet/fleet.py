@@ -129,6 +129,8 @@ def close_loop_many(
     from rx90b_flex.early import check_jobs
 
     check_jobs(jobs)
+    if isinstance(campaigns, str | os.PathLike):
+        campaigns = [campaigns]  # not its letters
     options = LoopOptions(seed, basics, despite_faults, jobs=1)
     tell = progress or (lambda _text, _part: None)
     if out is None:
