@@ -348,6 +348,28 @@ def test_uneven_times_are_interpolated_and_it_says_so(tmp_path: Path) -> None:
     # cubic between points, its slopes off by at most h max|q''|, each with a weight of at most h / 8; q'' is 3.6 rad/s^2
     largest_step = np.diff(time).max()
     assert np.abs(whole(imported, "position") - angle(grid + time[0])).max() < largest_step**2 * 3.6 / 4.0
+    assert "interpolated (PCHIP) at the mean rate" in said(imported)
+    assert rate == RATE
+
+
+@pytest.mark.parametrize("stated", [None, RATE])
+def test_uneven_times_of_several_files_are_brought_to_one_rate(tmp_path: Path, stated: float | None) -> None:
+    """Their medians differ by some hundredths of a percent, which no fraction of whole numbers brings together."""
+    rng, paths = np.random.default_rng(4), []
+    for k in range(3):
+        time = TIME + rng.uniform(-0.1, 0.1, SAMPLES) / RATE
+        paths.append(tmp_path / f"run_{k}.csv")
+        table(["time", *numbered("q", "tau")], time, angle(time), angle(time)).to_csv(paths[-1], index=False)
+    imported = import_logs(paths, AXES, ReadingOptions(rate_hz=stated))
+    assert [r.sample_rate_hz for r in imported.recordings] == [RATE] * 3
+
+
+def test_uneven_times_with_rows_lost_have_their_median_rate(tmp_path: Path) -> None:
+    kept = np.random.default_rng(5).uniform(size=SAMPLES) > 0.05
+    path = tmp_path / "run.csv"
+    table(["time", *numbered("q", "tau")], TIME[kept], Q[kept], TAU[kept]).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    assert imported.recordings[0].sample_rate_hz == RATE
     assert "interpolated (PCHIP) at the median rate" in said(imported)
 
 

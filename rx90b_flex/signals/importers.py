@@ -29,6 +29,7 @@ Sureness = Literal["stated", "sure", "likely"]
 # key of a campaign file -> field of a recording, of what can be told by words in names
 FIELDS = {s.key: s.field for s in SIGNALS if s.key not in ("joint_torque", "motor_current")}
 SPLIT = 0.7  # of a single file: the part that is fitted
+NEAR_RATE = 0.01  # that a rate may lie beside the median one and be the same
 JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
 GAP = 10.0  # sample periods without a sample: the log was interrupted
 SHORTEST = 10  # samples
@@ -150,7 +151,7 @@ def import_logs(files: Sequence[Path], axes: Axes, options: ReadingOptions | Non
     """Read logs and make recordings of them.
 
     Several files: the last is for validation, the others for identification. One file: the first 70 % identify, the rest
-    validates. A log whose times are not uniform is interpolated (PCHIP, which adds no overshoot) at its median rate; one that is
+    validates. A log whose times are not uniform is interpolated (PCHIP, which adds no overshoot) at its own rate; one that is
     to have another rate is resampled with an anti-alias filter.
 
     Parameters
@@ -576,16 +577,27 @@ class _Import:
             return rate, grid
         from scipy.interpolate import PchipInterpolator  # here, for most logs do without
 
-        rate = _round_rate(1.0 / float(np.median(np.diff(time))))
+        of, rate = self._rate_of_jitter(mean, 1.0 / float(np.median(np.diff(time))))
         grid = np.arange(int(np.floor(time[-1] * rate + 1e-9)) + 1) / rate
         for signal, array in values.items():
             values[signal] = PchipInterpolator(time, array, axis=0)(np.minimum(grid, time[-1]))
         spread = np.ptp(np.diff(time))
         self.found.add(
-            f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the median rate, {rate:g} Hz, {len(grid)} samples",
+            f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the {of} rate, {rate:g} Hz, {len(grid)} samples",
             "likely",
         )
         return rate, grid
+
+    def _rate_of_jitter(self, mean: float, median: float) -> tuple[str, float]:
+        """Rate of a grid for times that come early and late, and which it is: the stated one, the mean where that is a round number,
+        else the median, which lost rows leave as it is.
+        """
+        stated, near = self.options.rate_hz, NEAR_RATE * median
+        if stated is not None and abs(stated - median) < near:
+            return "stated", stated
+        if abs(mean - median) < near and _round_rate(mean) == float(f"{mean:.3g}"):
+            return "mean", _round_rate(mean)
+        return "median", _round_rate(median)
 
 
 def _words(name: str) -> list[str]:
