@@ -230,6 +230,26 @@ def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said
     assert not fault.usable and not result.usable
 
 
+def test_rows_that_are_missing_are_no_encoders_that_slip(tmp_path: Path) -> None:
+    """Of a log without a time column, five times a tenth of a second."""
+    kept = np.ones(len(sound()[0].motion.time), dtype=bool)
+    for begin in np.linspace(0.15, 0.8, 5) * len(kept):
+        kept[int(begin) : int(begin) + 10] = False
+    path = ind.write_files(tmp_path, ARM, DECLARED, sound(), cutoff_hz=CUTOFF_HZ)
+    for log in tmp_path.glob("log_*.csv"):
+        head, *rows = [row.split(",", 1)[1] for row in log.read_text().splitlines()]
+        log.write_text("\n".join([head, *(row for row, keep in zip(rows, kept, strict=True) if keep)]) + "\n")
+    slips = [f for f in rf.check(path).data_faults if f.kind == "glitch"]
+    assert len(slips) == 3
+    assert all("rows are missing" in f.message and len(f.joints) > 1 for f in slips)
+
+
+def test_torques_turned_round_in_one_recording_are_not_called_late(tmp_path: Path) -> None:
+    *fitted, validated = sound()
+    found = checked(tmp_path, [*fitted, *with_torques([validated], lambda x: -x)]).data_faults
+    assert "time_shift" not in {f.kind for f in found}
+
+
 def test_an_angle_that_wraps_round_is_to_be_unwrapped_and_no_more_is_said_of_it(tmp_path: Path) -> None:
     """Also where it wraps oftener than an encoder would slip; the fits go on with the angle unwrapped."""
 

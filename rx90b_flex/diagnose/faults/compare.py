@@ -31,6 +31,7 @@ GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
 GAINING = 0.9  # of its squared error before: a joint that gains
+STILL_FAR = 0.5**2  # squared error of most joints that are brought to another time, above which it is not theirs either
 TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
@@ -169,6 +170,9 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
     on_pose = KINDS[rank] in ON_POSES
     before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
     gaining = after[after < GAINING * before]
+    moved = [bases.look.sample.joints.index(j) for j in hypothesis.joints]
+    if hypothesis.kind == "time_shift" and np.median(after[moved]) > STILL_FAR:
+        return False  # at some other time torques may go with any motion a little better
     if (gaining > SMALL).any() and bases.links_instead(hypothesis):
         return False
     if gain.fitted >= MODEST and not (gaining > SMALL).any():

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
 
-from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.signals import Recording
 from rx90b_flex.signals.data_fault import DataFault
 
@@ -20,6 +20,7 @@ EDGE = 0.8  # of that jump, from the sample before and to the one behind: a peak
 OF_FASTEST = 2.0  # of the fastest motion from a sample to the next: a step that is none of the motion
 FEW = 8  # steps that are larger than it at the most
 BESIDE = [1, 1, 0, 1, 1]  # the steps that one is held against
+TOGETHER = 0.25  # of the rows at which any joint steps, at which several do: else by chance
 TURNS = (2.0 * np.pi, 360.0)  # rad, degrees
 OF_A_TURN, MUCH_OF_A_TURN = 0.02, 0.25  # that a joint moves beside within a sample that wraps round, and in any other
 SHOWN = 20  # rows in a result
@@ -78,26 +79,46 @@ def _turned(recording: Recording) -> tuple[list[DataFault], Recording]:
 
 
 def _slips(recording: Recording) -> Iterator[DataFault]:
-    """Angles that step from one sample to the next and go on from there: an encoder that slips, or whose zero is set anew."""
-    for joint, values in zip(recording.joints, recording.position.T, strict=True):
-        step = np.diff(values)
-        if len(step) < 4 * WINDOW:
-            continue
-        off = np.abs(step - median_filter(step, WINDOW, mode="nearest"))
-        fastest = float(np.partition(np.abs(step), -FEW)[-FEW])
-        limit = max(TIMES * np.quantile(off, 0.99), OF_FASTEST * fastest)
-        # a joint that moves for a few samples of a slow log has others beside its fastest
-        beside = maximum_filter(np.abs(step), footprint=BESIDE, mode="nearest")
-        rows = np.flatnonzero((off > limit) & (off > OF_FASTEST * beside) & (limit > 0))
-        # a single cell that is wrong steps there and back
-        rows = rows[[abs(values[min(i + 3, len(step))] - values[max(i - 2, 0)]) > 0.5 * limit for i in rows]]
-        if len(rows):
-            shown = _listed(f"{i + 2} by {step[i]:.3g}" for i in rows)
-            message = (
-                f"{recording.file_name}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, "
-                "or a zero that was set anew; leave that part out (start_s, end_s)."
-            )
-            yield DataFault("glitch", LABELS["position"], (joint,), message, rows=tuple((rows[:SHOWN] + 2).tolist()))
+    """Angles that step from one sample to the next and go on from there: an encoder that slips, or whose zero is set anew.
+
+    Where several joints step at once, rows are missing.
+    """
+    steps = {j: _steps(values) for j, values in zip(recording.joints, recording.position.T, strict=True)}
+    steps = {joint: rows for joint, rows in steps.items() if len(rows)}
+    rows, joints_there = np.unique(np.concatenate([[], *steps.values()]).astype(int), return_counts=True)
+    together = rows[joints_there > 1]
+    if len(together) > TOGETHER * len(rows):
+        message = (
+            f"{recording.file_name}: positions of {', '.join(steps)} step at once and go on from there (row "
+            f"{_listed(str(i + 2) for i in together)}): rows are missing; a time column tells how many, or leave these parts out "
+            "(start_s, end_s)."
+        )
+        yield DataFault("glitch", LABELS["position"], tuple(steps), message, rows=tuple((rows[:SHOWN] + 2).tolist()))
+        return
+    for joint, rows in steps.items():
+        step = np.diff(recording.position[:, recording.joints.index(joint)])
+        shown = _listed(f"{i + 2} by {step[i]:.3g}" for i in rows)
+        message = (
+            f"{recording.file_name}: position of {joint} steps and goes on from there (row {shown}): an encoder that slips, "
+            "or a zero that was set anew; leave that part out (start_s, end_s)."
+        )
+        yield DataFault("glitch", LABELS["position"], (joint,), message, rows=tuple((rows[:SHOWN] + 2).tolist()))
+
+
+def _steps(values: Array) -> Indices:
+    """Samples (s,) behind which an angle (N,) steps and goes on from there."""
+    step = np.diff(values)
+    if len(step) < 4 * WINDOW:
+        return np.zeros(0, dtype=np.intp)
+    off = np.abs(step - median_filter(step, WINDOW, mode="nearest"))
+    fastest = float(np.partition(np.abs(step), -FEW)[-FEW])
+    limit = max(TIMES * np.quantile(off, 0.99), OF_FASTEST * fastest)
+    # a joint that moves for a few samples of a slow log has others beside its fastest
+    beside = maximum_filter(np.abs(step), footprint=BESIDE, mode="nearest")
+    rows = np.flatnonzero((off > limit) & (off > OF_FASTEST * beside) & (limit > 0))
+    # a single cell that is wrong steps there and back
+    before, behind = values[np.maximum(rows - 2, 0)], values[np.minimum(rows + 3, len(step))]
+    return rows[np.abs(behind - before) > 0.5 * limit]
 
 
 def _apart(values: Array, part: float) -> Mask:
