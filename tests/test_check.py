@@ -263,7 +263,7 @@ def test_an_angle_that_wraps_round_is_to_be_unwrapped_and_no_more_is_said_of_it(
     assert all("wraps round by whole turns" in f.message for f in found)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_friction_that_winds_up_is_no_torque_that_comes_late(tmp_path: Path, seed: int) -> None:
     """Dahl's law over 4 mrad in the first joint, which carries no weight: there it is most of the torque."""
     rng, runs = np.random.default_rng(seed), []

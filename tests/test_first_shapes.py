@@ -54,7 +54,7 @@ def campaign(folder: Path, seed: int, step_rad: float) -> Path:
 
 
 @pytest.mark.parametrize("step_rad", [0.0, 1e-5])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_a_turn_over_is_found_from_moves_between_exact_rests(tmp_path, seed, step_rad):
     read = load_campaign(campaign(tmp_path, seed, step_rad))
     regression = Regression.of(load_robot(read.robot_source), read.identification, read.cutoff_hz)
