@@ -24,7 +24,6 @@ from rx90b_flex.effects.stand_in import forms_of
 SHARP = 2.0e-4
 FASTEST_PART = 0.05  # of a joint's speed within which dry friction turns over at the most
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
-LEAST_CHANGE = 1e-4  # of a joint's speed, of its velocity within a sample at a reversal
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
 SLOWEST = 1e-300  # rad/s, in place of standstill
@@ -108,8 +107,6 @@ def _resolution(q: Array, v: Array, time: Array, off: float | None) -> Array:
     moving = maximum_filter1d(np.abs(v), 2 * window + 1) > 3.0 * noise
     turns = np.flatnonzero((v[1:] * v[:-1] < 0) & moving[1:])
     change = np.abs(np.diff(v))[turns]
-    # where a joint comes to rest the low-pass rings ever less: no reversal
-    change = change[change > LEAST_CHANGE * speed]
     velocity = 0.5 * float(np.median(change)) if len(change) else 1e-3 * speed
     if off is None:
         # third differences of a smooth motion hold little but noise, whose variance they multiply by 20

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rx90b_flex.identify.least_squares import _Fit
 
 TRIED_APART = 10.0  # times the one before, that a shape is which is tried
-AS_GOOD = 0.05  # of a joint's error, by which a smaller shape may leave more and yet be the one to begin with
+FLAT = 0.05  # of a joint's error, by which it changes from one to the next where it does not bend
 
 
 def with_starts(effects: Sequence[Effect], regression: Regression) -> tuple[Effect, ...]:
@@ -50,24 +50,24 @@ def without_value(effects: Sequence[Effect]) -> set[tuple[str, ...]]:
 
 
 def begun(fit: _Fit, names: set[tuple[str, ...]]) -> _Fit:
-    """A fit with those shapes that effects share, from where they are upwards, with which their joint leaves little: the smallest.
+    """A fit with those shapes that effects share, from where their joint's error does not bend, so much larger that it is less.
 
-    From a start far off the error hardly bends: where a log resolves a turn-over that is a thousandth of the true one, steps end
-    where they begin.
+    Where a log resolves a turn-over that is a thousandth of the true one, steps from there end where they begin.
     """
     shapes = fit.shapes
-    places = [i for i, key in enumerate(shapes.keys) if key in names]
-    rows = [fit.regression.joints.index(shapes.keys[i][0]) for i in places]  # type: ignore[index]
-    tried, left = [fit.shape], [fit.solution.sigma[rows]]
+    named = [(i, key[0]) for i, key in enumerate(shapes.keys) if key is not None and key in names]
+    places = np.array([i for i, _ in named], dtype=np.intp)
+    rows = [fit.regression.joints.index(joint) for _, joint in named]
+    at, left, best = fit, np.log(fit.solution.sigma[rows]), fit.shape.copy()
+    flat = np.ones(len(places), dtype=bool)
     while True:
-        further = tried[-1].copy()
-        further[places] *= np.where(TRIED_APART * further[places] < shapes.high[places], TRIED_APART, 1.0)
-        if (further == tried[-1]).all():
-            break
-        tried.append(further)
-        left.append(fit.with_shape(further).solution.sigma[rows])
-    least = np.log(np.maximum(left, 1e-300))
-    chosen = (least <= least.min(axis=0) + AS_GOOD).argmax(axis=0)
-    best = fit.shape.copy()
-    best[places] = np.array(tried)[chosen, places]
-    return fit if (best == fit.shape).all() else fit.with_shape(best)
+        flat &= TRIED_APART * at.shape[places] < shapes.high[places]
+        if not flat.any():
+            return fit if (best == fit.shape).all() else fit.with_shape(best)
+        further = at.shape.copy()
+        further[places[flat]] *= TRIED_APART
+        at, before = fit.with_shape(further), left
+        left = np.log(at.solution.sigma[rows])
+        begins = flat & (left < before - FLAT) & (best[places] * TRIED_APART < further[places])
+        best[places[begins]] = further[places[begins]]
+        flat &= np.abs(left - before) <= FLAT
