@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rx90b_flex.identify.least_squares import _Fit
 
 TRIED_APART = 10.0  # times the one before, that a shape is which is tried
+# largest over smallest value that a log is taken to tell, where it has exact rests; in narrower ranges a start lies where errors bend
+WIDE = 1e4
 FLAT = 0.05  # of a joint's error, by which it changes from one to the next where it does not bend
 
 
@@ -55,7 +57,8 @@ def begun(fit: _Fit, names: set[tuple[str, ...]]) -> _Fit:
     Where a log resolves a turn-over that is a thousandth of the true one, steps from there end where they begin.
     """
     shapes = fit.shapes
-    named = [(i, key[0]) for i, key in enumerate(shapes.keys) if key is not None and key in names]
+    wide = shapes.high > WIDE * np.maximum(shapes.low, 1e-300)
+    named = [(i, key[0]) for i, key in enumerate(shapes.keys) if key is not None and key in names and wide[i]]
     places = np.array([i for i, _ in named], dtype=np.intp)
     rows = [fit.regression.joints.index(joint) for _, joint in named]
     at, left, best = fit, np.log(fit.solution.sigma[rows]), fit.shape.copy()
