@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from rx90b_flex.identify.least_squares import _Fit
 
 TRIED_APART = 10.0  # times the one before, that a shape is which is tried
-# largest over smallest value that a log is taken to tell, where it has exact rests; in narrower ranges a start lies where errors bend
+# largest over smallest value that a log seems to tell: from there on a start may lie where the error does not bend
 WIDE = 1e4
-FLAT = 0.05  # of a joint's error, by which it changes from one to the next where it does not bend
+MUCH_LESS = 0.7  # of a joint's error at the start
 
 
 def with_starts(effects: Sequence[Effect], regression: Regression) -> tuple[Effect, ...]:
@@ -52,25 +52,23 @@ def without_value(effects: Sequence[Effect]) -> set[tuple[str, ...]]:
 
 
 def begun(fit: _Fit, names: set[tuple[str, ...]]) -> _Fit:
-    """A fit with those shapes that effects share, from where their joint's error does not bend, so much larger that it is less.
+    """A fit with those shapes that effects share larger, in tens, where a joint's error is much less then.
 
-    Where a log resolves a turn-over that is a thousandth of the true one, steps from there end where they begin.
+    Where a log seems to tell a turn-over that is a thousandth of the true one, for its rests are exact, steps from there end where
+    they begin.
     """
     shapes = fit.shapes
     wide = shapes.high > WIDE * np.maximum(shapes.low, 1e-300)
     named = [(i, key[0]) for i, key in enumerate(shapes.keys) if key is not None and key in names and wide[i]]
-    places = np.array([i for i, _ in named], dtype=np.intp)
-    rows = [fit.regression.joints.index(joint) for _, joint in named]
-    at, left, best = fit, np.log(fit.solution.sigma[rows]), fit.shape.copy()
-    flat = np.ones(len(places), dtype=bool)
+    open_ = np.array([i for i, _ in named], dtype=np.intp)
+    rows = np.array([fit.regression.joints.index(joint) for _, joint in named], dtype=np.intp)
+    tried, best = fit.shape.copy(), fit.shape.copy()
     while True:
-        flat &= TRIED_APART * at.shape[places] < shapes.high[places]
-        if not flat.any():
+        room = TRIED_APART * tried[open_] < shapes.high[open_]
+        open_, rows = open_[room], rows[room]
+        if not len(open_):
             return fit if (best == fit.shape).all() else fit.with_shape(best)
-        further = at.shape.copy()
-        further[places[flat]] *= TRIED_APART
-        at, before = fit.with_shape(further), left
-        left = np.log(at.solution.sigma[rows])
-        begins = flat & (left < before - FLAT) & (best[places] * TRIED_APART < further[places])
-        best[places[begins]] = further[places[begins]]
-        flat &= np.abs(left - before) <= FLAT
+        tried[open_] *= TRIED_APART
+        less = fit.with_shape(tried).solution.sigma[rows] < MUCH_LESS * fit.solution.sigma[rows]
+        best[open_[less]] = tried[open_[less]]
+        open_, rows = open_[~less], rows[~less]
