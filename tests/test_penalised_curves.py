@@ -196,17 +196,6 @@ def test_identification_chooses_the_strength_of_a_declared_curve(tmp_path):
     assert errors[0] < errors[1]
 
 
-def test_the_values_of_a_curve_are_given_though_what_of_it_is_straight_stands_beside_it_too(tmp_path):
-    """As its robot file has them; none has a standard deviation of its own."""
-    declared = [*DECLARED, {"type": "torque_offset", "joint": ELBOW}]
-    made = case(tmp_path, bump, NOISE[0], 0, declared=declared)
-    model = made.with_curve(made.trial().effect)
-    (curve,) = (e for e in model.effects if isinstance(e, FrictionCurve))
-    estimates = model.estimates(model.effects.index(curve))
-    assert [e.value for e in estimates] == pytest.approx(list(curve.torques))
-    assert all(e.std is None for e in estimates)
-
-
 def test_a_penalty_is_the_integral_of_the_bend_and_none_for_a_straight_line():
     knots = np.array([-1.0, -0.7, -0.65, 0.1, 0.3, 1.2])
     torques = np.array([0.3, -1.0, 2.0, 0.5, 0.1, -0.4])

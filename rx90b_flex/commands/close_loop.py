@@ -139,13 +139,10 @@ def print_result(result: Any) -> None:
 
 
 def _values(parameters: Sequence[Any]) -> Iterator[str]:
-    """Of an effect; what of it is not determined is said once, and of a curve its range."""
-    from rx90b_flex.view.report import of_a_curve, untold_names
-
-    curve = of_a_curve(parameters)
-    yield from (value_words(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None and not curve)
-    if curve:
-        yield curve
+    """Of an effect; what of it is not determined is said once."""
+    yield from (value_words(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None)
     missing = [p.name for p in parameters if p.value is None]
     if missing:
+        from rx90b_flex.view.report import untold_names
+
         yield f"{untold_names(missing)} not determined"

@@ -217,10 +217,7 @@ class Identification:
         if (
             k and not determined[:k].any() and not effect.traits.coefficients_follow
         ):  # of a joint that never moves, say: its shape is not told either
-            known = (
-                effect.traits.last_resort
-            )  # a curve is told, but for what of it is straight: that stands beside it, too
-            return tuple(Estimate(name, x if known else None, None, unit) for name, unit, x in effect.public_values())
+            return tuple(Estimate(name, None, None, unit) for name, unit, _ in effect.public_values())
 
         def public(x: Array) -> Array:
             shown = effect.with_coefficients(np.where(determined, x, np.nan)[:k]).with_shape(x[k:])

@@ -258,21 +258,10 @@ def unit_text(unit: str) -> str:
 
 
 def values(parameters: Sequence[Estimate]) -> list[str]:
-    """Of an effect, one a line; what of it is not determined is said once, and of a curve its range."""
-    if curve := of_a_curve(parameters):
-        return [curve]
+    """Of an effect, one a line; what of it is not determined is said once."""
     out = [f"{p.name} = {measured(p)} {unit_text(p.unit)}".rstrip() for p in parameters if p.value is not None]
     untold = untold_names([p.name for p in parameters if p.value is None])
     return [*out, f"{untold}: not determined by this data"] if untold else out
-
-
-def of_a_curve(parameters: Sequence[Estimate]) -> str:
-    """Names and range of values that only count and have no spread of their own, as a curve's; empty where they are none."""
-    known = [p.value for p in parameters if p.value is not None and p.std is None]
-    names = untold_names([p.name for p in parameters])
-    if len(known) < len(parameters) or " to " not in names:
-        return ""
-    return f"{names} from {number(min(known))} to {number(max(known))} {unit_text(parameters[0].unit)}".rstrip()
 
 
 def untold_names(names: Sequence[str]) -> str:
