@@ -227,6 +227,17 @@ def test_bad_input_is_one_line_status_2_and_nothing_written(campaign, tmp_path, 
     assert tree(tmp_path) == before
 
 
+@pytest.mark.parametrize("name", ["check", "identify", "close-loop"])
+def test_an_empty_folder_name_is_refused(campaign, tmp_path, command, monkeypatch, name):
+    """As a variable of a shell that is not set leaves it: nothing is written where the command is given."""
+    monkeypatch.chdir(tmp_path)
+    before = tree(tmp_path)
+    found = command(name, campaign, "--out", "")
+    assert (found.status, found.err.count("\n")) == (2, 1)
+    assert "'--out': is empty; expected a folder" in found.err
+    assert tree(tmp_path) == before
+
+
 def test_bad_input_leaves_earlier_results_as_they_are(campaign, tmp_path, command):
     out = tmp_path / "out"
     out.mkdir()

@@ -126,6 +126,5 @@ def numbers(name: str, text: str) -> tuple[float, ...]:
 
 
 def value_words(name: str, value: float, std: float | None, unit: str) -> str:
-    """A parameter with its standard deviation where it has one."""
-    spread = "" if std is None else f" ± {std:.2g}"
-    return f"{name} {value:.4g}{spread}" + ("" if unit == "-" else f" {unit}")
+    """A parameter with its standard deviation."""
+    return f"{name} {value:.4g} ± {std:.2g} {unit}" if unit != "-" else f"{name} {value:.4g} ± {std:.2g}"

@@ -13,7 +13,7 @@ from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zero
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rates import sample_rates
 from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE, RigidFit
-from rx90b_flex.diagnose.faults.shifts import SMALLEST_S, shifted
+from rx90b_flex.diagnose.faults.shifts import shifted
 from rx90b_flex.diagnose.faults.signs import reversed_axes, reversed_positions, reversed_torques
 from rx90b_flex.diagnose.faults.swapped import swapped
 from rx90b_flex.diagnose.faults.units import other_units, outside
@@ -31,7 +31,6 @@ GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
 GAINING = 0.9  # of its squared error before: a joint that gains
-STILL_FAR = 0.5**2  # squared error of most joints that are brought to another time, above which it is not theirs either
 TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
@@ -132,7 +131,7 @@ def _best(look: Look) -> Found | None:
     for gain, rank, hypothesis in finals:
         if gain.total > PROMISING * max(best, MODEST):
             better, std = look.refined(hypothesis, OF_KNOWN if gain.credible else 0.0)
-            if better.kind != "time_shift" or abs(better.factor or 0.0) >= SMALLEST_S:
+            if better.factor is None or abs(better.factor) >= better.smallest:
                 refined.append((bases.gain(better), rank, better, std))
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
     # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's
@@ -170,9 +169,9 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
     on_pose = KINDS[rank] in ON_POSES
     before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
     gaining = after[after < GAINING * before]
-    moved = [bases.look.sample.joints.index(j) for j in hypothesis.joints]
-    if hypothesis.kind == "time_shift" and np.median(after[moved]) > STILL_FAR:
-        return False  # at some other time torques may go with any motion a little better
+    own = [bases.look.sample.joints.index(j) for j in hypothesis.joints]
+    if own and np.median(after[own]) > hypothesis.far:
+        return False
     if (gaining > SMALL).any() and bases.links_instead(hypothesis):
         return False
     if gain.fitted >= MODEST and not (gaining > SMALL).any():

@@ -42,6 +42,10 @@ class Hypothesis:
         Whether the data can be used all the same.
     shown : float
         Of the factor's unit in the text, such as degrees a radian.
+    smallest : float
+        Size of the factor below which it is no fault.
+    far : float
+        Squared error of most of its joints with it, above which it is none either.
     """
 
     kind: str
@@ -53,6 +57,8 @@ class Hypothesis:
     bounds: tuple[float, float] | None = None
     usable: bool = False
     shown: float = 1.0
+    smallest: float = 0.0
+    far: float = np.inf
 
     @staticmethod
     def of(

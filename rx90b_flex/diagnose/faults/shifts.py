@@ -13,6 +13,9 @@ from rx90b_flex.effects.motion import Array
 
 SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds as an effect
 LARGEST_S = 3.0
+# squared error of most of the joints that are brought to another time, above which it is not theirs either: at some time torques
+# go with any motion a little better
+STILL_FAR = 0.5**2
 PART = 0.25  # of the shortest recording: the largest shift that leaves enough in common
 STEPS_A_PERIOD = 6.0  # of the cutoff
 TOGETHER = 64  # times that are worked out at once
@@ -83,4 +86,7 @@ def _of(look: Look, name: str, chosen: tuple[int, ...], lag: float, step: float)
     when = "after" if lag > 0 else "before"
     text = f"Torques {where} are logged <factor> s {when} the positions they belong to: bring both to one clock."
     bounds = lag - 2 * step, lag + 2 * step
-    return Hypothesis("time_shift", "torque", joints, text, reading, lag, bounds, shown=float(np.sign(lag)))
+    return Hypothesis(
+        "time_shift", "torque", joints, text, reading, lag, bounds,
+        shown=float(np.sign(lag)), smallest=SMALLEST_S, far=STILL_FAR,
+    )  # fmt: skip
