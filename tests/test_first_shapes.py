@@ -36,12 +36,12 @@ def point_to_point(rng: np.random.Generator, duration_s: float) -> Motion:
     return Motion(time, q, v, a)
 
 
-def campaign(folder: Path, seed: int, step_rad: float) -> Path:
-    """Two joints whose dry friction turns over within 20 mrad/s; angles exact, or counted in steps."""
+def campaign(folder: Path, seed: int, step_rad: float, turnover: float = TURNOVER) -> Path:
+    """Two joints whose dry friction turns over within so many rad/s; angles exact, or counted in steps."""
     arm, rng, runs = two_joints(folder), np.random.default_rng(seed), []
 
     def friction(m: Motion, _load: np.ndarray) -> np.ndarray:
-        return DRY * np.tanh(m.v / TURNOVER) + VISCOUS * m.v
+        return DRY * np.tanh(m.v / turnover) + VISCOUS * m.v
 
     for role in ("identification", "identification", "validation"):
         m = point_to_point(rng, 20.0)
@@ -61,6 +61,16 @@ def test_a_turn_over_is_found_from_moves_between_exact_rests(tmp_path, seed, ste
     found = [e.turnover for e in model.effects if e.type_name() == "coulomb_friction"]
     assert found == pytest.approx([TURNOVER] * 2, rel=0.02)
     assert [e.torque for e in model.effects if e.type_name() == "coulomb_friction"] == pytest.approx(DRY, rel=0.01)
+
+
+@pytest.mark.parametrize("turnover", [0.1, pytest.param(0.3, marks=pytest.mark.slow)])
+def test_a_turn_over_may_be_as_wide_as_a_good_part_of_the_speed(tmp_path, turnover):
+    read = load_campaign(campaign(tmp_path, 1, 0.0, turnover))
+    regression = Regression.of(load_robot(read.robot_source), read.identification, read.cutoff_hz)
+    model = identify(regression, regression.robot.effects, fit_links=True)
+    found = [e for e in model.effects if e.type_name() == "coulomb_friction"]
+    assert [e.turnover for e in found] == pytest.approx([turnover] * 2, rel=0.05)
+    assert [e.torque for e in found] == pytest.approx(DRY, rel=0.05)
 
 
 @pytest.mark.slow

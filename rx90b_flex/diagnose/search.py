@@ -62,6 +62,7 @@ STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks,
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 FAINT_PART = 1.0e-2  # of the power of a candidate's columns beside the base: in a joint with less, it hardly changes the residual
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
+MOST_REPEATED = 2  # of one type in one place, as long as nobody looked for a curve of no known form there
 BATCH_BYTES = 6e6  # of columns that are looked at together
 
 
@@ -73,6 +74,11 @@ def laws(kind: type[Effect]) -> bool:
 def last_resorts(kind: type[Effect]) -> bool:
     """Curves of no known law."""
     return kind.traits.last_resort
+
+
+def repeated(kind: type[Effect]) -> bool:
+    """Effects that follow the motion and may stand more than once in a place: once more than a few, what only a series makes up."""
+    return kind.traits.repeats and kind.traits.repeats_with_motion and laws(kind)
 
 
 def beside_motion(kind: type[Effect]) -> bool:
@@ -182,6 +188,8 @@ class Search:
                 if effect.traits.needs and not any(e.type_name() in effect.traits.needs for e in here):
                     continue
                 if any(_shuts_out(e, effect) for e in here):
+                    continue
+                if self.kinds in (laws, repeated) and crowded(effect, here) is (self.kinds is laws):
                     continue
                 new = as_beside(effect, here)
                 if new is None:
@@ -777,6 +785,13 @@ class Search:
 def _sure(trials: Iterable[TorqueTrial]) -> float:
     """What the best of those that may be added gains at the least."""
     return max((t.sure_gain for t in trials if t.accepted), default=0.0)
+
+
+def crowded(effect: Effect, here: Sequence[Effect]) -> bool:
+    """Whether as many of a type stand in a place as make a series of any curve, and no curve."""
+    if any(e.traits.last_resort for e in here):
+        return False
+    return repeated(type(effect)) and sum(type(e) is type(effect) for e in here) >= MOST_REPEATED
 
 
 def _shuts_out(present: Effect, new: Effect) -> bool:

@@ -17,7 +17,7 @@ from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import row_weights
-from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws
+from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws, repeated
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, meet
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array
@@ -37,6 +37,7 @@ WORSE_HELD_OUT = 1.005  # the same held out, over the declared model's, where th
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
+CHANGED = 0.5  # of its values beside a curve: what changes by more is not what it was taken for
 WEIGHT_ROUNDS = 2  # fits after which the weights of rows near reversals are kept until the next effect
 SAME_WEIGHTS = 0.05  # a change of factors below this is not worth a fit
 
@@ -180,7 +181,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def candidates(self, standing: Standing[TorqueModel, TorqueTrial]) -> Sequence[Candidates]:
         if standing.steps and self.at_floor(standing.model):
             return (Candidates(beside_motion, in_pairs=False, told=False),)
-        return Candidates(laws), Candidates(last_resorts, in_pairs=False)
+        # more than a few periodic effects in a place are a series of something else, as long as a curve may still be it
+        return Candidates(laws), Candidates(last_resorts, in_pairs=False), Candidates(repeated, in_pairs=False)
 
     def trials(
         self,
@@ -262,7 +264,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return f"this log does not tell its {unknown[0]}" if all(unknown) else ""
 
     def _not_missed(self, model: TorqueModel, steps: Sequence[Addition[TorqueTrial]]) -> Addition[TorqueTrial] | None:
-        """The first addition with a name of which a model tells no value, and without which it fits as well."""
+        """The first addition with a name of which a model tells no value, or quite another one, and without which it fits as well."""
         for step in steps:
             if not step.trial.effect.traits.last_resort and self._untold(model, step.trial):
                 less = self._without(model, step.trial)
@@ -272,9 +274,13 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return None
 
     def _untold(self, model: TorqueModel, trial: TorqueTrial) -> bool:
-        """Whether none of its values is certain, or known at all."""
-        values = model.identified.estimates(model.effects.index(find(model, trial.effect)))
-        return all(e.value is None for e in values) or bool(self.unsure(model, trial))
+        """Whether none of its values is certain, or known at all, or they are not what they were before."""
+        now = find(model, trial.effect)
+        values = model.identified.estimates(model.effects.index(now))
+        if all(e.value is None for e in values) or self.unsure(model, trial):
+            return True
+        before, after = trial.effect.coefficients, now.coefficients
+        return len(before) == len(after) and bool(np.linalg.norm(after - before) > CHANGED * np.linalg.norm(before))
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
@@ -600,11 +606,18 @@ def _physical(effect: Effect) -> bool:
 
 
 def _certain(model: Identification, effect: Effect) -> bool:
-    """Whether any value of an effect is more than its uncertainty, one that is held apart; without values its torque tells."""
-    held = {name for name, p in effect.shape_parameters.items() if p.held}
-    values = [e for e in model.estimates(model.effects.index(effect)) if e.name not in held]
-    known = [(e.value, e.std) for e in values if e.value is not None and e.std is not None]
-    return not known or any(abs(value) > CERTAIN * std for value, std in known)
+    """Whether any value of an effect is more than its uncertainty, shapes apart, for they are never zero; where it has nothing
+    else, those that are not held. Without values its torque tells.
+    """
+    shapes = effect.shape_parameters
+    known = [
+        (e.name, abs(e.value) > CERTAIN * e.std)
+        for e in model.estimates(model.effects.index(effect))
+        if e.value is not None and e.std is not None
+    ]
+    told = [sure for name, sure in known if name not in shapes]
+    told = told or [sure for name, sure in known if not shapes[name].held]
+    return not told or any(told)
 
 
 def _unknown(model: Identification, effect: Effect) -> str:

@@ -17,7 +17,7 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, SPRING, Parameter, given, linear
 
-KNOTS = 24  # of a curve that a search places: more than it has bends, so that the penalty says how smooth it is
+KNOTS = 40  # of a curve that a search places: more than it has bends, so that the penalty says how smooth it is
 NEAREST = 0.5 / KNOTS  # of their range: knots lie no nearer to each other, where samples crowd
 STANDS = 1e-12  # rad or rad/s within which a joint has no curve: it does not move
 

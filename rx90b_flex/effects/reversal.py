@@ -22,7 +22,10 @@ from rx90b_flex.effects.stand_in import forms_of
 
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
 SHARP = 2.0e-4
-FASTEST_PART = 0.05  # of a joint's speed within which dry friction turns over at the most
+FASTEST_PART = (
+    1.0  # of a joint's speed within which dry friction turns over at the most: wider, it is one with the viscous
+)
+QUICK_PART = 0.05  # the same of most robots
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
@@ -137,9 +140,9 @@ def turnover_range(at: JointMotion) -> tuple[float, float]:
 
 
 def turnover_start(at: JointMotion) -> float:
-    """In the lower part of that range, rad/s: where a search begins."""
+    """In the lower part of what most robots have of that range, rad/s: where a search begins."""
     low, high = turnover_range(at)
-    return float(np.exp(0.7 * np.log(low) + 0.3 * np.log(high)))
+    return float(low**0.7 * min(high, max(QUICK_PART * Resolution.of(at).speed, 4.0 * low)) ** 0.3)
 
 
 def last_direction(at: JointMotion) -> Array:
