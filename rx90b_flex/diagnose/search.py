@@ -21,6 +21,7 @@ from rx90b_flex.diagnose.base import (
     wald,
 )
 from rx90b_flex.diagnose.families import FAMILIES, family
+from rx90b_flex.diagnose.kinds import crowded, laws, repeated, shuts_out
 from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
 from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
@@ -62,28 +63,7 @@ STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks,
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 FAINT_PART = 1.0e-2  # of the power of a candidate's columns beside the base: in a joint with less, it hardly changes the residual
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
-MOST_REPEATED = 2  # of one type in one place, as long as nobody looked for a curve of no known form there
 BATCH_BYTES = 6e6  # of columns that are looked at together
-
-
-def laws(kind: type[Effect]) -> bool:
-    """Effects with a law of their own."""
-    return not kind.traits.last_resort
-
-
-def last_resorts(kind: type[Effect]) -> bool:
-    """Curves of no known law."""
-    return kind.traits.last_resort
-
-
-def repeated(kind: type[Effect]) -> bool:
-    """Effects that follow the motion and may stand more than once in a place: once more than a few, what only a series makes up."""
-    return kind.traits.repeats and kind.traits.repeats_with_motion and laws(kind)
-
-
-def beside_motion(kind: type[Effect]) -> bool:
-    """Effects that do not repeat where the motion does: the noise between repeats holds them."""
-    return not kind.traits.repeats_with_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +167,7 @@ class Search:
                 here = [e for e in self.model.effects if e.place == effect.place]
                 if effect.traits.needs and not any(e.type_name() in effect.traits.needs for e in here):
                     continue
-                if any(_shuts_out(e, effect) for e in here):
+                if any(shuts_out(e, effect) for e in here):
                     continue
                 if self.kinds in (laws, repeated) and crowded(effect, here) is (self.kinds is laws):
                     continue
@@ -785,17 +765,3 @@ class Search:
 def _sure(trials: Iterable[TorqueTrial]) -> float:
     """What the best of those that may be added gains at the least."""
     return max((t.sure_gain for t in trials if t.accepted), default=0.0)
-
-
-def crowded(effect: Effect, here: Sequence[Effect]) -> bool:
-    """Whether as many of a type stand in a place as make a series of any curve, and no curve."""
-    if any(e.traits.last_resort for e in here):
-        return False
-    return repeated(type(effect)) and sum(type(e) is type(effect) for e in here) >= MOST_REPEATED
-
-
-def _shuts_out(present: Effect, new: Effect) -> bool:
-    """Whether an effect of the model leaves no room for another one in its place; a freer form of its own type may replace it."""
-    if type(present) is type(new) or present.type_name() == new.type_name():
-        return not new.traits.repeats and (type(present) is type(new) or new.type_name() not in new.traits.replaces)
-    return new.type_name() in present.traits.stands_for

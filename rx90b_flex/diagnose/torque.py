@@ -14,10 +14,11 @@ from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternativ
 from rx90b_flex.diagnose.carried import rise
 from rx90b_flex.diagnose.families import sure_together
 from rx90b_flex.diagnose.identified import with_possible_values
+from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, repeated
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
 from rx90b_flex.diagnose.reversals import row_weights
-from rx90b_flex.diagnose.search import Search, beside_motion, last_resorts, laws, repeated
+from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, meet
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array

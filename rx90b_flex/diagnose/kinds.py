@@ -1,0 +1,43 @@
+"""Which effects a search tries, and where there is room for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rx90b_flex.effects import Effect
+
+MOST_REPEATED = 2  # of one type in one place, until a curve of no known law had its turn
+
+
+def laws(kind: type[Effect]) -> bool:
+    """Effects with a law of their own."""
+    return not kind.traits.last_resort
+
+
+def last_resorts(kind: type[Effect]) -> bool:
+    """Curves of no known law."""
+    return kind.traits.last_resort
+
+
+def repeated(kind: type[Effect]) -> bool:
+    """Effects that follow the motion and may stand more than once in a place: once more than a few, what only a series makes up."""
+    return kind.traits.repeats and kind.traits.repeats_with_motion and laws(kind)
+
+
+def beside_motion(kind: type[Effect]) -> bool:
+    """Effects that do not repeat where the motion does: the noise between repeats holds them."""
+    return not kind.traits.repeats_with_motion
+
+
+def crowded(effect: Effect, here: Sequence[Effect]) -> bool:
+    """Whether as many of a type stand in a place as make a series of any curve, and no curve."""
+    if any(e.traits.last_resort for e in here):
+        return False
+    return repeated(type(effect)) and sum(type(e) is type(effect) for e in here) >= MOST_REPEATED
+
+
+def shuts_out(present: Effect, new: Effect) -> bool:
+    """Whether an effect of the model leaves no room for another one in its place; a freer form of its own type may replace it."""
+    if type(present) is type(new) or present.type_name() == new.type_name():
+        return not new.traits.repeats and (type(present) is type(new) or new.type_name() not in new.traits.replaces)
+    return new.type_name() in present.traits.stands_for
