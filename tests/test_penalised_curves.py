@@ -17,7 +17,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.search import Search, last_resorts
+from rx90b_flex.diagnose.kinds import last_resorts
+from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.curves import FrictionCurve
