@@ -21,7 +21,7 @@ from rx90b_flex.diagnose.kinds import last_resorts
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect, Sites
-from rx90b_flex.effects.curves import FrictionCurve
+from rx90b_flex.effects.curves import KNOTS, FrictionCurve
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.signals import load_campaign
@@ -220,5 +220,5 @@ def test_long_rests_leave_a_curve_its_knots():
             return self
 
     curve = FrictionCurve(joint=ELBOW).placed(Moving())
-    assert 12 <= curve.count <= 24
+    assert 0.5 * KNOTS <= curve.count <= KNOTS
     assert curve.knots[0] == pytest.approx(-1.0, abs=0.01) and curve.knots[-1] == pytest.approx(1.0, abs=0.01)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
-from rx90b_flex.diagnose.loop import Addition, Standing
 from rx90b_flex.diagnose.kinds import laws
+from rx90b_flex.diagnose.loop import Addition, Standing
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.torque import TorqueData, TorqueModel, TorqueResidual, find, find_each
 from rx90b_flex.diagnose.trial import TorqueTrial
