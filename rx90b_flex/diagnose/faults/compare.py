@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.diagnose.faults.gains import torque_gains
+from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
 from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rates import sample_rates
@@ -21,8 +22,8 @@ from rx90b_flex.effects.motion import Array
 
 # in the order in which one is believed where several do equally well
 KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
-    reversed_torques, swapped, other_units, shifted, reversed_positions, torque_gains, zeros, reversed_axes, axes, lengths,
-    sample_rates, mountings,
+    reversed_torques, swapped, other_units, shifted, reversed_positions, reversed_in_one, torque_gains, scaled_in_one, other_loads,
+    zeros, reversed_axes, axes, lengths, sample_rates, mountings,
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, axes, mountings)
@@ -142,9 +143,19 @@ def _best(look: Look) -> Found | None:
         best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
         gain, _, chosen, std = best_one
         if gain.fitted < MODEST or without - beside.fit(chosen.reading).score >= MODEST:
-            return Found(chosen, std, bases.fitted, look.fit(chosen.reading))
+            alike = [h for g, _, h, _ in accepted if g.total >= gain.total - TIE]
+            return Found(_or_else(chosen, alike), std, bases.fitted, look.fit(chosen.reading))
         accepted.remove(best_one)
     return None
+
+
+def _or_else(chosen: Hypothesis, alike: list[Hypothesis]) -> Hypothesis:
+    """With what else of the same joints could have the wrong sign, as far as the data tell."""
+    others = [h for h in alike if (h.kind, h.joints) == (chosen.kind, chosen.joints) and h.signal != chosen.signal]
+    if chosen.kind != "reversed_sign" or not others:
+        return chosen
+    other = {"torque": "torque", "motor_position": "position"}.get(others[0].signal or "", "position and torque")
+    return dataclasses.replace(chosen, text=f"{chosen.text} Or the {other}: these data do not tell which of the two.")
 
 
 def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:

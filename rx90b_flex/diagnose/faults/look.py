@@ -110,9 +110,10 @@ class Look:
 
     def products(self, reading: Reading) -> Products:
         """Normal equations of a reading."""
-        # shifts follow the joints, so that with one the order of the torques counts too
-        order = reading.torque_order if any(reading.shift_s) else None
-        key = (reading.motion_key, reading.shift_key, order)
+        # shifts and factors of one recording follow the joints, so that with one the order of the torques counts too
+        own = any(x != 1.0 for factors in reading.torque_scale_in for x in factors)
+        order = reading.torque_order if own or any(reading.shift_s) else None
+        key = (reading.motion_key, reading.shift_key, reading.torque_scale_in, order)
         if key not in self._products:
             while len(self._products) >= KEPT:
                 del self._products[next(iter(self._products))]

@@ -12,6 +12,7 @@ from scipy import linalg
 from rx90b_flex.diagnose.faults.sample import FOLDS, Reading, Sample, other_effects
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.identify.carried import carried_parameters
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
 KNOWN = 1e2  # the same where the links are known
@@ -22,6 +23,7 @@ POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
 DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
 ILL = 0.3**2  # squared relative error from which a fit tells nothing of a joint's inertia
+LINK = 10  # parameters of a body
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 
 
@@ -86,6 +88,9 @@ class Products:
         ridge = np.full(len(prior), RIDGE)
         if reading.robot.inertial_parameters == "known":
             ridge[:links] = KNOWN
+        if any(t.load for t in sample.tracks):
+            load = drives.stop + sum(len(e.coefficients) for e in other_effects(reading.robot))
+            prior[load], ridge[load] = 1.0, KNOWN
         return Products(
             gram, cross, power, mean_sum, rows, friction, _inertia(sample, reading, columns.shape[2], links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
@@ -109,7 +114,9 @@ class Products:
 
 
 def columns_of(sample: Sample, reading: Reading) -> Array:
-    """Columns (R, joints, p): links, then five a joint, then what else is declared."""
+    """Columns (R, joints, p): links, then five a joint, then what else is declared, then the torque of stated loads, then a last
+    link of some recordings' own.
+    """
     robot, joints = reading.robot, sample.joints
     seen = sample.motion(reading)
     rows = np.array([robot.layout.index(j) for j in joints])
@@ -122,6 +129,13 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
             [a[:, j], v[:, j], dry[:, j], np.ones(len(v)), np.abs(v[:, j])], axis=1
         )
     more = [_started(e, seen).columns(seen)[:, rows] for e in other_effects(robot)]
+    if any(t.load for t in sample.tracks):
+        stated = [
+            np.zeros(links.shape[2]) if t.load is None else carried_parameters(robot, t.load) for t in sample.tracks
+        ]
+        more.append(np.einsum("rjp,rp->rj", links, sample.by_rows(stated))[:, :, None])
+    if any(reading.other_load):
+        more.append(links[:, :, -LINK:] * sample.by_rows(reading.other_load)[:, None, None])
     return np.concatenate([links, own, *more], axis=2)
 
 

@@ -17,6 +17,7 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, motion
 from rx90b_flex.signals.facts import sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
+from rx90b_flex.signals.stated import FlangeLoad
 
 ROWS = 900  # of all recordings together: enough to tell hypotheses apart that change torques by tens of per cent
 FOLDS = 4  # each is held out once
@@ -33,7 +34,7 @@ class Reading:
 
     The angle of joint j is ``scale[j] * column[order[j]] + offset[j]``, its torque ``torque_scale[j] *
     column[torque_order[j]]``, taken ``shift_s[j] + recording_shift_s[r]`` later in log r than the angle. Velocities grow with
-    `rate`, accelerations with its square.
+    `rate`, accelerations with its square. In log r both are ``scale_in[r][j]`` and ``torque_scale_in[r][j]`` times that.
 
     Attributes
     ----------
@@ -43,6 +44,10 @@ class Reading:
     scale, offset, torque_scale, shift_s : tuple of float
     recording_shift_s : tuple of float
         One a recording.
+    scale_in, torque_scale_in : tuple of tuple of float
+        Of each recording, one a joint.
+    other_load : tuple of bool
+        Whether a recording's last link is another body than the others'.
     rate : float
         True over stated sample rate.
     gravity : tuple of 3 float
@@ -57,6 +62,9 @@ class Reading:
     torque_scale: tuple[float, ...]
     shift_s: tuple[float, ...]
     recording_shift_s: tuple[float, ...]
+    scale_in: tuple[tuple[float, ...], ...]
+    torque_scale_in: tuple[tuple[float, ...], ...]
+    other_load: tuple[bool, ...]
     rate: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
@@ -64,7 +72,8 @@ class Reading:
     def of(robot: Robot, joints: int, recordings: int) -> Reading:
         """As the campaign file states it."""
         same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
-        return Reading(robot, same, one, zero, same, one, zero, (0.0,) * recordings)
+        each = (one,) * recordings
+        return Reading(robot, same, one, zero, same, one, zero, (0.0,) * recordings, each, each, (False,) * recordings)
 
     @property
     def links(self) -> int:
@@ -76,6 +85,12 @@ class Reading:
         values = tuple(change(x) if k in which else x for k, x in enumerate(getattr(self, name)))
         return self.with_entries({name: values})
 
+    def changed_in(self, name: str, recording: int, joint: int, factor: float) -> Reading:
+        """With an entry of `scale_in` or `torque_scale_in` so many times what it is."""
+        values = [list(x) for x in getattr(self, name)]
+        values[recording][joint] *= factor
+        return self.with_entries({name: tuple(tuple(x) for x in values)})
+
     def with_entries(self, entries: Mapping[str, Any]) -> Reading:
         """With other values of some of the attributes."""
         return dataclasses.replace(self, **entries)
@@ -83,7 +98,9 @@ class Reading:
     @property
     def motion_key(self) -> tuple[object, ...]:
         """The same for readings of the same motion of the same tree."""
-        return (id(self.robot), self.order, self.scale, self.offset, self.rate, self.gravity)
+        return (
+            id(self.robot), self.order, self.scale, self.offset, self.rate, self.gravity, self.scale_in, self.other_load,
+        )  # fmt: skip
 
     @property
     def shift_key(self) -> tuple[object, ...]:
@@ -102,11 +119,17 @@ class Track:
     rows : array of int, shape (r,)
         Samples that the look keeps.
     rate_hz : float
+    name : str
+        Of its file.
+    load : FlangeLoad or None
+        What was stated to be on the flange.
     """
 
     torque: Array
     rows: Indices
     rate_hz: float
+    name: str = ""
+    load: FlangeLoad | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +186,9 @@ class Sample:
         A column is taken at the shift of the joint that reads it.
         """
         columns, out, inside = np.arange(len(self.joints)), [], []
-        for track, at in self._rows(reading, np.zeros(1)):
+        for (track, at), factor in zip(self._rows(reading, np.zeros(1)), _of_columns(reading), strict=True):
             inside.append(((at >= 0) & (at < len(track.torque))).all(axis=(0, 1)))
-            out.append(track.torque[np.clip(at[:, 0].T, 0, len(track.torque) - 1), columns])
+            out.append(factor * track.torque[np.clip(at[:, 0].T, 0, len(track.torque) - 1), columns])
         return np.concatenate(out), np.concatenate(inside)
 
     def _rows(self, reading: Reading, lags: Array) -> Iterator[tuple[Track, Indices]]:
@@ -183,7 +206,10 @@ class Sample:
     def torque_later(self, reading: Reading, lags: Array) -> Array:
         """The same at some times (L,), s, after those that the reading has, shape (joints, L, R), N m."""
         columns, order = np.arange(len(self.joints))[:, None, None], list(reading.torque_order)
-        out = [t.torque[np.clip(at, 0, len(t.torque) - 1), columns] for t, at in self._rows(reading, lags)]
+        out = [
+            factor[:, None, None] * t.torque[np.clip(at, 0, len(t.torque) - 1), columns]
+            for (t, at), factor in zip(self._rows(reading, lags), _of_columns(reading), strict=True)
+        ]
         return np.asarray(np.concatenate(out, axis=2)[order] * np.array(reading.torque_scale)[:, None, None])
 
     def thinned(self, factor: int) -> Sample:
@@ -201,7 +227,7 @@ class Sample:
 
     def seen(self, reading: Reading) -> tuple[Array, Array, Array, Array]:
         """Angle, velocity, acceleration and dry friction's sign of each joint as a reading has them, each (R, joints)."""
-        order, scale = list(reading.order), np.array(reading.scale)
+        order, scale = list(reading.order), self.scale_of(reading)
         return (
             self.q[:, order] * scale + np.array(reading.offset),
             self.v[:, order] * scale * reading.rate,
@@ -211,12 +237,27 @@ class Sample:
 
     def wound_seen(self, reading: Reading) -> Array:
         """`wound` of each joint as a reading has it."""
-        return self.wound[:, list(reading.order)] * np.sign(reading.scale)[:, None]
+        return self.wound[:, list(reading.order)] * np.sign(self.scale_of(reading))[:, :, None]
+
+    def scale_of(self, reading: Reading) -> Array:
+        """Factor of each angle, (R, joints)."""
+        return np.array(reading.scale) * self.by_rows(reading.scale_in)
+
+    def by_rows(self, of_recordings: Sequence[Any]) -> Array:
+        """What holds for each recording, at each of its rows, (R, ...)."""
+        return np.repeat(np.array(of_recordings), [len(t.rows) for t in self.tracks], axis=0)
 
     def motion(self, reading: Reading) -> Motion:
         """The tree's motion in tree order."""
         columns = [self.joints.index(j) for j in reading.robot.joints]
         return reading.robot.motion(*(x[:, columns] for x in self.seen(reading)[:3]))
+
+
+def _of_columns(reading: Reading) -> Array:
+    """Factor of each recording's torque columns, (recordings, joints)."""
+    out = np.array(reading.torque_scale_in)
+    out[:, list(reading.torque_order)] = np.array(reading.torque_scale_in)
+    return out
 
 
 def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array, ...], Track]:
@@ -236,7 +277,9 @@ def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array,
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     edge = min(minimum_samples(cutoff, rate) // 3, recording.samples // 20)
     rows = np.arange(edge, recording.samples - edge, every)
-    return tuple(x[rows] for x in (q, v, a, dry, wound)), Track(torque, rows, rate)
+    return tuple(x[rows] for x in (q, v, a, dry, wound)), Track(
+        torque, rows, rate, recording.file_name, recording.payload
+    )
 
 
 def other_effects(robot: Robot) -> tuple[Effect, ...]:

@@ -1,0 +1,95 @@
+"""Claims about recordings of which one alone is wrong: the others tell which, and what is wrong in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import independent as ind
+import numpy as np
+import pytest
+
+import rx90b_flex as rf
+
+ARM = ind.ur10(1.1)
+COULOMB, VISCOUS = (8.0, 8.0, 5.0, 1.5, 1.2, 0.8), (12.0, 12.0, 8.0, 2.0, 1.5, 1.0)
+NOISE = (0.8, 1.0, 0.6, 0.12, 0.1, 0.06)
+FLANGE = 5  # turns about an axis of its own symmetry: reversed, its angle and its torque look alike
+
+
+def campaign(
+    folder: Path,
+    seed: int,
+    *,
+    where: int = 0,
+    joint: int = 0,
+    torque: float = 1.0,
+    position: float = 1.0,
+    load_kg: Sequence[float] = (0.0, 0.0, 0.0),
+    stated: bool = False,
+) -> Path:
+    """Three recordings, of which one has a joint's torque or position so many times what it is."""
+    rng, runs = np.random.default_rng(seed), []
+    for r, role in enumerate(("identification", "identification", "validation")):
+        m = ind.harmonics(rng, 6, period_s=10.0, rate_hz=200.0, lines=6)
+        carried = [ind.carrying(ARM, "tool0", load_kg[r], (0.0, 0.05, 0.1))] if load_kg[r] else []
+        made = ind.run(ARM, role, m, [ind.friction(COULOMB, VISCOUS), *carried], ind.white(rng, len(m.time), NOISE))
+        if r == where:
+            logged, q = made.torque.copy(), m.q.copy()
+            logged[:, joint] *= torque
+            q[:, joint] *= position
+            made = replace(made, torque=logged, motion=replace(m, q=q))
+        runs.append(made)
+    declared = [{"type": t, "joint": j} for j in ARM.joints for t in ("coulomb_friction", "viscous_friction")]
+    path = ind.write_files(folder, ARM, declared, runs, cutoff_hz=10.0)
+    if stated:
+        for n, kg in enumerate(load_kg, start=1):
+            said = f'file = "log_{n}.csv"'
+            payload = f"{said}\npayload = {{ mass = {kg}, centre = [0.0, 0.05, 0.1] }}"
+            path.write_text(path.read_text().replace(said, payload if kg else said))
+    return path
+
+
+SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)]
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+@pytest.mark.parametrize(
+    ("change", "kind", "signal"),
+    [
+        ({"torque": -1.0}, "reversed_sign", "torque"),
+        ({"position": -1.0}, "reversed_sign", "motor_position"),
+        ({"torque": 0.5}, "torque_gain", "torque"),
+    ],
+)
+def test_a_wrong_column_of_one_recording_is_named_with_its_file(tmp_path, seed, change, kind, signal):
+    rng = np.random.default_rng(100 + seed)
+    where, joint = int(rng.integers(3)), int(rng.integers(FLANGE))
+    checked = rf.check(campaign(tmp_path, seed, where=where, joint=joint, **change))
+    (fault,) = checked.data_faults
+    assert (fault.kind, fault.joints) == (kind, (ARM.joints[joint],))
+    assert fault.signal == signal or "these data do not tell which of the two" in fault.message
+    assert f"log_{where + 1}.csv" in fault.message and not checked.usable
+    assert kind != "torque_gain" or fault.factor == pytest.approx(0.5, rel=0.02)
+
+
+def test_where_torque_and_position_may_be_reversed_as_well_both_are_said(tmp_path):
+    (fault,) = rf.check(campaign(tmp_path, 1, where=1, joint=FLANGE, torque=-1.0)).data_faults
+    assert (fault.kind, fault.joints) == ("reversed_sign", (ARM.joints[FLANGE],))
+    assert "these data do not tell which of the two" in fault.message
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+def test_another_load_in_one_recording_is_said_and_is_nothing_once_it_is_stated(tmp_path, seed):
+    loads = [0.0, 0.0, 0.0]
+    loads[seed % 3] = 6.0
+    checked = rf.check(campaign(tmp_path, seed, load_kg=loads))
+    (fault,) = checked.data_faults
+    assert f"log_{seed % 3 + 1}.csv was made with another load" in fault.message and checked.usable
+    assert rf.check(campaign(tmp_path, seed, load_kg=loads, stated=True)).data_faults == ()
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+def test_three_sound_recordings_have_no_fault(tmp_path, seed):
+    assert rf.check(campaign(tmp_path, seed)).data_faults == ()
