@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 import rx90b_flex as rf
@@ -15,6 +16,7 @@ from rx90b_flex.identify.camera import (
     calibrate_base,
     fit_joint,
     fit_rigid_body,
+    fit_rigid_shape,
     hinge_angles,
     joint_frames,
     joint_turn,
@@ -140,6 +142,28 @@ def test_weights_make_the_turn_more_accurate_than_equal_ones() -> None:
         for std in (STD, 1.0)
     ]
     assert np.mean(errors[0] ** 2) < 0.9 * np.mean(errors[1] ** 2)
+
+
+def test_errors_of_a_shape_that_is_fitted_along_turn_all_rows_together_as_is_stated() -> None:
+    """Along the combination of the rows' turns that a wrong shape moves most, beside each row's own noise."""
+    rng = np.random.default_rng(3)
+    rotation, _, markers = turned(20, rng)
+    turns = rotation[1:] @ rotation[0].T  # from row 0; in the camera's axes the reference drops out
+    squares, expected = [], []
+    for _ in range(500):
+        found = fit_rigid_shape(markers + STD * rng.standard_normal(markers.shape), STD)
+        assert found.shared is not None and found.shared.shape == (20, 3, 3)  # a triangle's shape has three numbers
+        seen = found.rotation[1:] @ found.rotation[0].T @ np.swapaxes(turns, 1, 2)
+        errors = Rotation.from_matrix(seen).as_rotvec().ravel()
+        together = (found.shared[1:] - turns @ found.shared[0]).reshape(57, 3)
+        first = turns.reshape(57, 3)
+        own = block_diag(*found.covariance[1:, :3, :3]) + first @ found.covariance[0, :3, :3] @ first.T
+        root = np.linalg.cholesky(own)
+        u, s, _ = np.linalg.svd(np.linalg.solve(root, together), full_matrices=False)
+        squares.append((u[:, 0] @ np.linalg.solve(root, errors)) ** 2)
+        expected.append(1.0 + s[0] ** 2)
+    assert np.mean(expected) > 1.5
+    assert np.mean(squares) / np.mean(expected) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 500))
 
 
 @pytest.mark.parametrize(

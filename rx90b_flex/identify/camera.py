@@ -9,8 +9,8 @@ together with the stiffnesses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -36,12 +36,16 @@ class RigidBodyFit:
         Of a small turn about the camera's axes (rad) and of the centre of the markers (m).
     chi2 : array, shape (N,)
         Weighted squares left; with right standard deviations chi-squared with 3 m - 6 degrees of freedom.
+    shared : array, shape (N, 3, k), rad, or None
+        Errors of the turns that all rows have in common, those of the markers' places on the body: ``shared @ z`` with
+        k independent standard normal z, on top of `covariance`. None: the places are known.
     """
 
     rotation: Array
     translation: Array
     covariance: Array
     chi2: Array
+    shared: Array | None = None
 
 
 def fit_rigid_body(reference: Array, measured: Array, std: Array | float) -> RigidBodyFit:
@@ -53,7 +57,7 @@ def fit_rigid_body(reference: Array, measured: Array, std: Array | float) -> Rig
     Parameters
     ----------
     reference : array, shape (m, 3), m
-        Markers in the reference pose; taken as exact.
+        Markers in the reference pose; taken as exact. Where they were measured like the rest: `fit_rigid_shape`.
     measured : array, shape (N, m, 3), m
     std : float or array that broadcasts to (N, m, 3), m
 
@@ -95,6 +99,51 @@ def fit_rigid_body(reference: Array, measured: Array, std: Array | float) -> Rig
     return RigidBodyFit(rotation, centre - rotation @ middle, np.linalg.inv(information), chi2)
 
 
+def fit_rigid_shape(measured: Array, std: Array | float) -> RigidBodyFit:
+    """Turns of a body together with the markers' places on it, by maximum likelihood over all rows.
+
+    No row is exact: which is the reference pose is open, near the first row. The turns are those of `fit_rigid_body` at
+    the best places; Gauss-Newton steps on the places with the turns eliminated (variable projection). A rigid motion of
+    the places does not show, which leaves 3 m - 6 numbers of the shape; how their errors turn the rows is `shared`.
+
+    Parameters
+    ----------
+    measured : array, shape (N, m, 3), m
+    std : float or array that broadcasts to (N, m, 3), m
+
+    Raises
+    ------
+    ValueError
+        As `fit_rigid_body`, or no convergence.
+    """
+    measured = np.asarray(measured, dtype=float)
+    places = measured[0]
+    weight = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), measured.shape) ** 2
+    markers = len(places)
+    for _ in range(STEPS):
+        fit = fit_rigid_body(places, measured, std)
+        rotation = fit.rotation
+        arms = np.einsum("nij,mj->nmi", rotation, places - places.mean(axis=0))
+        slope = np.concatenate([-_cross_matrix(arms), np.broadcast_to(np.eye(3), (*arms.shape, 3))], axis=-1)
+        # how places (k, of the body) and poses (p) go together in the squares
+        both = np.einsum("nik,nmi,nmip->nmkp", rotation, weight, slope).reshape(len(measured), 3 * markers, 6)
+        across = both @ np.linalg.cholesky(fit.covariance)
+        across = np.swapaxes(across, 0, 1).reshape(3 * markers, -1)
+        information = -across @ across.T
+        for m in range(markers):
+            at = slice(3 * m, 3 * m + 3)
+            information[at, at] += np.einsum("nik,ni,nil->kl", rotation, weight[:, m], rotation)
+        missing = measured - arms - (fit.translation + rotation @ places.mean(axis=0))[:, None]
+        values, vectors = np.linalg.eigh(information)
+        root = vectors[:, 6:] / np.sqrt(values[6:])
+        step = root @ (root.T @ np.einsum("nik,nmi,nmi->mk", rotation, weight, missing).ravel())
+        if np.abs(step).max() < 1e-9 * np.abs(arms).max():
+            # places that are too far out by d turn a row by -covariance both^T d
+            return replace(fit, shared=-(fit.covariance @ np.swapaxes(both, 1, 2) @ root)[:, :3])
+        places = places + step.reshape(markers, 3)
+    raise ValueError(f"the places of the markers did not settle in {STEPS} steps; are they on one rigid link?")
+
+
 def _cross_matrix(x: Array) -> Array:
     """S(x) with ``S(x) y = x cross y``, (..., 3) to (..., 3, 3)."""
     out = np.zeros((*x.shape, 3))
@@ -115,10 +164,13 @@ class JointTurn:
         In the joint's frame; its axes are the joint's own and the two bending axes across, in this order.
     covariance : array, shape (N, 3, 3), rad^2
         Of a small turn about the axes behind the joint.
+    shared : array, shape (N, 3, k), rad
+        Errors that all rows have in common, as in `RigidBodyFit`, about the same axes.
     """
 
     rotation: Array
     covariance: Array
+    shared: Array | None = None
 
 
 def joint_turn(before: RigidBodyFit, behind: RigidBodyFit, before_frame: Array, behind_frame: Array) -> JointTurn:
@@ -137,7 +189,9 @@ def joint_turn(before: RigidBodyFit, behind: RigidBodyFit, before_frame: Array, 
     starts = np.asarray(before.rotation) @ before_frame
     noise = before.covariance[:, :3, :3] + behind.covariance[:, :3, :3]
     turned = np.swapaxes(ends, 1, 2)
-    return JointTurn(np.swapaxes(starts, 1, 2) @ ends, turned @ noise @ ends)
+    parts = [sign * fit.shared for sign, fit in ((-1.0, before), (1.0, behind)) if fit.shared is not None]
+    shared = turned @ np.concatenate(parts, axis=2) if parts else None
+    return JointTurn(np.swapaxes(starts, 1, 2) @ ends, turned @ noise @ ends, shared)
 
 
 def links_beside(robot: Robot, joint: str) -> tuple[str, str]:
@@ -183,6 +237,35 @@ def joint_frames(robot: Robot, joint: str, base_rotation: Array, angles: Array) 
     before = data.oMi[tree.parents[at]].rotation @ tree.jointPlacements[at].rotation
     turns = np.stack([before, data.oMi[at].rotation])
     return np.asarray(np.asarray(base_rotation) @ turns @ joint_axes(robot, joint))
+
+
+def mean_frames(
+    robot: Robot, joint: str, base_rotation: Array, angles: Array, bodies: Sequence[RigidBodyFit]
+) -> tuple[Array, Array]:
+    """`joint_frames` at the bodies' reference, as the mean over all rows: no row's noise or sag counts more than another's.
+
+    Parameters
+    ----------
+    base_rotation : array, shape (3, 3)
+    angles : array, shape (N, joints), rad
+    bodies : two RigidBodyFit
+        Of the links before and behind, one row for each of the angles.
+
+    Returns
+    -------
+    tuple of two arrays, shapes (2, 3, 3) and (2, 3), rad
+        The frames, and what the markers' noise makes of them about their axes, standard deviations.
+    """
+    by_row = np.stack([joint_frames(robot, joint, base_rotation, row) for row in angles], axis=1)
+    frames, std = np.empty((2, 3, 3)), np.empty((2, 3))
+    for side, body in enumerate(bodies):
+        frames[side] = Rotation.from_matrix(np.swapaxes(body.rotation, 1, 2) @ by_row[side]).mean().as_matrix()
+        axes = body.rotation @ frames[side]
+        variance = np.einsum("nij,nik,nkj->j", axes, body.covariance[:, :3, :3], axes) / len(angles) ** 2
+        if body.shared is not None:
+            variance += ((np.swapaxes(axes, 1, 2) @ body.shared).mean(axis=0) ** 2).sum(axis=1)
+        std[side] = np.sqrt(variance)
+    return frames, std
 
 
 def link_poses(robot: Robot, q: Array, links: Sequence[str]) -> dict[str, tuple[Array, Array]]:
@@ -272,13 +355,14 @@ def fit_joint(
     moment: Array,
     *,
     same_bending: bool = False,
-    frame_prior: float = FRAME_PRIOR,
+    frame_prior: float | Array = FRAME_PRIOR,
 ) -> JointFit:
     """Stiffnesses of a joint's three hinges together with the errors of its frame.
 
     ``turn = exp(-before) R_1(drive_angle + m_1 / k_1) R_2(m_2 / k_2) R_3(m_3 / k_3) exp(behind)``, by Gauss-Newton with
-    the covariance of each turn. Linear in the compliances 1 / k and nearly so in the frame. The frame's leak into the
-    bendings (a constant, and sine and cosine of the joint angle) differs from the moments unless the joint hardly turns.
+    the covariance of each turn and of the errors that turns share. Linear in the compliances 1 / k and nearly so in the
+    frame. The frame's leak into the bendings (a constant, and sine and cosine of the joint angle) differs from the moments
+    unless the joint hardly turns.
     About the joint's own axis the difference of the two errors shows as a zero error of the angle; each by itself
     only in how it turns the bendings into each other, so faintly that it would cost the smaller bending's stiffness its
     accuracy. So the frame's six errors are held near zero by what is known of them beforehand, `frame_prior`.
@@ -292,9 +376,9 @@ def fit_joint(
         About the joint's axis and the two bending axes; independent of the noise of the turn.
     same_bending : bool
         One stiffness for both bendings, as table 4.1 has it for bearings that are symmetric about their axis.
-    frame_prior : float, rad
-        Standard deviation of each component of the frame's errors before the measurement. The data overrule it but for
-        the errors about the joint's own axis.
+    frame_prior : float or array, shape (6,), rad
+        Standard deviation of each component of the frame's errors (before, behind) before the measurement. The data
+        overrule it but for the errors about the joint's own axis.
 
     Raises
     ------
@@ -305,9 +389,9 @@ def fit_joint(
     largest = np.abs(moment).max(axis=0)
     if (largest == 0.0).any():
         raise ValueError("one of the three moments is zero throughout: its hinge's stiffness cannot show")
-    weight = np.linalg.inv(np.linalg.cholesky(turn.covariance))
+    whiten = _whitening(turn)
     size = _sizes_of_unknowns(largest, same_bending)
-    found, root = _settled_joint(turn.rotation, angle, moment, weight, size, frame_prior)
+    found, root = _settled_joint(turn.rotation, angle, moment, whiten, size, frame_prior)
     std = np.sqrt((root**2).sum(axis=1))
     before, behind, compliance = np.split(found, [3, _FRAME])
     residual, _ = _misfit(found, turn.rotation, angle, moment)
@@ -321,9 +405,28 @@ def fit_joint(
         before_std=std[:3],
         behind_std=std[3:_FRAME],
         deformation=deformation,
-        chi2=float(((weight @ residual[..., None]) ** 2).sum()),
+        chi2=float((whiten(residual[..., None]) ** 2).sum()),
         degrees_of_freedom=residual.size - size.shape[1],
     )
+
+
+def _whitening(turn: JointTurn) -> Callable[[Array], Array]:
+    """What makes turns' errors independent with variance 1: (N, 3, k) to (rows, k).
+
+    Errors that rows have in common are unknowns beside the model's, each held near zero by a row of its own, and are
+    eliminated: what an orthonormal basis of their columns spans is taken out.
+    """
+    weight = np.linalg.inv(np.linalg.cholesky(turn.covariance))
+    size = 3 * len(weight)
+    shared = np.zeros((len(weight), 3, 0)) if turn.shared is None else turn.shared
+    count = shared.shape[2]
+    basis = np.linalg.qr(np.concatenate([(weight @ shared).reshape(size, count), np.eye(count)]))[0]
+
+    def whiten(x: Array) -> Array:
+        rows = np.concatenate([(weight @ x).reshape(size, x.shape[2]), np.zeros((count, x.shape[2]))])
+        return np.asarray(rows - basis @ (basis.T @ rows))
+
+    return whiten
 
 
 def _sizes_of_unknowns(largest: Array, same_bending: bool) -> Array:
@@ -335,15 +438,20 @@ def _sizes_of_unknowns(largest: Array, same_bending: bool) -> Array:
 
 
 def _settled_joint(
-    rotation: Array, angle: Array, moment: Array, weight: Array, size: Array, frame_prior: float
+    rotation: Array,
+    angle: Array,
+    moment: Array,
+    whiten: Callable[[Array], Array],
+    size: Array,
+    frame_prior: float | Array,
 ) -> tuple[Array, Array]:
     """The model's nine numbers by Gauss-Newton, and a root R of their covariance, R R^T."""
     x = np.zeros(size.shape[1])
     prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
     for iteration in range(STEPS):
         residual, slope = _misfit(size @ x, rotation, angle, moment)
-        r = np.concatenate([(weight @ residual[..., None]).ravel(), -prior @ x])
-        columns = np.concatenate([(weight @ slope @ size).reshape(-1, len(x)), prior])
+        r = np.concatenate([whiten(residual[..., None]).ravel(), -prior @ x])
+        columns = np.concatenate([whiten(slope @ size), prior])
         u, s, vt = np.linalg.svd(columns, full_matrices=False)
         # at first only what shows clearly: along the faint direction a far start would throw the fit off
         clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]

@@ -12,9 +12,9 @@ A file (TOML)::
     frame_std_rad = 1e-3             # optional: how wrong the joint's frame may be
 
 The table has the drives' angles ``q_<joint>`` (rad; what is left out is zero) and the markers on the links before and behind the
-joint in the camera's frame, ``before_1_x`` to ``before_3_z`` and ``behind_1_x`` to ``behind_3_z`` (m; or ``..._x_mm``). Its first row
-is the reference pose. With a column ``time`` (s, uniform) the rows are a motion, whose accelerations count; without it every row is a
-pose at rest.
+joint in the camera's frame, ``before_1_x`` to ``before_3_z`` and ``behind_1_x`` to ``behind_3_z`` (m; or ``..._x_mm``). Every row is
+as noisy as ``std_mm`` says, the first too: the markers' places on their links are fitted along. With a column ``time`` (s, uniform)
+the rows are a motion, whose accelerations count; without it every row is a pose at rest.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from rx90b_flex.identify.camera import (
     JointFit,
     calibrate_base,
     fit_joint,
-    fit_rigid_body,
-    joint_frames,
+    fit_rigid_shape,
     joint_turn,
     link_poses,
     links_beside,
+    mean_frames,
 )
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.robot import Robot, load_robot
@@ -191,19 +191,20 @@ def fit_markers(source: MarkerRecording) -> CameraResult:
 
 def _fitted(source: MarkerRecording) -> CameraResult:
     robot, joint = source.robot, source.joint
-    bodies = [fit_rigid_body(seen[0], seen, source.std) for seen in source.markers]
-    base, rotation = None, source.base_rotation
+    bodies = [fit_rigid_shape(seen, source.std) for seen in source.markers]
+    base, rotation, base_std = None, source.base_rotation, 0.0
     if rotation is None:
         _, behind = links_beside(robot, joint)
         poses = link_poses(robot, source.angles @ robot.input_matrix.T, [behind])[behind]
         base = calibrate_base(*poses, source.markers[1], source.std)
-        rotation = base.rotation
-    frames = joint_frames(robot, joint, rotation, source.angles[0])
+        rotation, base_std = base.rotation, float(base.rotation_std.max())
+    frames, noise = mean_frames(robot, joint, rotation, source.angles, bodies)
+    prior = np.sqrt(source.frame_std**2 + base_std**2 + noise.ravel() ** 2)
     turn = joint_turn(bodies[0], bodies[1], frames[0], frames[1])
     moment = hinge_moments(robot, joint, source.angles, source.rate_hz)
     drive = source.angles[:, robot.joints.index(joint)]
     # the turn is since the reference pose, the drive's angle since its own zero: the frames carry the pose between them
-    fit = fit_joint(turn, drive, moment, same_bending=source.same_bending, frame_prior=source.frame_std)
+    fit = fit_joint(turn, drive, moment, same_bending=source.same_bending, frame_prior=prior)
     hinges = tuple(
         HingeStiffness(f"{joint}:{kind}", float(k), float(s))
         for kind, k, s in zip(KINDS, fit.stiffness, fit.stiffness_std, strict=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.special import chdtri
 
 from rx90b_flex.identify.camera_command import KINDS, CameraResult
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
@@ -13,6 +14,7 @@ from rx90b_flex.view.axes import AFTER, MEASURED, new_figure
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 
 LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
+BY_CHANCE = 1e-3  # how often stated noise may be said to be loud
 
 
 def headline(result: CameraResult) -> list[str]:
@@ -23,8 +25,9 @@ def headline(result: CameraResult) -> list[str]:
         for h in result.hinges
         if not h.determined
     ]
-    ratio = result.fit.chi2 / max(result.fit.degrees_of_freedom, 1)
-    if ratio > LOUD:
+    freedom = max(result.fit.degrees_of_freedom, 1)
+    ratio = result.fit.chi2 / freedom
+    if ratio > max(LOUD, chdtri(freedom, BY_CHANCE) / freedom):
         lines.append(
             f"What is left is {ratio:.2g} times the stated noise: the standard deviations are too small by {np.sqrt(ratio):.2g}, and "
             "markers that slip, vibration or wrong links may be in it."
