@@ -355,8 +355,7 @@ def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives
     others: list[Effect] = []
     in_tree: list[Effect] = []
     loaded = model.copy()
-    # masses first: where there are some, gravity stays as it is, since tilts turn that of the links alone
-    for effect in sorted(effects, key=lambda effect: isinstance(effect.element(), GravityChange)):
+    for effect in effects:
         own, element = effect.laws(motion), effect.element()
         if own is not None and not any(law.wide for law in own):
             laws += own
@@ -365,7 +364,7 @@ def plant_of(model: pin.Model, effects: Sequence[Effect], motion: Motion, drives
             body = pin.Inertia(element.mass, element.centre, np.zeros((3, 3)))
             loaded.appendBodyToJoint(place.parentJoint, body, place.placement)
             in_tree.append(effect)
-        elif isinstance(element, GravityChange) and not any(isinstance(e.element(), PointMass) for e in in_tree):
+        elif isinstance(element, GravityChange):
             loaded.gravity.linear += np.linalg.norm(model.gravity.linear) * element.direction
             in_tree.append(effect)
         else:

@@ -18,6 +18,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex import tree_derivatives
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
+from rx90b_flex.effects.elements import PointMass
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_in, read_toml
@@ -223,10 +224,10 @@ class Robot:
         def tree(moved: Motion) -> _RobotTreeMotion:
             same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
             bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
-            return _RobotTreeMotion(self, moved, link_parameters, bodies)
+            return _RobotTreeMotion(self, moved, link_parameters, bodies, carried=known)
 
-        known = (e for e in effects if e.traits.in_dynamics and e.known)
-        return dataclasses.replace(motion, tree=tree, effects=tuple(known))
+        known = tuple(e for e in effects if e.traits.in_dynamics and e.known)
+        return dataclasses.replace(motion, tree=tree, effects=known)
 
     def link_regressor(self, motion: Motion, columns: int = 0) -> Array:
         """Regressor of the links alone, shape (N, n, 10 * bodies), or of so many `columns`, those behind them zero."""
@@ -430,7 +431,8 @@ def _is_intermediate(names: Sequence[str], place: int) -> bool:
 class _RobotTreeMotion:
     """The tree's view of a motion, for effects (`rx90b_flex.effects.TreeMotion`).
 
-    With `link_parameters` the links are those, whether or not a body could have them.
+    With `link_parameters` the links are those, whether or not a body could have them; with `carried` the masses on them
+    are those of these effects, and not of the robot's own.
     """
 
     robot: Robot
@@ -438,6 +440,7 @@ class _RobotTreeMotion:
     link_parameters: Array | None = None
     bodies: dict[str, Array] = field(default_factory=dict, repr=False)
     hinged: dict[tuple[Effect, ...], Motion] = field(default_factory=dict, repr=False)
+    carried: tuple[Effect, ...] | None = None
 
     def link_regressor(self) -> Array:
         return self.robot.link_regressor(self.motion)
@@ -454,20 +457,27 @@ class _RobotTreeMotion:
         bodies = [joint for _, joint in self.robot.bodies]
         return torque_of_links(self.robot.model, bodies, self.link_parameters, self.motion)
 
-    def gravity_torque(self, direction: Array) -> Array:
-        return self._in_each_pose(pin.computeGeneralizedGravity, *self._under_gravity(direction))
+    def gravity_torque(self, direction: Array, *, laden: bool = False) -> Array:
+        return self._in_each_pose(pin.computeGeneralizedGravity, *self._under_gravity(direction, laden))
 
-    def gravity_derivative(self, direction: Array) -> Array:
-        return tree_derivatives.of_gravity(self._under_gravity(direction)[0], self.motion.q)
+    def gravity_derivative(self, direction: Array, *, laden: bool = False) -> Array:
+        return tree_derivatives.of_gravity(self._under_gravity(direction, laden)[0], self.motion.q)
 
-    def gravity_potential(self, direction: Array) -> Array:
-        return self._in_each_pose(pin.computePotentialEnergy, *self._under_gravity(direction))
+    def gravity_potential(self, direction: Array, *, laden: bool = False) -> Array:
+        return self._in_each_pose(pin.computePotentialEnergy, *self._under_gravity(direction, laden))
 
     def _in_each_pose(self, asked: Callable[..., Any], model: pin.Model, data: pin.Data) -> Array:
         return np.array([asked(model, data, q) for q in self.motion.q])
 
-    def _under_gravity(self, direction: Array) -> tuple[pin.Model, pin.Data]:
+    def _under_gravity(self, direction: Array, laden: bool) -> tuple[pin.Model, pin.Data]:
         model = self._own_links()
+        effects = self.robot.forces if self.carried is None else self.carried
+        for load in (e.element() for e in effects if e.known) if laden else ():
+            if isinstance(load, PointMass):  # at rest its place and mass are all that counts
+                place = model.frames[model.getFrameId(load.frame)]
+                body = model.inertias[place.parentJoint].toDynamicParameters()[_TO_TABLE_ORDER]
+                body[:4] += load.mass * np.r_[1.0, place.placement.act(load.centre)]
+                model.inertias[place.parentJoint] = _inertia(body)
         model.gravity.linear = np.linalg.norm(model.gravity.linear) * np.asarray(direction, dtype=float)
         return model, model.createData()
 
@@ -527,6 +537,7 @@ class _RobotTreeMotion:
             if self.link_parameters is not None:  # a base that tilts is a body more
                 names = [name for name, _ in robot.bodies]
                 links[[names.index(name) for name, _ in self.robot.bodies]] = self.link_parameters.reshape(-1, 10)
+            carried = self.robot.forces if self.carried is None else self.carried
             noise = None if motion.angle_noise is None else np.zeros(robot.model.nv)
             if noise is not None:
                 noise[drives] = motion.angle_noise
@@ -537,7 +548,9 @@ class _RobotTreeMotion:
                 angle_noise=noise,
                 low_pass=motion.low_pass,
             )
-            self.hinged[hinges] = dataclasses.replace(moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel()))
+            self.hinged[hinges] = dataclasses.replace(
+                moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel(), carried=carried)
+            )
         return self.hinged[hinges]
 
     def _own_links(self) -> pin.Model:
@@ -545,15 +558,15 @@ class _RobotTreeMotion:
         model = self.robot.model.copy()
         if self.link_parameters is not None:
             for (_, joint), body in zip(self.robot.bodies, self.link_parameters.reshape(-1, 10), strict=True):
-                # pinocchio divides by the mass to find the centre
-                model.inertias[joint] = _inertia(body if abs(body[0]) >= 1e-6 else np.r_[1e-6, body[1:]])
+                model.inertias[joint] = _inertia(body)
         return model
 
 
 def _inertia(body: Array) -> pin.Inertia:
     """Of ten parameters in table D.1's order."""
     dynamic = np.empty(10)
-    dynamic[_TO_TABLE_ORDER] = body
+    # pinocchio divides by the mass to find the centre
+    dynamic[_TO_TABLE_ORDER] = body if abs(body[0]) >= 1e-6 else np.r_[1e-6, body[1:]]
     return pin.Inertia.FromDynamicParameters(dynamic)
 
 

@@ -220,6 +220,34 @@ def test_base_tilt_is_the_gravity_of_a_turned_base_up_to_the_square_of_the_angle
     assert np.abs(exact - level).max() > 10 * np.abs(exact - tilted).max()
 
 
+def test_a_tilted_base_turns_the_weight_of_what_is_carried():
+    """Against pinocchio with the mass in its tree and gravity turned, to first order in the angles as here."""
+    x, y, mass, centre = 0.02, -0.05, 4.0, np.array([0.03, -0.05, 0.12])
+    bare = tree("rx90b")
+    tilt, load = BaseTilt(angle_x=x, angle_y=y), Payload(frame="tool0", mass=mass, centre=tuple(centre))
+    robot = bare.with_effects([tilt, load])
+    model = bare.model.copy()
+    place = model.frames[model.getFrameId("tool0")]
+    model.appendBodyToJoint(place.parentJoint, pin.Inertia(mass, centre, np.zeros((3, 3))), place.placement)
+    model.gravity.linear = 9.81 * np.array([y, -x, -1.0])
+    data = model.createData()
+    rng = np.random.default_rng(4)
+    q, v, a = rng.normal(size=(3, 6))
+    torque = pin.rnea(model, data, q, v, a)
+    np.testing.assert_allclose(robot.inverse_dynamics(q, v, a), torque, rtol=0, atol=1e-10 * np.abs(torque).max())
+    pin.computeRNEADerivatives(model, data, q, v, a)
+    slope = robot.linearize(q, v, a).K
+    np.testing.assert_allclose(slope, data.dtau_dq, rtol=0, atol=1e-10 * np.abs(slope).max())
+    energy = pin.computeMechanicalEnergy(model, data, q, v) - pin.computeMechanicalEnergy(model, data, 0 * q, v)
+    assert robot.energy(q, v) - robot.energy(0 * q, v) == pytest.approx(energy, rel=1e-10)
+    # what a fit has found is carried, and not what the robot file declares
+    motion = bare.with_effects([dataclasses.replace(load, mass=9.0)]).on_links(
+        bare.motion(q, v, a), bare.link_parameters, effects=[load]
+    )
+    np.testing.assert_allclose(tilt.force(motion), tilt.force(robot.motion(q, v, a)), rtol=1e-10)
+    assert np.abs(tilt.force(motion) - tilt.force(bare.motion(q, v, a))).max() > 0.1
+
+
 def test_effects_that_move_coordinates_or_need_others_say_so():
     types = catalogue()
     assert [n for n, c in types.items() if c.traits.virtual] == [

@@ -129,6 +129,24 @@ def test_links_and_friction_are_recovered_within_their_standard_deviations(arm, 
     assert np.abs(z).max() < DEVIATIONS
 
 
+def test_a_payload_on_a_tilted_base_is_recovered_with_the_tilt(arm, robot):
+    """A payload as heavy as its link: a tilt of the links' weight alone would be told a third too large."""
+    x, y, mass, centre = 0.04, -0.06, 2.0, np.array([0.25, 0.03, -0.02])
+    model = arm.model.copy()
+    place = model.frames[model.getFrameId("lower")]
+    model.appendBodyToJoint(place.parentJoint, pin.Inertia(mass, centre, np.zeros((3, 3))), place.placement)
+    model.gravity.linear = 9.81 * np.array([y, -x, -1.0])  # to first order, as the effect has it
+    noise = ind.white(np.random.default_rng(6), 1600, NOISE)
+    tilt = effect_from_table({"type": "base_tilt"}, "here", JOINTS)
+    load = effect_from_table({"type": "payload", "frame": "lower"}, "here", JOINTS, ["lower"])
+    regression = data(ind.Arm(arm.urdf, model), robot, noise)
+    found = estimates(identify(regression, [*FRICTION, tilt, load], fit_links=False))
+    true = {"robot.base_tilt.angle_x": x, "robot.base_tilt.angle_y": y, "lower.payload.mass": mass}
+    true |= {f"lower.payload.centre_{i + 1}": c for i, c in enumerate(centre)}
+    for name, value in true.items():
+        assert_within(found[name], value)
+
+
 def test_parameters_that_the_motion_does_not_tell_are_named_and_get_no_value(arm, fitted):
     links = [fitted[name] for name in estimates_of_links(arm)]
     told = links_that_motion_tells(arm, motion())

@@ -22,7 +22,8 @@ class BaseTilt(Effect, behind_gear=True, on="robot", part="links", needs_model=T
     """Gravity not along the base's z: the base is turned by small angles about its own x and y.
 
     To first order in the angles (error: half their square, 1e-4 of gravity at 0.8 degrees) the force is
-    ``angle_x * g_x(q) + angle_y * g_y(q)``, each the torque that the links would need if gravity pulled along -y, +x.
+    ``angle_x * g_x(q) + angle_y * g_y(q)``, each the torque that the links, and every
+    `payload` on them, would need if gravity pulled along -y, +x.
 
     Signature
     ---------
@@ -36,25 +37,26 @@ class BaseTilt(Effect, behind_gear=True, on="robot", part="links", needs_model=T
 
     Source
     ------
-    Not in Hardeman 2008; gravity of the links (equation 3.47) in a turned base, to first order.
+    Not in Hardeman 2008; gravity (equation 3.47) in a turned base, to first order.
     """
 
     angle_x: float | None = linear("rad", rank=OTHER)
     angle_y: float | None = linear("rad", rank=OTHER)
 
     def columns(self, motion: Motion) -> Array:
-        return np.stack([motion.on_tree.gravity_torque(d) for d in _DIRECTIONS], axis=2)
+        return np.stack([motion.on_tree.gravity_torque(d, laden=True) for d in _DIRECTIONS], axis=2)
 
     def derivatives(self, motion: Motion) -> tuple[Array, Array, Array]:
         by_q = sum(
-            angle * motion.on_tree.gravity_derivative(d)
+            angle * motion.on_tree.gravity_derivative(d, laden=True)
             for angle, d in zip(self.known_coefficients(), _DIRECTIONS, strict=True)
         )
         zero = np.zeros_like(by_q)
         return np.asarray(by_q), zero, zero
 
     def potential(self, motion: Motion) -> Array:
-        return np.stack([motion.on_tree.gravity_potential(d) for d in _DIRECTIONS], axis=1) @ self.known_coefficients()
+        along = [motion.on_tree.gravity_potential(d, laden=True) for d in _DIRECTIONS]
+        return np.stack(along, axis=1) @ self.known_coefficients()
 
     def element(self) -> GravityChange:
         return GravityChange(self.known_coefficients() @ _DIRECTIONS)

@@ -18,7 +18,7 @@ class PointMass:
 
 @dataclass(frozen=True, eq=False)
 class GravityChange:
-    """What is added to the direction of gravity on the links, (3,), in parts of its size."""
+    """What is added to the direction of gravity on the links and what they carry, (3,), in parts of its size."""
 
     direction: Array
 

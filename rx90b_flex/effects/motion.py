@@ -89,15 +89,18 @@ class TreeMotion(Protocol):
         """Torque that the links ask of each coordinate; shape (N, n), N m."""
         ...
 
-    def gravity_torque(self, direction: Array) -> Array:
-        """Generalised force that gravity along ``direction`` (unit, base frame) needs; shape (N, n), N m."""
+    def gravity_torque(self, direction: Array, *, laden: bool = False) -> Array:
+        """Generalised force that gravity along ``direction`` (unit, base frame) needs; shape (N, n), N m.
+
+        Of the links, or ``laden`` with the point masses among the model's effects.
+        """
         ...
 
-    def gravity_derivative(self, direction: Array) -> Array:
+    def gravity_derivative(self, direction: Array, *, laden: bool = False) -> Array:
         """Derivative of `gravity_torque` by q; shape (N, n, n)."""
         ...
 
-    def gravity_potential(self, direction: Array) -> Array:
+    def gravity_potential(self, direction: Array, *, laden: bool = False) -> Array:
         """Potential energy of the links under gravity along ``direction``; shape (N,), J."""
         ...
 
