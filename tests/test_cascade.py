@@ -83,3 +83,14 @@ def test_a_wrong_cascade_is_one_line_that_names_file_and_key(tmp_path: Path) -> 
     ):
         with pytest.raises(ValueError, match=words):
             load_cs8(controller_file(tmp_path, **numbers))
+
+
+def test_a_joint_that_a_controller_file_names_twice_is_refused(tmp_path: Path) -> None:
+    """The last of its tables was taken, silently."""
+    file = controller_file(tmp_path)
+    file.write_text(file.read_text().replace("joint_3", "joint_1"))
+    expected = (
+        r"controller.toml: \[\[cascade\]\] 3 name: 'joint_1' stands in a table before; one \[\[cascade\]\] a joint"
+    )
+    with pytest.raises(ValueError, match=expected):
+        load_cs8(file)

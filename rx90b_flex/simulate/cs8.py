@@ -372,15 +372,18 @@ def load_cs8(source: str | os.PathLike[str] | None = None) -> CS8:
     numbers = _numbers(table, settings, [], [kind])
     fields = [f.name for f in dataclasses.fields(JointController) if f.name not in ("name", *CHAINS)]
     optional = [f.name for f in dataclasses.fields(JointController) if f.default is not dataclasses.MISSING]
-    joints = []
+    joints: list[JointController] = []
     for entry in table.sections(kind):
+        name = entry.text("name")
+        if any(joint.name == name for joint in joints):
+            raise entry.problem("name", f"{name!r} stands in a table before; one [[{kind}]] a joint is expected")
         if kind == "cascade":
             given = _numbers(entry, NUMBERS, NEEDED, ["name", *CHAINS])
             with named_in(path, entry.name):
-                joint = cascade(entry.text("name"), **given)
+                joint = cascade(name, **given)
         else:
             given = _numbers(entry, fields, [f for f in fields if f not in optional], ["name", *CHAINS])
-            joint = JointController(entry.text("name"), **given)
+            joint = JointController(name, **given)
         rate = numbers.get("controller_rate_hz", CS8.controller_rate_hz)
         speed, torque = (read_filters(entry, key, rate) for key in CHAINS)
         joints.append(dataclasses.replace(joint, velocity_filters=speed, torque_filters=torque))
