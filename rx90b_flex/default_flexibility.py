@@ -92,7 +92,7 @@ def default_words(robot: Robot, before: Robot) -> list[str]:
         )
     for place in dict.fromkeys(e.joints for e in new):
         values = "; ".join(
-            f"{e.type_name().replace('_', ' ')} {e.public_values()[0][2]:.3g} {e.public_values()[0][1]}"
+            f"{e.type_name().replace('_', ' ')} {e.public_values()[0][2]:.3g} {robot.unit_of(e, e.public_values()[0][1])}"
             for e in new
             if e.joints == place
         )

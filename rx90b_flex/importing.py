@@ -91,8 +91,8 @@ def import_into(
     check_folder(folder, CAMPAIGN, overwrite)
     loaded = load_robot(robot)
     lower, upper = (tuple(map(float, x)) for x in (loaded.tree.lowerPositionLimit, loaded.tree.upperPositionLimit))
-    slides = tuple(joint.shortname().startswith("JointModelP") for joint in list(loaded.tree.joints)[1:])
-    imported = _with_facts(import_logs(files, Axes(loaded.joints, lower, upper, slides), options))
+    axes = Axes(loaded.joints, lower, upper, tuple(unit.slides for unit in loaded.units))
+    imported = _with_facts(import_logs(files, axes, options))
     imported, cutoff = _with_low_pass(imported)
     if not basics:
         imported = _with_offer(imported, loaded)

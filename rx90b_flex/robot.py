@@ -22,6 +22,7 @@ from rx90b_flex.effects.elements import PointMass
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_in, read_toml
+from rx90b_flex.joint_units import SLIDES, TURNS, JointUnits
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
@@ -112,6 +113,26 @@ class Robot:
         return tuple(self.tree.names)[1:]
 
     @cached_property
+    def units(self) -> tuple[JointUnits, ...]:
+        """Of each driven joint: rad and N m where it turns, m and N where it slides."""
+        kinds = [joint.shortname() for joint in self.tree.joints][1:]
+        return tuple(SLIDES if kind.startswith("JointModelP") else TURNS for kind in kinds)
+
+    def unit_of(self, effect: Effect, unit: str) -> str:
+        """The unit of an effect's parameter on this robot, from the one that it has on a joint that turns."""
+        if len(effect.joints) != 1 or "bend_1" in effect.traits.virtual:
+            return unit
+        return self.units[self.joints.index(effect.joints[0])].of(unit)
+
+    def pose_of(self, given: Sequence[float], name: str = "pose") -> list[float]:
+        """A pose as people give it, degrees and for sliding joints m, in rad and m."""
+        if len(given) != len(self.joints) or not np.isfinite(given).all():
+            each = ", ".join(f"{joint} ({unit.given})" for joint, unit in zip(self.joints, self.units, strict=True))
+            said = ",".join(f"{x:g}" for x in given)
+            raise ValueError(f"{name}: found {said}; expected {len(self.joints)} finite numbers, one a joint: {each}")
+        return [float(x) / unit.scale for x, unit in zip(given, self.units, strict=True)]
+
+    @cached_property
     def layout(self) -> Coordinates:
         """Names and places of the generalised coordinates."""
         names = tuple(virtual.coordinate_name(name, self.joints) for name in tuple(self.model.names)[1:])
@@ -167,7 +188,9 @@ class Robot:
             label = effect.label if seen == 1 else f"{effect.label}_{seen}"
             at = order.get(effect.joints[-1], -1) if effect.joints else -1
             for c, (name, p) in enumerate(effect.coefficient_parameters.items()):
-                keyed.append(((p.rank, at, e, c), ParameterEntry(f"{label}.{name}", p.unit, e, c)))
+                keyed.append(
+                    ((p.rank, at, e, c), ParameterEntry(f"{label}.{name}", self.unit_of(effect, p.unit), e, c))
+                )
         return tuple(entry for _, entry in sorted(keyed, key=lambda pair: pair[0]))
 
     @property

@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
     from rx90b_flex.identify.command import Identified
     from rx90b_flex.identify.frf_command import MotorIdentification
@@ -233,7 +231,7 @@ def excite(
     out : path, optional
         Folder for references, robot and campaign file; nothing is written where it is not given.
     poses_deg : sequence of poses, degrees
-        One angle a joint; the horizontal arm where not given.
+        One angle a joint, m where it slides; the horizontal arm where not given.
     joints : sequence of str
         Those that are excited; the first three where not given.
     matrix : ``ones``, ``hadamard`` or ``identity``
@@ -287,7 +285,7 @@ def excite(
 
     loaded = load_robot(robot)
     request = ExciteRequest(
-        loaded.name, tuple(tuple(np.deg2rad(pose).tolist()) for pose in poses_deg), tuple(joints), matrix, tuple(peak), band_hz,
+        loaded.name, tuple(tuple(loaded.pose_of(pose)) for pose in poses_deg), tuple(joints), matrix, tuple(peak), band_hz,
         PERIOD_S if period_s is None else period_s, realisations=realisations, periods=periods, both_signs=both_signs, white=white,
         controller=None if controller is None else Path(controller), seed=seed, by=by, speed_peak=tuple(speed_peak), rate_hz=rate_hz,
     )  # fmt: skip
@@ -384,7 +382,7 @@ def view(
     magnify : float
         Factor of the deformations.
     pose_deg : sequence of float, optional
-        Drive angles of the mode shapes, degrees.
+        Drive angles of the mode shapes, degrees; m where a joint slides.
     count : int
         Mode shapes at most.
     flexible : bool
@@ -409,7 +407,7 @@ def view(
     from rx90b_flex.view.meshcat import Run, compare, show
 
     if isinstance(source, Robot):
-        return modes_of(source, None if pose_deg is None else np.deg2rad(pose_deg).tolist(), count, flexible, tip)
+        return modes_of(source, pose_deg, count, flexible, tip)
     if isinstance(source, str | os.PathLike) and (beside is None or isinstance(beside, str | os.PathLike)):
         pose = None if pose_deg is None else ",".join(str(float(x)) for x in pose_deg)
         second = None if beside is None else str(beside)

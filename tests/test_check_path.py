@@ -153,7 +153,7 @@ def test_a_path_outside_a_joint_s_limits_names_joint_angle_and_limits() -> None:
     # round the back: joint 1 follows the bearing of the tip, whose limit of 160 degrees is at y = 0.5 tan(20 degrees)
     start = np.deg2rad([120.0, 34.4, 68.8])
     text = wrong_path([[-0.5, 0.4, 0.5], [-0.5, 0.0, 0.5]], start=start)
-    assert "needs joint_1 at 180.0 degrees, outside its limits -160.0 to 160.0" in text
+    assert "needs joint_1 at 180°, outside its limits -160° to 160°" in text
     where = float(text.split("from ")[1].split(" to")[0])
     assert where == pytest.approx(1e3 * (0.4 - 0.5 * np.tan(np.deg2rad(20.0))), abs=0.5)
 

@@ -188,8 +188,9 @@ def test_without_a_controller_file_references_have_a_speed_and_a_rate(
     assert (
         run(monkeypatch, "excite", "example-robot-data:ur5", "--out", str(out), *more, "--pose", "0,-90,60,0,0,0") == 0
     )
-    assert "Its speed at most, rad/s: shoulder_pan_joint 0.05, shoulder_lift_joint 0.06, elbow_joint 0.07" in " ".join(
-        capsys.readouterr().out.split()
+    assert (
+        "Its speed at most: shoulder_pan_joint 0.05 rad/s, shoulder_lift_joint 0.06 rad/s, elbow_joint 0.07 rad/s"
+        in " ".join(capsys.readouterr().out.split())
     )
     plus, minus = (pd.read_csv(out / "references" / "runs" / f"run_000_1_{sign}.csv") for sign in ("plus", "minus"))
     assert plus["time"][1] == pytest.approx(1.0 / 500.0)
@@ -215,9 +216,9 @@ def test_without_a_controller_file_references_have_a_speed_and_a_rate(
         (["--by", "reference", "--speed-peak", "-1"], "--speed-peak is -1; expected more than 0"),
         (["--by", "reference", "--speed-peak", "9"], "joint_1 moves at 9"),
         (["--rate-hz", "0"], "--rate-hz is 0; expected 1 to 100000"),
-        (["--pose", "0,90"], "pose 1 has 2 angles; expected 3"),
+        (["--pose", "0,90"], "pose 1: found 0,90; expected 3"),
         (["--pose", "0,ninety,0"], "pose is '0,ninety,0'; expected numbers"),
-        (["--pose", "0,136,0"], "pose 1: joint_2 moves from 129.9 to 142.1 degrees; its limits are -137.5 and 137.5"),
+        (["--pose", "0,136,0"], "pose 1: joint_2 moves from 129.9° to 142.1°; its limits are -137.5° and 137.5°"),
         (["--peak", "45,45,500"], "peak torque of joint_3 is 500 N m"),
         (["--peak", "45,45"], "2 peak torques for 3 joints"),
         (["--high-hz", "130"], "the band is 2.5 to 130 Hz"),

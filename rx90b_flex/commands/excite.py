@@ -12,7 +12,10 @@ from rx90b_flex.commands.shared import HighHz, LowHz, Out, Overwrite, RobotSourc
 # options that take several lines
 InputMatrix = Annotated[str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")]
 Peak = Annotated[
-    str | None, typer.Option(help="Largest torque, N m: one, or one a joint; 10 % of the limits otherwise.")
+    str | None,
+    typer.Option(
+        help="Largest torque, N m (N where a joint slides): one, or one a joint; 10 % of the limits otherwise."
+    ),
 ]
 White = Annotated[bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")]
 ControllerFile = Annotated[
@@ -30,20 +33,24 @@ SpeedPeak = Annotated[
         help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."
     ),
 ]
+Poses = Annotated[
+    list[str] | None,
+    typer.Option(help="Degrees (m where a joint slides), one a joint: 0,90,0; repeat for more poses."),
+]
 RateHz = Annotated[float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")]
 
 
 def excite_command(
     robot: RobotSource,
     out: Out,
-    pose: Annotated[list[str] | None, typer.Option(help="Degrees, one a joint: 0,90,0; repeat for more poses.")] = None,
+    pose: Poses = None,
     joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
     matrix: InputMatrix = "ones",
     peak: Peak = None,
     low_hz: LowHz = 2.5,
     high_hz: HighHz = 80.0,
     period_s: Annotated[float, typer.Option(help="Period; a longer one has finer lines.")] = 4.096,
-    speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s.")] = 0.11,
+    speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s or m/s.")] = 0.11,
     swings: Annotated[int, typer.Option(help="Times to and fro in a period; odd.")] = 1,
     realisations: Annotated[int, typer.Option(help="Multisines with other phases.")] = 16,
     periods: Annotated[int, typer.Option(help="Periods of a run; the first is for the transient.")] = 9,
@@ -61,23 +68,23 @@ def excite_command(
 
     With --simulate, the logs as well, of the robot as its file declares it.
     """
-    import math
-
     from rx90b_flex.early import check_robot
     from rx90b_flex.signals.folders import CAMPAIGN, check_folder
 
     check_folder(out, CAMPAIGN, overwrite)
     check_robot(robot)
+    from rx90b_flex.robot import load_robot
     from rx90b_flex.simulate.excite import ExciteRequest, excite_into
 
-    poses = tuple(tuple(math.radians(x) for x in numbers("pose", text)) for text in pose or [])
+    loaded = load_robot(robot)
+    poses = tuple(tuple(loaded.pose_of(numbers("pose", x), f"pose {k}")) for k, x in enumerate(pose or [], start=1))
     request = ExciteRequest(
         robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
         numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
         not one_sign, white, controller, seed, by, numbers("speed-peak", speed_peak) if speed_peak else (), rate_hz,  # type: ignore[arg-type]
     )  # fmt: skip
     with progress() as tell:
-        said = excite_into(request, out, simulate, tell, overwrite)
+        said = excite_into(request, out, simulate, tell, overwrite, loaded)
     for text in said:
         say(text)
     say(f"{'Campaign' if simulate else 'References, and a campaign file for the logs'}: {out}")

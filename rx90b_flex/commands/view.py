@@ -18,7 +18,9 @@ def view_command(
     recording: Annotated[str | None, typer.Option(help="Name of the recording; the first where not given.")] = None,
     magnify: Annotated[float, typer.Option(help="Factor of the deformations.")] = 100.0,
     modes: Annotated[bool, typer.Option("--modes", help="Mode shapes of a run's robot instead of its motion.")] = False,
-    pose: Annotated[str | None, typer.Option(help="Drive angles of the mode shapes, degrees: 0,90,0")] = None,
+    pose: Annotated[
+        str | None, typer.Option(help="Drives of the mode shapes, degrees (m where a joint slides): 0,90,0")
+    ] = None,
     count: Annotated[int, typer.Option(help="How many modes.")] = 6,
     flexible: Annotated[
         bool, typer.Option("--flexible", help="Bend a rigid robot: stiffnesses by a rule that is said, not identified.")

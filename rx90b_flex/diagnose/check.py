@@ -218,12 +218,12 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
     at = np.array([robot.layout.index(j) for j in campaign.joints])
     tree = robot.tree
     limits = np.array([tree.lowerPositionLimit, tree.upperPositionLimit])[:, at]
-    names = [tree.joints[tree.getJointId(j)].shortname().removeprefix("JointModel") for j in campaign.joints]
+    slides = dict(zip(robot.joints, (unit.slides for unit in robot.units), strict=True))
     return Look(
         Sample.of(campaign, recordings),
         Reading.of(robot, len(campaign.joints), len(recordings)),
         limits,
-        tuple(name.startswith("P") for name in names),
+        tuple(slides[j] for j in campaign.joints),
     )
 
 

@@ -322,7 +322,9 @@ def base_parameters(model: Identification) -> tuple[BaseParameter, ...]:
     mixed = mixed * scale[rest] / scale[leading][:, None]
     bodies = model.regression.robot.bodies if model.links_fitted else ()
     names = model.coefficient_names
-    units = [*LINK_UNITS * len(bodies), *(p.unit for e in model.effects for p in e.coefficient_parameters.values())]
+    robot = model.regression.robot
+    of_effects = (robot.unit_of(e, p.unit) for e in model.effects for p in e.coefficient_parameters.values())
+    units = [*LINK_UNITS * len(bodies), *of_effects]
     p = len(model.theta)
     combination = np.zeros((rank, p))
     combination[np.arange(rank), leading] = 1.0

@@ -271,9 +271,9 @@ class _Arm:
             s = np.linalg.svd(jacobian, compute_uv=False)
             measure[k] = s[-1] / s[0]
             if k > 0 and np.abs(position[k] - guess).max() > JUMP:
-                joint = self.robot.joints[int(np.abs(position[k] - guess).argmax())]
-                turn = np.rad2deg(np.abs(position[k] - guess).max())
-                why = f"goes through a singularity: {joint} would jump by {turn:.0f} degrees"
+                far = int(np.abs(position[k] - guess).argmax())
+                by = self.robot.units[far].place(abs(position[k][far] - guess[far]))
+                why = f"goes through a singularity: {self.robot.joints[far]} would jump by {by}"
                 return Problem("singularity", distance[k - 1], distance[k], why)
             pull.append(np.asarray(np.linalg.pinv(jacobian[:3] * self.carries, rcond=SINGULAR), dtype=float))
         return position, np.stack(pull), measure
@@ -284,10 +284,10 @@ class _Arm:
         if where is None:
             return None
         worst = where[0] + int(measure[where[0] : where[1] + 1].argmin())
-        angles = ", ".join(f"{np.rad2deg(q):.1f}" for q in position[worst])
+        places = ", ".join(unit.place(q) for unit, q in zip(self.robot.units, position[worst], strict=True))
         why = (
             f"passes a singularity: one direction of the tip needs {1.0 / max(measure[worst], 1e-6):.0f} times the joint motion of "
-            f"another (limit {1.0 / SINGULAR:.0f}), worst at {1e3 * distance[worst]:.1f} mm with joints at {angles} degrees"
+            f"another (limit {1.0 / SINGULAR:.0f}), worst at {1e3 * distance[worst]:.1f} mm with joints at {places}"
         )
         return Problem("singularity", float(distance[where[0]]), float(distance[where[1]]), why)
 
@@ -320,20 +320,18 @@ def _limits(plan: PathPlan) -> Problem | None:
     low, high = (np.asarray(x) for x in (plan.robot.tree.lowerPositionLimit, plan.robot.tree.upperPositionLimit))
 
     def why(j: int, worst: float) -> str:
-        slides = plan.robot.tree.joints[j + 1].shortname().startswith("JointModelP")
-        unit, scale = ("mm", 1e3) if slides else ("degrees", np.rad2deg(1.0))
-        at, least, most = scale * np.array([worst, low[j], high[j]])
-        return f"needs {plan.robot.joints[j]} at {at:.1f} {unit}, outside its limits {least:.1f} to {most:.1f}"
+        at, least, most = (plan.robot.units[j].place(x) for x in (worst, low[j], high[j]))
+        return f"needs {plan.robot.joints[j]} at {at}, outside its limits {least} to {most}"
 
     return _beyond(plan, "limits", plan.position, low, high, why)
 
 
 def _too_fast(plan: PathPlan, controller: CS8) -> Problem | None:
     limit = np.asarray(plan.robot.tree.upperVelocityLimit, dtype=float)
-    joints, velocity = plan.robot.joints, rates(plan.position, plan.rate_hz)
+    joints, units, velocity = plan.robot.joints, plan.robot.units, rates(plan.position, plan.rate_hz)
 
     def turns(j: int, worst: float) -> str:
-        return f"is too fast: {joints[j]} would turn at {worst:.3g} rad/s, over its limit of {limit[j]:g}"
+        return f"is too fast: {joints[j]} would {units[j].move} at {worst:.3g} {units[j].speed}, over its limit of {limit[j]:g}"
 
     found = _beyond(plan, "speed", velocity, -limit, limit, turns)
     if found is not None:
@@ -341,7 +339,7 @@ def _too_fast(plan: PathPlan, controller: CS8) -> Problem | None:
     most = controller.for_joints(joints).column("torque_limit")
 
     def needs(j: int, worst: float) -> str:
-        return f"is too fast: {joints[j]} would need {worst:.4g} N m, over its limit of {most[j]:g}"
+        return f"is too fast: {joints[j]} would need {worst:.4g} {units[j].force}, over its limit of {most[j]:g}"
 
     torque = plan.robot.rigid().inverse_dynamics(plan.position, velocity, rates(plan.position, plan.rate_hz, 2))
     return _beyond(plan, "torque", torque, -most, most, needs)

@@ -681,19 +681,21 @@ class _Runner:
         at = f"at t = {self.lanes.sample[lane] / self.job.controller.controller_rate_hz:.4f} s"
         if status == DIVERGED:
             return f"{at} the motion diverged: coordinates are no longer finite"
-        name, place = self.job.robot.joints[joint], int(self.loop.drive[joint])
+        name, place, unit = self.job.robot.joints[joint], int(self.loop.drive[joint]), self.job.robot.units[joint]
         if status == JUMP:
             jump = self.jumps[lane]
             assert jump is not None
-            return f"{at} the reference of {name} jumps: {jump.speed:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
+            return (
+                f"{at} the reference of {name} jumps: {jump.speed:.3g} {unit.speed}, over {self.loop.speed[joint]:.3g}"
+            )
         if status == OVERLOAD:
             held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
-            return f"{at} the torque of {name} has been at its limit of {limit:g} N m for {held:g} ms"
+            return f"{at} the {unit.effort} of {name} has been at its limit of {limit:g} {unit.force} for {held:g} ms"
         if status == OVERSPEED:
             speed_now = self.lanes.v[lane, place]
-            return f"{at} {name} turns at {speed_now:.3g} rad/s, over {self.loop.speed[joint]:.3g}"
-        limits = f"{self.loop.lower[joint]:.4g} to {self.loop.upper[joint]:.4g} rad"
-        return f"{at} {name} is at {self.lanes.q[lane, place]:.4g} rad, outside its limits {limits}"
+            return f"{at} {name} {unit.move}s at {speed_now:.3g} {unit.speed}, over {self.loop.speed[joint]:.3g}"
+        limits = f"{self.loop.lower[joint]:.4g} to {self.loop.upper[joint]:.4g} {unit.position}"
+        return f"{at} {name} is at {self.lanes.q[lane, place]:.4g} {unit.position}, outside its limits {limits}"
 
 
 def _lanes_last(signals: Sequence[Array]) -> Array:

@@ -70,7 +70,7 @@ class ExciteRequest:
     ----------
     robot : str
         As `load_robot` takes it.
-    poses : tuple of tuples of float, rad
+    poses : tuple of tuples of float, rad, or m where a joint slides
         One angle a joint; by default the source's horizontal arm, joint 2 at 90 degrees.
     joints : tuple of str
         Those that are excited; the first three by default.
@@ -259,9 +259,10 @@ def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
         return np.asarray(SHARE * limit)
     wanted = _each(peak, joints, "torques")
     for joint, size, largest in zip(joints, wanted, limit, strict=True):
+        unit = robot.units[robot.joints.index(joint)]
         if not size > 0.0 or (0.0 < largest < size):
             raise ValueError(
-                f"peak torque of {joint} is {size:g} N m; expected more than 0, up to its limit of {largest:g}"
+                f"peak {unit.effort} of {joint} is {size:g} {unit.force}; expected more than 0, up to its limit of {largest:g}"
             )
     return np.asarray(wanted)
 
@@ -270,7 +271,7 @@ def _reference(
     robot: Robot, controller: CS8, joints: Sequence[str], pose: Sequence[float], request: ExciteRequest, name: str
 ) -> Trajectory:
     if len(pose) != len(robot.joints):
-        raise ValueError(f"{name} has {len(pose)} angles; expected {len(robot.joints)}: {', '.join(robot.joints)}")
+        raise ValueError(f"{name} has {len(pose)} numbers; expected {len(robot.joints)}: {', '.join(robot.joints)}")
     reference = square_wave(
         robot,
         pose,
@@ -287,17 +288,15 @@ def _reference(
 def _check_reach(robot: Robot, reference: Trajectory, name: str) -> None:
     """Refuse references beyond the joints' limits."""
     model = robot.tree
-    for j, joint in enumerate(robot.joints):
+    for j, (joint, unit) in enumerate(zip(robot.joints, robot.units, strict=True)):
         reached = reference.position[:, j]
         low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
         if low < high and not (low <= reached.min() and reached.max() <= high):
-            raise ValueError(
-                f"{name}: {joint} moves from {np.rad2deg(reached.min()):.1f} to {np.rad2deg(reached.max()):.1f} degrees; "
-                f"its limits are {np.rad2deg(low):.1f} and {np.rad2deg(high):.1f}"
-            )
+            least, most, lower, upper = (unit.place(x) for x in (reached.min(), reached.max(), low, high))
+            raise ValueError(f"{name}: {joint} moves from {least} to {most}; its limits are {lower} and {upper}")
         fastest, allowed = np.abs(reference.velocity[:, j]).max(), model.velocityLimit[j]
         if 0.0 < allowed < fastest:
-            raise ValueError(f"{joint} moves at {fastest:.3g} rad/s; its limit is {allowed:.3g}")
+            raise ValueError(f"{joint} moves at {fastest:.3g} {unit.speed}; its limit is {allowed:.3g}")
 
 
 # ---- files ----------------------------------------------------------------------------------------------------
@@ -398,15 +397,16 @@ def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated
 def _how(plan: CampaignPlan) -> list[str]:
     """What to do with the references, as the head of a campaign file tells it."""
     joint, rate = plan.robot.joints[0], plan.reference.rate_hz
+    units = [(unit.position, unit.speed, unit.force) for unit in plan.robot.units]
+    place, speed, force = (" or ".join(dict.fromkeys(each)) for each in zip(*units, strict=True))
     meant = {
-        "motor_position": f"q_{joint}, ... (motor angles, rad, joint side)",
-        "torque": f"tau_{joint}, ... (motor torques, N m, joint side)",
-        "reference_position": f"ref_{joint}, ... (joint references as sent, rad)",
-        "feedforward_torque": f"ff_{joint}, ... (feed-forward torques as sent, N m)",
+        "motor_position": f"q_{joint}, ... (motor angles, {place}, joint side)",
+        "torque": f"tau_{joint}, ... (motor torques, {force}, joint side)",
+        "reference_position": f"ref_{joint}, ... (joint references as sent, {place})",
+        "feedforward_torque": f"ff_{joint}, ... (feed-forward torques as sent, {force})",
     }
-    sent = (
-        f"{joint}, ... (rad), v_{joint}, ... (rad/s), ff_{joint}, ... ({'zero' if plan.by == 'reference' else 'N m'})"
-    )
+    forward = "zero" if plan.by == "reference" else force
+    sent = f"{joint}, ... ({place}), v_{joint}, ... ({speed}), ff_{joint}, ... ({forward})"
     optional = " and ".join(LOGGED[plan.by][2:])
     return [
         f"Run each file of references/ over and over without a pause, {plan.periods} periods of {plan.reference.period_s:g} s; the",
@@ -432,20 +432,23 @@ def _words(plans: Sequence[CampaignPlan], files: Sequence[RunFile], crest: float
     minutes = len(files) * first.periods * period / 60.0
     once = first.period(first.runs[0])
     said = []
-    for what, unit, x in (
-        ("Feed-forward torque", "N m", once.torque),
-        ("Vibration of references", "degrees", np.rad2deg(once.position - first.reference.position)),
-        ("Its speed", "rad/s", once.velocity - first.reference.velocity),
+    units = first.robot.units
+    scale = np.array([unit.scale for unit in units])
+    for what, names, x in (
+        ("Feed-forward torque", [unit.force for unit in units], once.torque),
+        ("Vibration of references", [unit.given for unit in units], scale * (once.position - first.reference.position)),
+        ("Its speed", [unit.speed for unit in units], once.velocity - first.reference.velocity),
     ):
-        peaks = zip(first.robot.joints, np.abs(x).max(axis=0), strict=True)
-        each = ", ".join(f"{j} {p:.3g}" for j, p in peaks if p > 0.0)
-        said += [f"{what} at most, {unit}: {each}"] if each else []
-    swing = np.ptp(first.reference.position, axis=0).max()
+        peaks = zip(first.robot.joints, np.abs(x).max(axis=0), names, strict=True)
+        each = ", ".join(f"{j} {p:.3g} {name}" for j, p, name in peaks if p > 0.0)
+        said += [f"{what} at most: {each}"] if each else []
+    swing = np.ptp(first.reference.position, axis=0)
+    swings = dict.fromkeys(unit.place(x) for unit, x in zip(units, swing, strict=True) if x > 0.0)
     return [
         f"{len(files)} runs of {first.periods} periods of {period:g} s: {minutes:.0f} min of motion; "
         f"{len(plans)} pose{'s' if len(plans) > 1 else ''}",
         f"{len(first.lines)} odd lines from {first.lines[0] / period:.3g} to {first.lines[-1] / period:.3g} Hz, "
         f"{2.0 / period:.3g} Hz apart; crest factor at most {crest:.2f}",
         *said,
-        f"Joints swing by {np.rad2deg(swing):.1f} degrees",
+        f"Joints swing by {' or '.join(swings)}",
     ]

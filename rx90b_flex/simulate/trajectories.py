@@ -264,8 +264,8 @@ def harmonics(
 
 
 def horizontal(robot: Robot) -> tuple[float, ...]:
-    """The source's pose, one angle a joint, rad: the arm stretched out horizontally, joint 2 at 90 degrees."""
-    return tuple(0.5 * np.pi if place == 1 else 0.0 for place in range(len(robot.joints)))
+    """The source's pose, one angle a joint, rad: the arm stretched out horizontally, joint 2 at 90 degrees if it turns."""
+    return tuple(0.5 * np.pi if k == 1 and not unit.slides else 0.0 for k, unit in enumerate(robot.units))
 
 
 SQUARE_SPEED = 0.11  # rad/s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def view_of(
     modes : bool
         Whether mode shapes of a run's robot are wanted and not its motion.
     pose : str, optional
-        Drive angles of the mode shapes, degrees, with commas between.
+        Drive positions of the mode shapes, degrees (m where a joint slides), with commas between.
 
     Raises
     ------
@@ -54,8 +54,7 @@ def view_of(
         if beside is not None:
             raise ValueError("--beside and --modes: choose one")
         robot = load_robot(source if campaign is None else load_campaign(campaign).robot_source)
-        rigid, *_ = without_written_hinges(robot)
-        return modes_of(robot, _pose(pose, len(rigid.joints)), count, flexible, tip)
+        return modes_of(robot, _pose(pose), count, flexible, tip)
     if flexible:
         raise ValueError(
             "--flexible is of a robot's mode shapes; recordings (--recording, --beside) have their own robot"
@@ -70,14 +69,14 @@ def view_of(
 
 
 def modes_of(
-    loaded: Robot, pose: list[float] | None, count: int, flexible: bool = False, tip: str | None = None
+    loaded: Robot, pose: Sequence[float] | None, count: int, flexible: bool = False, tip: str | None = None
 ) -> View:
     """Mode shapes of a robot, with what was taken for it in the notes.
 
     Parameters
     ----------
     loaded : Robot
-    pose : list of float, rad, or None
+    pose : sequence of float, degrees (m where a joint slides), or None
     count, flexible, tip
         As of `rx90b_flex.view`.
 
@@ -98,7 +97,7 @@ def modes_of(
         )
     else:
         bends = robot
-    view = show_modes(bends, pose, count=count)
+    view = show_modes(bends, None if pose is None else bends.pose_of(pose), count=count)
     return dataclasses.replace(view, notes=(tip_words(bends), *default_words(bends, robot), *view.notes))
 
 
@@ -154,13 +153,8 @@ def _named(campaign: Campaign, name: str) -> Recording:
     return found[name]
 
 
-def _pose(text: str | None, joints: int) -> list[float] | None:
-    if text is None:
-        return None
+def _pose(text: str | None) -> list[float] | None:
     try:
-        degrees = [float(x) for x in text.split(",")]
+        return None if text is None else [float(x) for x in text.split(",")]
     except ValueError:
-        raise ValueError(f"--pose is {text!r}; expected {joints} angles in degrees with commas between") from None
-    if len(degrees) != joints or not np.isfinite(degrees).all():
-        raise ValueError(f"--pose is {text!r}; expected {joints} angles in degrees, one a joint")
-    return np.deg2rad(degrees).tolist()
+        raise ValueError(f"--pose is {text!r}; expected numbers with commas between, one a joint") from None

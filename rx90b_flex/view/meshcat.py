@@ -316,9 +316,9 @@ def show_modes(robot: Robot, pose: Sequence[float] | None = None, *, count: int 
         builder.add_robot(f"mode_{place + 1}", robot, q, angles[None], at, MODE_FPS)
         text = f"{hz:.1f} Hz, damping {100 * modes.damping_ratios[place]:.1f} %\n{_mostly(robot, shape)}"
         builder.label(f"mode_{place + 1}", text, above + at, width)
-    degrees = ", ".join(f"{x:g}" for x in np.rad2deg(angles).round(3))
+    drives = ", ".join(unit.place(x) for unit, x in zip(robot.units, angles, strict=True))
     notes = (
-        f"Drives at {degrees}°, without friction",
+        f"Drives at {drives}, without friction",
         f"Slowed down {slower:.3g} times; how far a mode swings is not to scale",
         "Pale: the robot at rest",
     )

@@ -1,0 +1,81 @@
+"""Claims about commands on URDFs of other robots: joints that slide, limits and masses that nobody meant, odd names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import independent as ind
+import numpy as np
+import pytest
+
+from rx90b_flex import cli
+from rx90b_flex.robot import load_robot
+
+RAIL = ind.TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr("sys.argv", ["rx90b-flex", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def urdf(folder: Path, text: str, name: str = "foreign.urdf") -> Path:
+    (folder / name).write_text(text)
+    return folder / name
+
+
+# ---- joints that slide ------------------------------------------------------------------------------------------
+
+
+def test_what_slides_has_kilograms_newtons_and_metres(tmp_path: Path) -> None:
+    robot = load_robot(urdf(tmp_path, RAIL))
+    assert [(u.position, u.force) for u in robot.units] == [("rad", "N m"), ("m", "N")]
+    np.testing.assert_allclose(robot.pose_of([90.0, 0.25]), [0.5 * np.pi, 0.25])
+    _, sliding = robot.units
+    per_turning = ("kg m^2", "N m/rad", "N m s/rad", "1/(N m)^2", "rad/s", "Hz")
+    assert [sliding.of(unit) for unit in per_turning] == ["kg", "N/m", "N s/m", "1/N^2", "m/s", "Hz"]
+
+
+def test_a_view_of_what_slides_is_given_and_says_metres(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, out = urdf(tmp_path, RAIL), tmp_path / "view.html"
+    assert run(monkeypatch, "view", robot, "--flexible", "--pose", "90,0.25", "--out", out) == 0
+    said = capsys.readouterr().out
+    (line,) = (line for line in said.splitlines() if line.startswith("elbow: "))
+    inertia, drive, hinge = line.split("; ")
+    assert inertia.endswith(" kg") and drive.endswith(" N/m") and hinge.endswith(" N m/rad")  # its bearings bend
+    assert "Drives at 90°, 0.25 m, without friction" in said
+    assert run(monkeypatch, "view", robot, "--flexible", "--pose", "90", "--out", out) == 2
+    assert (
+        "--pose: found 90; expected 2 finite numbers, one a joint: shoulder (degrees), elbow (m)"
+        in capsys.readouterr().err
+    )
+
+
+def test_an_excitation_of_what_slides_is_told_in_newtons_and_metres(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = urdf(tmp_path, RAIL)
+    options = ["--realisations", "1", "--pose", "0,0.25"]
+    assert run(monkeypatch, "excite", robot, "--out", tmp_path / "out", *options) == 0
+    said = capsys.readouterr().out
+    assert "Feed-forward torque at most: shoulder 10 N m, elbow 5 N" in said
+    assert "Joints swing by 12.21° or 0.213 m" in said  # speed 0.11 rad/s or m/s, a period of 4.096 s
+    assert "(rad or m), v_shoulder" in (tmp_path / "out" / "campaign.toml").read_text()
+    assert run(monkeypatch, "excite", robot, "--out", tmp_path / "other", *options[:3], "0,3.1") == 2
+    assert "elbow moves from 2.993 m to 3.207 m; its limits are -3 m and 3 m" in capsys.readouterr().err
+
+
+def test_a_run_that_ends_early_says_how_fast_a_joint_slides(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = urdf(tmp_path, RAIL)
+    place = np.where(np.arange(100) < 50, 0.0, 1.0)  # a metre in 4 ms
+    rows = "".join(f"{k / 250},0,{x}\n" for k, x in enumerate(place))
+    (tmp_path / "jump.csv").write_text(f"time,shoulder,elbow\n{rows}")
+    assert run(monkeypatch, "simulate", robot, "--trajectory", tmp_path / "jump.csv", "--out", tmp_path / "out") == 0
+    assert re.search(r"the reference of elbow jumps: [\d.]+ m/s, over 7.5", capsys.readouterr().out)
