@@ -400,7 +400,8 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
 
     - continuous joints become revolute with limits +-`CONTINUOUS_LIMIT` (Pinocchio would give them two coordinates);
     - mimic joints become fixed at their `neutral_position` (they have no coordinate of their own, and no drive);
-    - axes become unit vectors; absent effort and velocity limits become `UNLIMITED`;
+    - axes become unit vectors; effort and velocity limits that are absent or zero become `UNLIMITED`: a zero
+      stands in many URDFs for what nobody stated, and a joint that may not move at all would be fixed;
     - prismatic and fixed joints stay.
 
     Raises
@@ -428,8 +429,7 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
                 limit.lower, limit.upper = -CONTINUOUS_LIMIT, CONTINUOUS_LIMIT
             else:
                 limit.lower, limit.upper = _range(joint)
-            limit.effort = UNLIMITED if limit.effort is None else limit.effort
-            limit.velocity = UNLIMITED if limit.velocity is None else limit.velocity
+            limit.effort, limit.velocity = limit.effort or UNLIMITED, limit.velocity or UNLIMITED
             joint.limit = limit
     return with_robot(urdf, robot)
 

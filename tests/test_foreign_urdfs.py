@@ -79,3 +79,23 @@ def test_a_run_that_ends_early_says_how_fast_a_joint_slides(
     (tmp_path / "jump.csv").write_text(f"time,shoulder,elbow\n{rows}")
     assert run(monkeypatch, "simulate", robot, "--trajectory", tmp_path / "jump.csv", "--out", tmp_path / "out") == 0
     assert re.search(r"the reference of elbow jumps: [\d.]+ m/s, over 7.5", capsys.readouterr().out)
+
+
+# ---- limits and masses ------------------------------------------------------------------------------------------
+
+
+def test_a_limit_of_zero_is_one_that_nobody_stated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    zeros = ind.TWO_JOINTS.replace('velocity="5"', 'velocity="0"').replace('effort="50"', 'effort="0.0"')
+    absent = ind.TWO_JOINTS.replace(' velocity="5"', "").replace(' effort="50"', "")
+    one, other = (load_robot(urdf(tmp_path, text)) for text in (zeros, absent))
+    assert one.urdf == other.urdf
+    robot = urdf(tmp_path, zeros)
+    time = np.arange(250) / 250.0
+    rows = "".join(f"{t},{0.2 * (1.0 - np.cos(np.pi * t))},0\n" for t in time)
+    (tmp_path / "slow.csv").write_text(f"time,shoulder,elbow\n{rows}")
+    assert run(monkeypatch, "simulate", robot, "--trajectory", tmp_path / "slow.csv", "--out", tmp_path / "out") == 0
+    assert "The run went to its end" in capsys.readouterr().out
+    assert run(monkeypatch, "excite", robot, "--out", tmp_path / "runs") == 2
+    assert "joint 'elbow' has no torque limit in its URDF; give the peak torque" in capsys.readouterr().err

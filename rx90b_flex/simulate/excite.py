@@ -27,6 +27,7 @@ from rx90b_flex.excitation import (
     whitening,
 )
 from rx90b_flex.export import save_robot
+from rx90b_flex.flexify import UNLIMITED
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.simulate.campaign import (
@@ -253,7 +254,7 @@ def _each(wanted: Sequence[float], joints: Sequence[str], what: str) -> Array:
 def _peaks(robot: Robot, joints: Sequence[str], peak: Sequence[float]) -> Array:
     limit = np.array([robot.tree.effortLimit[robot.joints.index(joint)] for joint in joints])
     if not peak:
-        unknown = [joint for joint, size in zip(joints, limit, strict=True) if not 0.0 < size < np.inf]
+        unknown = [joint for joint, size in zip(joints, limit, strict=True) if not 0.0 < size < UNLIMITED]
         if unknown:
             raise ValueError(f"joint {unknown[0]!r} has no torque limit in its URDF; give the peak torque")
         return np.asarray(SHARE * limit)
