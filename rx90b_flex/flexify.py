@@ -314,6 +314,8 @@ def _check_element(parent: Any, owner: str) -> None:
             if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
                 expected = " or ".join(f"{n} finite number{'s' * (n > 1)}" for n in counts)
                 raise ValueError(f"{owner}: {key} of <{element.tag}> is {text!r}, expected {expected}")
+            if element.tag == "mass" and numbers[0] < 0.0:
+                raise ValueError(f"{owner}: {key} of <mass> is {text!r}, expected 0 or more (kg)")
 
 
 def _check_tree(urdf: yourdfpy.URDF) -> None:

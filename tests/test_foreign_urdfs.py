@@ -99,3 +99,11 @@ def test_a_limit_of_zero_is_one_that_nobody_stated(
     assert "The run went to its end" in capsys.readouterr().out
     assert run(monkeypatch, "excite", robot, "--out", tmp_path / "runs") == 2
     assert "joint 'elbow' has no torque limit in its URDF; give the peak torque" in capsys.readouterr().err
+
+
+def test_a_negative_mass_is_told_with_its_link(tmp_path: Path) -> None:
+    file = urdf(tmp_path, ind.TWO_JOINTS.replace('<mass value="2"/>', '<mass value="-2"/>'))
+    with pytest.raises(
+        ValueError, match=r"foreign.urdf: link 'lower': value of <mass> is '-2', expected 0 or more \(kg\)"
+    ):
+        load_robot(file)
