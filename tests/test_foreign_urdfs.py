@@ -107,3 +107,16 @@ def test_a_negative_mass_is_told_with_its_link(tmp_path: Path) -> None:
         ValueError, match=r"foreign.urdf: link 'lower': value of <mass> is '-2', expected 0 or more \(kg\)"
     ):
         load_robot(file)
+
+
+# ---- motions ----------------------------------------------------------------------------------------------------
+
+
+def test_a_run_without_a_motion_says_whose_line_it_took_and_what_suits_any_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, out = urdf(tmp_path, ind.TWO_JOINTS), tmp_path / "out"
+    assert run(monkeypatch, "simulate", robot, "--out", out) == 2
+    line = "--line (taken where no motion is chosen) is made for the RX90B; --harmonics suits any robot"
+    assert f"cannot reach the point (0.350, -0.850, 0.350) m with 'lower': {line}" in capsys.readouterr().err
+    assert not out.exists()

@@ -32,6 +32,7 @@ from rx90b_flex.simulate.trajectories import (
     straight_line,
 )
 
+OF_THE_RX90B = ("line", "excitation", "square-wave")
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
 
 
@@ -95,7 +96,11 @@ def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Traject
     for effect in robot.effects:
         effect.known_coefficients()
     controller = controller_of(robot, request.controller)
-    trajectory = _trajectory(robot, controller, request) if trajectory is None else trajectory
+    if trajectory is None:
+        try:
+            trajectory = _trajectory(robot, controller, request)
+        except ValueError as error:
+            raise ValueError(f"{error}{_whose(request)}") from None
     if request.periods > 1 and trajectory.period_s is None:
         raise ValueError(f"periods is {request.periods}, but {trajectory.name!r} does not repeat")
     return Prepared(request, robot, controller, trajectory)
@@ -106,6 +111,14 @@ def controller_of(robot: Robot, file: Path | None) -> CS8:
     if file is not None:
         return controller_of_joints(load_cs8(file), robot, str(file))
     return own_controller(robot) or design_cs8(robot)
+
+
+def _whose(request: RunRequest) -> str:
+    """What to add where a motion that is the RX90B's does not suit another robot."""
+    if request.motion not in OF_THE_RX90B:
+        return ""
+    default = " (taken where no motion is chosen)" if request.motion == "line" else ""
+    return f": --{request.motion}{default} is made for the RX90B; --harmonics suits any robot"
 
 
 def _trajectory(robot: Robot, controller: CS8, request: RunRequest) -> Trajectory:
@@ -259,7 +272,7 @@ def simulate_into(
     if len(result.time) < 2:
         raise ValueError(
             f"{prepared.robot.name}: {prepared.trajectory.name} ended at once: {result.ended or 'it has no samples'}; expected a "
-            "robot whose drives and links have inertia, and a reference that begins where it rests"
+            "robot whose drives and links have inertia, and a reference that begins where it rests" + _whose(request)
         )
     tell("writing", 0.95)
 
