@@ -120,3 +120,22 @@ def test_a_run_without_a_motion_says_whose_line_it_took_and_what_suits_any_robot
     line = "--line (taken where no motion is chosen) is made for the RX90B; --harmonics suits any robot"
     assert f"cannot reach the point (0.350, -0.850, 0.350) m with 'lower': {line}" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("amplitude", [30.0, 4.0])  # degrees: beyond its limits of 3 rad; within, and too fast
+def test_a_trajectory_in_degrees_is_said_to_look_like_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], amplitude: float
+) -> None:
+    robot, out = urdf(tmp_path, ind.TWO_JOINTS), tmp_path / "out"
+    for name, size in (("degrees", amplitude), ("radians", np.deg2rad(amplitude))):
+        place = 0.5 * size * (1.0 - np.cos(2.0 * np.pi * np.arange(250) / 250.0))
+        rows = "".join(f"{k / 250},0,{x}\n" for k, x in enumerate(place))
+        (tmp_path / f"{name}.csv").write_text(f"time,shoulder,elbow\n{rows}")
+        assert run(monkeypatch, "simulate", robot, "--trajectory", tmp_path / f"{name}.csv", "--out", out) == 0
+        said = capsys.readouterr().out
+        assert (f"; its angles look like degrees (elbow goes to {amplitude:g}); expected rad" in said) == (
+            name == "degrees"
+        )
+    monkeypatch.setenv("COLUMNS", "200")
+    assert run(monkeypatch, "simulate", "--help") == 0
+    assert "Exit status: 0 the run is written, also one that ended early" in capsys.readouterr().out

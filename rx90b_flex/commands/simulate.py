@@ -15,7 +15,9 @@ def simulate_command(
     out: Out,
     trajectory: Annotated[
         Path | None,
-        typer.Option(help="Trajectory (CSV): time, one column a joint (rad), ff_<joint> (N m) if fed forward."),
+        typer.Option(
+            help="Trajectory (CSV): time, one column a joint (rad; m if it slides), ff_<joint> (N m) if fed forward."
+        ),
     ] = None,
     line: Annotated[bool, typer.Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
     excitation: Annotated[bool, typer.Option("--excitation", help="The excitation of section 4.2.2.")] = False,
@@ -39,6 +41,9 @@ def simulate_command(
     Along a trajectory: recording, every coordinate, tip deviation, figure.
 
     The first simulation of a user compiles for a quarter of a minute; later ones do not.
+
+    Exit status: 0 the run is written, also one that ended early, which is said; 2 bad input, or a run that ended at once, with
+    nothing written.
     """
     from rx90b_flex.early import check_robot
     from rx90b_flex.signals.folders import RUN, check_folder
@@ -60,6 +65,6 @@ def simulate_command(
     request = RunRequest(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
     with progress() as tell:
         result = simulate_into(request, out, tell, overwrite)
-    for text in summary(result):
+    for text in summary(result, from_file=trajectory is not None):
         say(text)
     say(f"Recording, tip.csv and figure: {out}")

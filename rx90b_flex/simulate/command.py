@@ -237,8 +237,22 @@ def write_run(result: Simulation, folder: Path) -> None:
     (folder / "tip.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def summary(result: Simulation) -> list[str]:
-    """What is printed after a run, one line each."""
+def degrees_hint(trajectory: Trajectory, robot: Robot) -> str:
+    """What to add where a trajectory is far beyond the robot's limits, and would be within them if it were in degrees."""
+    turning = [j for j, unit in enumerate(robot.units) if not unit.slides]
+    low, high = (np.array(x)[turning] for x in (robot.tree.lowerPositionLimit, robot.tree.upperPositionLimit))
+    place = np.abs(trajectory.position[:, turning]).max(axis=0) / np.clip(np.maximum(-low, high), 1e-6, 2.0 * np.pi)
+    speed = np.abs(trajectory.velocity[:, turning]).max(axis=0) / np.array(robot.tree.upperVelocityLimit)[turning]
+    beyond = np.maximum(place, speed)
+    if not 2.0 < beyond.max(initial=0.0) < np.rad2deg(1.0):
+        return ""
+    worst = turning[int(beyond.argmax())]
+    largest = np.abs(trajectory.position[:, worst]).max()
+    return f"; its angles look like degrees ({robot.joints[worst]} goes to {largest:.4g}); expected rad"
+
+
+def summary(result: Simulation, from_file: bool = False) -> list[str]:
+    """What is printed after a run, one line each; of a trajectory that somebody wrote in which unit it may be."""
     size = np.linalg.norm(result.tip_deviation_mm, axis=1)
     where = result.time[size.argmax()]
     lines = [
@@ -251,7 +265,8 @@ def summary(result: Simulation) -> list[str]:
         for name in ("torque", "velocity"):
             each = ", ".join(f"{j} {100 * x:.2g} %" for j, x in zip(result.robot.joints, shares[name], strict=True))
             lines.append(f"Power above 125 Hz in the raw log, {name}: {each}")
-    lines.append("The run ended early: " + result.ended if result.ended else "The run went to its end")
+    hint = degrees_hint(result.trajectory, result.robot) if from_file else ""
+    lines.append(f"The run ended early: {result.ended}{hint}" if result.ended else "The run went to its end")
     return lines
 
 
@@ -270,9 +285,10 @@ def simulate_into(
     with told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)):
         result = run(prepared, lambda part: tell(what, 0.95 * part))
     if len(result.time) < 2:
+        hint = _whose(request) or degrees_hint(prepared.trajectory, prepared.robot)
         raise ValueError(
             f"{prepared.robot.name}: {prepared.trajectory.name} ended at once: {result.ended or 'it has no samples'}; expected a "
-            "robot whose drives and links have inertia, and a reference that begins where it rests" + _whose(request)
+            f"robot whose drives and links have inertia, and a reference that begins where it rests{hint}"
         )
     tell("writing", 0.95)
 
