@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -203,6 +204,16 @@ def test_p_values_of_one_line_are_evenly_spread() -> None:
         assert stats.kstest([getattr(f, name) for f in found], "uniform").pvalue > 1e-3, name
 
 
+@pytest.mark.parametrize("response", ["deformation", "moment"])
+def test_rounding_is_no_friction(response: Literal["deformation", "moment"]) -> None:
+    """Readings that lie on a line but for their last binary digit."""
+    load = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 50.0, 40.0, 30.0, 20.0, 10.0, 0.0])
+    test = StaticTest("hinge", 0.5 * load, np.round(1e-4 * load, 6), np.arange(12) < 6)
+    found = fit_static_stiffness(test, response=response)
+    assert found.stiffness == pytest.approx(5000.0)
+    assert (found.p_value, found.slope_p_value) == (1.0, 1.0)
+
+
 def test_a_lag_is_found_and_leaves_the_stiffness_alone() -> None:
     rng = np.random.default_rng(3)
     found = [fit_static_stiffness(table(1e-5, rng, lag=20.0)) for _ in range(200)]
@@ -298,6 +309,12 @@ def test_a_file_of_tests_gives_the_lever_arm(tmp_path: Path) -> None:
         ("load_n,deformation_rad,direction", "1,1,up", 'file = "a.csv"\nlever_arm_m = -1', "lever_arm_m: found -1"),
         ("load_n,deformation_rad,direction", "1,1,up", "lever_arm_m = 1", "file: missing"),
         ("load_n,deformation_rad,direction", "1,1,up", 'file = "b.csv"', "b.csv: no such file"),
+        (
+            "moment_nm,deformation_rad,direction",
+            "1,1,up",
+            'file = "a.csv"\nlever_arm_m = 1',
+            "moment_nm.* no lever_arm_m",
+        ),
     ],
 )
 def test_bad_files_are_refused_by_file_and_place(

@@ -8,7 +8,7 @@ A file of tests (TOML)::
     [[test]]
     coordinate = "joint_2:bend_1"
     file = "joint_2_bend_1.csv"       # moment_nm or load_n, deformation_rad, direction (up or down)
-    lever_arm_m = 0.985               # where the table has load_n
+    lever_arm_m = 0.985               # where the table has load_n, and only there
     moment_std_nm = 0.2               # optional, of one reading
     deformation_std_rad = 2.9e-5      # optional, of one reading
     [[test]]                          # the lever by the robot's kinematics instead
@@ -35,7 +35,7 @@ from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.linear_fit import weighted_mean
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
-from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness
+from rx90b_flex.identify.static_stiffness import ROUNDING, StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.static_test import StaticTest, read_static_table
@@ -181,7 +181,7 @@ def _together(coordinate: str, found: tuple[StaticStiffness, ...]) -> HingeStiff
     own = [f for f in found if f.coordinate == coordinate]
     compliance = np.array([1.0 / f.stiffness for f in own])
     std = np.array([f.stiffness_std / f.stiffness**2 for f in own])
-    if len(own) == 1 or not (std > 0.0).all():
+    if len(own) == 1 or not (std > ROUNDING * np.abs(compliance)).all():
         mean, mean_std, p = float(compliance.mean()), float(std.mean() / np.sqrt(len(own))), 1.0
     else:
         mean, mean_std, p = weighted_mean(compliance, std)

@@ -17,6 +17,7 @@ from rx90b_flex.identify.linear_fit import LinearFit
 from rx90b_flex.signals.static_test import StaticTest
 
 SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
+ROUNDING = 1e-12  # of the largest reading: what is less is no noise of a measurement
 
 Response = Literal["deformation", "moment"]
 
@@ -126,6 +127,8 @@ def fit_static_stiffness(
     test = _without_beginnings(test, skip)
     line, parallel, both = _fits(test, response)
     slope = float(parallel.theta[0])
+    noisy = test.deformation if response == "deformation" else test.moment
+    rounding = len(test) * (ROUNDING * float(np.abs(noisy).max())) ** 2
     # the noise of a deformation, for the loop's own uncertainty
     deformation_std = parallel.noise if response == "deformation" else parallel.noise / slope
     return StaticStiffness(
@@ -139,8 +142,8 @@ def fit_static_stiffness(
         degrees_of_freedom=parallel.freedom,
         loading=_branch(test, both, 0, confidence, response),
         unloading=_branch(test, both, 1, confidence, response),
-        p_value=_f_test(line, both),
-        slope_p_value=_f_test(parallel, both),
+        p_value=_f_test(line, both, rounding),
+        slope_p_value=_f_test(parallel, both, rounding),
         hysteresis_area=area,
         hysteresis_std=float(deformation_std * np.linalg.norm(weight)),
     )
@@ -206,10 +209,12 @@ def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
     return replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
 
 
-def _f_test(small: LinearFit, large: LinearFit) -> float:
-    """Chance that the larger model fits that much better where the smaller one is true."""
+def _f_test(small: LinearFit, large: LinearFit, rounding: float) -> float:
+    """Chance that the larger model fits that much better where the smaller one is true, to squares of rounding."""
+    if small.squares <= rounding:
+        return 1.0
     if large.squares == 0.0:
-        return 1.0 if small.squares == 0.0 else 0.0
+        return 0.0
     more = small.freedom - large.freedom
     ratio = (small.squares - large.squares) / more / (large.squares / large.freedom)
     return float(special.fdtrc(more, large.freedom, ratio))
