@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rx90b_flex import cli
+from rx90b_flex.commands.shared import show_table
 from rx90b_flex.robot import load_robot
 
 RAIL = ind.TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
@@ -139,3 +140,17 @@ def test_a_trajectory_in_degrees_is_said_to_look_like_it(
     monkeypatch.setenv("COLUMNS", "200")
     assert run(monkeypatch, "simulate", "--help") == 0
     assert "Exit status: 0 the run is written, also one that ended early" in capsys.readouterr().out
+
+
+# ---- names ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["joint 1/a:b:", "[red]arm[/red]", "j[1]"])
+def test_names_are_printed_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    robot = urdf(tmp_path, ind.TWO_JOINTS.replace("elbow", name))
+    assert run(monkeypatch, "view", robot, "--flexible", "--out", tmp_path / "view.html") == 0
+    assert f"\n{name}: drive inertia" in capsys.readouterr().out
+    show_table(name, [(name, "1")], (name, "value"))
+    assert capsys.readouterr().out.count(name) == 3

@@ -48,7 +48,7 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
     console = Console(stderr=True)
     bar = Progress(
-        TextColumn("{task.description:<36}"),
+        TextColumn("{task.description:<36}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
@@ -62,10 +62,11 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
 
 def say(text: str) -> None:
-    """A line on standard output, as it is: names may hold what rich takes for markup."""
+    """A line on standard output, as it is: names may hold what rich takes for markup or an emoji."""
     from rich.console import Console
+    from rich.text import Text
 
-    Console().print(text, soft_wrap=True, markup=False, highlight=False)
+    Console().print(Text(text), soft_wrap=True)
 
 
 def fitted_into(
@@ -103,7 +104,7 @@ def show_table(title: str, rows: Sequence[Sequence[str]], head: Sequence[str], r
     table = Table(title=Text(title), title_justify="left")
     for i, name in enumerate(head):
         whole = all(" " not in row[i] for row in rows)  # names and numbers stay whole as long as sentences can give way
-        table.add_column(name, justify="right" if name in right else "left", overflow="fold", no_wrap=whole)
+        table.add_column(Text(name), justify="right" if name in right else "left", overflow="fold", no_wrap=whole)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
     Console().print(table)
