@@ -168,7 +168,7 @@ def frf(
     references : path, optional
         Folder ``references`` of `rx90b_flex.excite`, where the logs lack the feed-forward torque.
     mains_hz : float, optional
-        About 50 or 60: mains near it are taken out.
+        50 or 60, or any other frequency: what is within 0.2 Hz of it is taken out.
     replay : bool
         Whether the experiments are simulated to take out the distortion that friction makes.
     seed, jobs : int

@@ -41,7 +41,12 @@ StartHz = Annotated[
     ),
 ]
 Delays = Annotated[str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")]
-MainsHz = Annotated[float | None, typer.Option(help="50 or 60: take mains near that frequency out of the recordings.")]
+MainsHz = Annotated[
+    float | None,
+    typer.Option(
+        help="Take mains out of the recordings: about 50 or 60, or any other frequency of at least 0.2, found within 0.2."
+    ),
+]
 NoReplay = Annotated[
     bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
 ]
@@ -85,8 +90,6 @@ def frf_command(
     tried, starts = _modes(modes, start_hz, (low_hz, 2 * high_hz))
     if delays not in ("none", "common", "each"):
         raise ValueError(f"--delays is {delays!r}; expected none, common or each")
-    if mains_hz is not None and not mains_hz > 0.0:
-        raise ValueError(f"--mains-hz is {mains_hz:g}; expected 50 or 60")
     read = read_campaign(campaign)
     from rx90b_flex.identify.frf_command import FrfOptions, identify_from_motors, write_motor_identification
     from rx90b_flex.view.frf_report import write_frf_report

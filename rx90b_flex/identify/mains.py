@@ -49,7 +49,7 @@ def without_mains(recording: Recording, near_hz: float) -> tuple[Recording, Main
     Parameters
     ----------
     near_hz : float
-        50 or 60; the frequency is sought `REACH_HZ` on either side.
+        50 or 60, or any other; the frequency is sought `REACH_HZ` on either side.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def without_mains(recording: Recording, near_hz: float) -> tuple[Recording, Main
         )
     nyquist = 0.5 * recording.sample_rate_hz
     if not REACH_HZ < near_hz < nyquist - REACH_HZ:
-        raise ValueError(f"mains_hz is {near_hz:g}; expected above 0 and below Nyquist, {nyquist:g} Hz")
+        raise ValueError(f"mains_hz is {near_hz:g}; expected {REACH_HZ:g} to {nyquist - REACH_HZ:g} Hz")
     time = np.arange(recording.samples) / recording.sample_rate_hz
 
     def differing(x: Array) -> Array:
