@@ -394,7 +394,9 @@ POINTS = "points = [[0.5, 0, 0.35], [0.6, 0, 0.35]]\n"
         ("speed_mm_s = 50", "one of the keys 'points' and 'points_file' is expected"),
         (POINTS + "speed_mm_s = 50\nspeed = 3", "'speed': unknown key"),
         (POINTS + "speed_mm_s = '50'", "speed_mm_s: found '50', a finite number"),
-        (POINTS + "speed_mm_s = -1", "speed is -0.001; expected more than 0"),
+        (POINTS + "speed_mm_s = -1", "speed_mm_s: found -1, a number above 0 is expected"),
+        (POINTS + "speed_mm_s = 50\nacceleration = -1", "acceleration: found -1, a number above 0 is expected"),
+        (POINTS + "speed_mm_s = 50\nblend_mm = -1", "blend_mm: found -1, a number of 0 or more is expected"),
         (POINTS + "speed_mm_s = 50\nunit = 'inch'", "unit: found 'inch', 'm' or 'mm' is expected"),
         (POINTS + "speed_mm_s = 50\ncorner = 'round'", "corner: found 'round'"),
         (POINTS + "speed_mm_s = 50\ncorner = 'blend'", "corner is 'blend' and blend_mm is 0"),
@@ -440,6 +442,8 @@ def test_tables_of_points_and_path_files_in_either_unit_say_the_same(tmp_path: P
         np.testing.assert_allclose(seam.points, [[0.5, 0, 0.35], [0.6, 0.01, 0.35]])
         assert seam.rotations is not None and seam.orientation == "given" and seam.speed == pytest.approx(0.02)
         np.testing.assert_allclose(seam.rotations, seams[0].rotations, atol=1e-6)
+    with pytest.raises(ValueError, match="speed_mm_s is -5; expected more than 0"):
+        load_seam("line", speed_mm_s=-5.0)
     with pytest.raises(ValueError, match="has no speed"):
         load_seam(tmp_path / "m.csv")
     with pytest.raises(ValueError, match="expected a path file"):

@@ -345,6 +345,8 @@ def load_seam(source: str | Path, speed_mm_s: float | None = None) -> Seam:
         One line that names the file and the key or column.
     """
     path = Path(source)
+    if speed_mm_s is not None and not speed_mm_s > 0.0:
+        raise ValueError(f"speed_mm_s is {speed_mm_s:g}; expected more than 0")
     if str(source) in EXAMPLES and not path.exists():
         return _seam(TomlTable(str(path), "", tomllib.loads(EXAMPLES[str(source)])), path, speed_mm_s)
     if path.suffix == ".toml":
@@ -359,7 +361,7 @@ def load_seam(source: str | Path, speed_mm_s: float | None = None) -> Seam:
 def _seam(table: TomlTable, path: Path, speed_mm_s: float | None) -> Seam:
     table.allow(*KEYS)
     points, rotations = _points(table, path)
-    speed = table.number("speed_mm_s") if speed_mm_s is None else speed_mm_s
+    speed = table.positive("speed_mm_s") if speed_mm_s is None else speed_mm_s
     orientation = table.one_of("orientation", ("free", "keep"))
     given = [key for key in ("orientation", "rpy_deg", "quaternion_xyzw") if table.has(key)]
     if len(given) + (rotations is not None and bool(given) and given[-1] == "orientation") > 1:
@@ -369,9 +371,9 @@ def _seam(table: TomlTable, path: Path, speed_mm_s: float | None) -> Seam:
             name=path.stem,
             points=points,
             speed=1e-3 * speed,
-            acceleration=table.number("acceleration") if table.has("acceleration") else ACCELERATION,
+            acceleration=table.positive("acceleration") if table.has("acceleration") else ACCELERATION,
             corner=table.one_of("corner", ("stop", "blend")),  # type: ignore[arg-type]
-            blend=1e-3 * table.number("blend_mm") if table.has("blend_mm") else 0.0,
+            blend=1e-3 * table.not_negative("blend_mm") if table.has("blend_mm") else 0.0,
             orientation=orientation if rotations is None else "given",  # type: ignore[arg-type]
             rotations=rotations,
             start=np.deg2rad(table.numbers("start_deg")) if table.has("start_deg") else None,
