@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from test_cli import write_campaign
 
+from rx90b_flex import cli
 from rx90b_flex.signals.folders import (
     CAMPAIGN,
     CLOSED_LOOP,
@@ -163,6 +164,38 @@ def test_a_page_does_not_replace_a_file_of_the_run_that_it_shows(tmp_path: Path)
         with pytest.raises(ValueError, match="is what this run reads"):
             check_file(run / name, run)
     check_file(run / "view.html", run)
+
+
+COMMANDS = {  # that write one file, and the first element of what they write
+    "flexify rx90b_3dof": "robot",
+    "export rx90b_3dof --format urdf": "robot",
+    "export rx90b_3dof --format mjcf": "mujoco",
+    "export rx90b_3dof --format sdf": "sdf",
+    "view rx90b_3dof --count 1": "html",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_file_of_another_kind_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    out, kind = tmp_path / "out", COMMANDS[command]
+
+    def run() -> int:
+        monkeypatch.setattr("sys.argv", ["rx90b-flex", *command.split(), "--out", str(out)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return int(ended.value.code or 0)
+
+    for text in ("notes of a year\n", "<svg/>", f"\n# <{kind}>"):
+        out.write_text(text)
+        assert run() == 2
+        assert f"{out}: a file that does not begin with <{kind}> is there" in capsys.readouterr().err
+        assert out.read_text() == text and list(tmp_path.iterdir()) == [out]
+    for text in ("", f"\ufeff<?xml version='1.0'?>\n<!-- mine -->\n<{kind.upper()} name='a'/>"):
+        out.write_text(text)
+        assert run() == 0
+    assert run() == 0 and f"<{kind}" in out.read_text()  # over a file of its own
 
 
 def test_a_link_to_nothing_is_no_folder_and_one_to_a_folder_is(tmp_path: Path) -> None:

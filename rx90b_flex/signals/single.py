@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from rx90b_flex.signals.folders import files_read, refuse_unwritable, why
 from rx90b_flex.signals.tables import write_whole
+
+LOOKED_AT = 2**16  # bytes at a file's beginning
 
 
 def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None:
@@ -15,7 +18,7 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
     Parameters
     ----------
     path : Path
-        File to write; one that is there is replaced.
+        File to write.
     source : str or path, optional
         What is read, which must not be replaced, nor what it names (`files_read`).
 
@@ -37,16 +40,38 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write text as UTF-8; the file appears whole or not at all, in a folder that is made where it is missing.
+    """Write text, XML or HTML, as UTF-8; the file appears whole or not at all, in a folder that is made where it is missing.
+
+    A file that is there is replaced if it is empty or of the same kind.
 
     Raises
     ------
     ValueError
-        One line that names the path: it is no place for a file, or cannot be written.
+        One line that names the path: it is no place for a file, is a file of another kind, or cannot be written.
     """
     try:
         check_file(path)
+        there, kind = _beginning(path), _root(text)
+        if there.strip() and _root(there) != kind:
+            raise ValueError(f"{path}: a file that does not begin with <{kind}> is there; expected another name")
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise ValueError(f"{path}: cannot be written: {why(error)}") from None
+
+
+def _beginning(path: Path) -> str:
+    """Of what is there; nothing where no file is."""
+    if not path.exists():
+        return ""
+    with path.open("rb") as file:
+        return file.read(LOOKED_AT).decode(errors="replace")
+
+
+def _root(text: str) -> str:
+    """The first element of XML or HTML, or what its DOCTYPE names: ``robot``, ``html``; empty for any other text."""
+    rest = text.lstrip("\ufeff \t\r\n")
+    while rest.startswith(("<?", "<!--")):
+        rest = rest.partition("?>" if rest.startswith("<?") else "-->")[2].lstrip()
+    found = re.match(r"<(?:!doctype\s+)?([\w:.-]+)", rest, re.IGNORECASE)
+    return found[1].lower() if found else ""
