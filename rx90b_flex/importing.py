@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.keys import whole_names
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
@@ -90,6 +91,7 @@ def import_into(
         raise ValueError(f"--format {file_format}: expected {', '.join(FORMATS)}")
     check_folder(folder, CAMPAIGN, overwrite)
     loaded = load_robot(robot)
+    options = dataclasses.replace(options, joints=whole_names(options.joints, loaded.joints))
     lower, upper = (tuple(map(float, x)) for x in (loaded.tree.lowerPositionLimit, loaded.tree.upperPositionLimit))
     axes = Axes(loaded.joints, lower, upper, tuple(unit.slides for unit in loaded.units))
     imported = _with_facts(import_logs(files, axes, options))

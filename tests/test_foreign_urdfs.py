@@ -11,7 +11,9 @@ import pytest
 
 from rx90b_flex import cli
 from rx90b_flex.commands.shared import show_table
+from rx90b_flex.files.keys import whole_names
 from rx90b_flex.robot import load_robot
+from rx90b_flex.signals import load_campaign
 
 RAIL = ind.TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="prismatic"')
 
@@ -154,3 +156,21 @@ def test_names_are_printed_as_they_are(
     assert f"\n{name}: drive inertia" in capsys.readouterr().out
     show_table(name, [(name, "1")], (name, "value"))
     assert capsys.readouterr().out.count(name) == 3
+
+
+def test_a_joint_with_a_comma_in_its_name_is_found_among_names_with_commas_between(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = urdf(tmp_path, ind.TWO_JOINTS.replace('name="elbow"', 'name="a,b"'))
+    for k, (joints, driven) in enumerate({"a,b": "a,b 5 N m", "a,b,shoulder": "shoulder 10 N m, a,b 5 N m"}.items()):
+        options = ["--joints", joints, "--realisations", "1", "--pose", "0,0"]
+        assert run(monkeypatch, "excite", robot, "--out", tmp_path / f"out_{k}", *options) == 0
+        assert f"Feed-forward torque at most: {driven}\n" in capsys.readouterr().out
+    assert whole_names(["a", "b", "c"], ["a", "b", "a,b"]) == ("a,b", "c")  # the longest; what is unknown stays
+    time = np.arange(1000) / 100.0
+    columns = np.column_stack([time, np.sin(time), np.cos(time), np.sin(time), np.cos(time)])
+    rows = "\n".join(",".join(map(repr, row)) for row in columns.tolist())
+    (tmp_path / "log.csv").write_text(f"time,q1,q2,tau1,tau2\n{rows}\n")
+    options = ["--robot", robot, "--joints", "a,b,shoulder", "--out", tmp_path / "campaign"]
+    assert run(monkeypatch, "import", tmp_path / "log.csv", *options) == 0, capsys.readouterr().err
+    assert load_campaign(tmp_path / "campaign" / "campaign.toml").joints == ("a,b", "shoulder")

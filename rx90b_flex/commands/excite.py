@@ -73,13 +73,14 @@ def excite_command(
 
     check_folder(out, CAMPAIGN, overwrite)
     check_robot(robot)
+    from rx90b_flex.files.keys import whole_names
     from rx90b_flex.robot import load_robot
     from rx90b_flex.simulate.excite import ExciteRequest, excite_into
 
     loaded = load_robot(robot)
     poses = tuple(tuple(loaded.pose_of(numbers("pose", x), f"pose {k}")) for k, x in enumerate(pose or [], start=1))
     request = ExciteRequest(
-        robot, poses, tuple(joints.split(",")) if joints else (), matrix,  # type: ignore[arg-type]
+        robot, poses, whole_names(joints.split(","), loaded.joints) if joints else (), matrix,  # type: ignore[arg-type]
         numbers("peak", peak) if peak else (), (low_hz, high_hz), period_s, speed, swings, realisations, periods,
         not one_sign, white, controller, seed, by, numbers("speed-peak", speed_peak) if speed_peak else (), rate_hz,  # type: ignore[arg-type]
     )  # fmt: skip

@@ -12,6 +12,16 @@ def close_match(name: str, allowed: Sequence[str]) -> str:
     return f"did you mean {near[0]!r}?" if near else "expected one of: " + ", ".join(allowed)
 
 
+def whole_names(parts: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+    """Names from what stood between commas: known ones, the longest first, may hold commas themselves."""
+    found, k = [], 0
+    while k < len(parts):
+        end = next((e for e in range(len(parts), k, -1) if ",".join(parts[k:e]) in known), k + 1)
+        found.append(",".join(parts[k:end]))
+        k = end
+    return tuple(found)
+
+
 def suggestion(word: str, candidates: Sequence[str]) -> str:
     """`" (did you mean 'x'?)"` for the nearest candidates, or nothing."""
     folded = {candidate.lower(): candidate for candidate in candidates}
