@@ -62,6 +62,8 @@ class Robot:
     effects : tuple of Effect
     controller : str
         Its controller file, or the name of one in `robots_folder()`; empty where none is stated.
+    followers : tuple of (joint, leader)
+        Joints that mimic another in the URDF that was read; in `urdf` they are fixed.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Robot:
     inertial_parameters: str
     effects: tuple[Effect, ...]
     controller: str = ""
+    followers: tuple[tuple[str, str], ...] = ()
 
     def __repr__(self) -> str:
         count = len(self.effects)
@@ -661,8 +664,10 @@ def _near_robots(name: str) -> str:
 def _from_urdf(
     source: str | Path, name: str, tip_frame: str | None = None, inertial_parameters: str = "fitted"
 ) -> Robot:
-    urdf = virtual.to_xml(virtual.normalise(virtual.read_urdf(source)))
-    robot = Robot(name, urdf, "", inertial_parameters, ())
+    read = virtual.read_urdf(source)
+    followers = tuple((joint.name, joint.mimic.joint) for joint in read.robot.joints if joint.mimic is not None)
+    urdf = virtual.to_xml(virtual.normalise(read))
+    robot = Robot(name, urdf, "", inertial_parameters, (), followers=followers)
     for frame, inertia in zip(robot.tree.names, robot.tree.inertias, strict=True):
         largest = float(np.abs(inertia.toDynamicParameters()).max())
         if not largest <= LARGEST_INERTIA:

@@ -174,3 +174,25 @@ def test_a_joint_with_a_comma_in_its_name_is_found_among_names_with_commas_betwe
     options = ["--robot", robot, "--joints", "a,b,shoulder", "--out", tmp_path / "campaign"]
     assert run(monkeypatch, "import", tmp_path / "log.csv", *options) == 0, capsys.readouterr().err
     assert load_campaign(tmp_path / "campaign" / "campaign.toml").joints == ("a,b", "shoulder")
+
+
+# ---- joints that follow -----------------------------------------------------------------------------------------
+
+FINGER = """<link name="finger"><inertial><mass value="0.1"/>
+    <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="second" type="prismatic"><parent link="lower"/><child link="finger"/>
+    <limit lower="0" upper="1" velocity="5" effort="50"/><mimic joint="elbow" multiplier="2"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize("command", ["flexify", "export --format urdf", "export --format mjcf", "export --format sdf"])
+def test_a_joint_that_follows_another_is_said_to_be_fixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    robot = urdf(tmp_path, ind.TWO_JOINTS.replace("</robot>", FINGER))
+    (tmp_path / "robot.toml").write_text(f'urdf = "{robot.name}"\n')
+    name, *options = command.split()
+    for source in (robot, tmp_path / "robot.toml"):
+        assert run(monkeypatch, name, source, *options, "--out", tmp_path / "out.xml") == 0
+        said = capsys.readouterr().out.splitlines()
+        assert said[:-1] == ["Not held: second: follows elbow where it is from; here it is fixed"]

@@ -25,6 +25,7 @@ def flexify_command(
     from rx90b_flex import flexify as virtual
     from rx90b_flex.robot import load_robot
     from rx90b_flex.signals.single import check_file
+    from rx90b_flex.simulators.exporting import lost_followers
 
     check_file(out, robot)
     loaded = load_robot(robot)
@@ -35,5 +36,7 @@ def flexify_command(
         places = (list(loaded.joints), list(loaded.joints), False)
     flexible = virtual.flexify(virtual.read_xml(loaded.urdf), *places)
     virtual.write_urdf(flexible, out)
+    for lost in lost_followers(loaded):
+        say(f"Not held: {lost}")
     added = 2 * places[2] + len(places[0]) + 2 * len(places[1])
     say(f"{out}: {len(loaded.joints)} driven joints, {added} virtual ones")

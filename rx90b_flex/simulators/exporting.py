@@ -28,12 +28,19 @@ class Exported:
     path : Path
     format : str
     lost : tuple of Lost
-        What the format does not hold, or not as it is; one entry an effect or link. As text: one line each.
+        What is not held, or not as it is; one entry an effect, link or joint that followed another. As text: one line each.
     """
 
     path: Path
     format: str
     lost: tuple[Lost, ...]
+
+
+def lost_followers(robot: Robot) -> tuple[Lost, ...]:
+    """Joints that follow another in the URDF that was read, and no more in any file that is written."""
+    return tuple(
+        Lost(joint, f"follows {leader} where it is from; here it is fixed") for joint, leader in robot.followers
+    )
 
 
 def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[str], format: FormatName) -> Exported:
@@ -70,4 +77,4 @@ def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[
     held = held_by(robot, how)
     text, more = text_of(held)
     write_file(path, text)
-    return Exported(path, format, (*held.lost, *more))
+    return Exported(path, format, (*lost_followers(robot), *held.lost, *more))
