@@ -154,6 +154,12 @@ def each(arrays: tuple[Array, ...], change: Callable[[Array], Array]) -> tuple[A
     return tuple(change(x.copy()) for x in arrays)
 
 
+def one(arrays: tuple[Array, ...], rng: np.random.Generator, change: Callable[[Array], Array]) -> tuple[Array, ...]:
+    """One recording's changed."""
+    chosen = int(rng.integers(len(arrays)))
+    return tuple(change(x.copy()) if k == chosen else x for k, x in enumerate(arrays))
+
+
 def some_joint(logs: Logs, rng: np.random.Generator, first: int = 0, last: int = 0) -> int:
     return int(rng.integers(first, len(logs.joints) - last))
 
@@ -221,6 +227,24 @@ def every_torque_reversed(logs: Logs, rng: np.random.Generator) -> tuple[Logs, E
 def position_reversed(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     k = some_joint(logs, rng)
     return replace(logs, position=each(logs.position, times(k, -1.0))), Expected("reversed_sign", (logs.joints[k],))
+
+
+@fault
+def torque_reversed_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = some_joint(logs, rng)
+    return replace(logs, torque=one(logs.torque, rng, times(k, -1.0))), Expected("reversed_sign", (logs.joints[k],))
+
+
+@fault
+def position_reversed_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = some_joint(logs, rng)
+    return replace(logs, position=one(logs.position, rng, times(k, -1.0))), Expected("reversed_sign", (logs.joints[k],))
+
+
+@fault
+def torque_halved_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = carrying_joint(logs, rng)
+    return replace(logs, torque=one(logs.torque, rng, times(k, 0.5))), Expected("torque_gain", (logs.joints[k],))
 
 
 @fault
