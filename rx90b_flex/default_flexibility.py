@@ -92,8 +92,9 @@ def default_words(robot: Robot, before: Robot) -> list[str]:
         )
     for place in dict.fromkeys(e.joints for e in new):
         values = "; ".join(
-            f"{e.type_name().replace('_', ' ')} {e.public_values()[0][2]:.3g} {robot.unit_of(e, e.public_values()[0][1])}"
+            f"{e.type_name().replace('_', ' ')} {value:.3g} {unit}"
             for e in new
+            for _, unit, value in robot.values_of(e)[:1]
             if e.joints == place
         )
         lines.append(f"{' '.join(place) or 'base'}: {values}")

@@ -127,6 +127,11 @@ class Robot:
             return unit
         return self.units[self.joints.index(effect.joints[0])].of(unit)
 
+    def values_of(self, effect: Effect) -> list[tuple[str, str, float]]:
+        """`Effect.public_values` with their units on this robot; a phase is one of a cycle, whatever moves."""
+        shown = effect.public_values()
+        return [(name, unit if name == "phase" else self.unit_of(effect, unit), value) for name, unit, value in shown]
+
     def pose_of(self, given: Sequence[float], name: str = "pose") -> list[float]:
         """A pose as people give it, degrees and for sliding joints m, in rad and m."""
         if len(given) != len(self.joints) or not np.isfinite(given).all():

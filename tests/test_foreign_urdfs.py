@@ -11,6 +11,7 @@ import pytest
 
 from rx90b_flex import cli
 from rx90b_flex.commands.shared import show_table
+from rx90b_flex.effects import effect_from_table
 from rx90b_flex.files.keys import whole_names
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
@@ -38,6 +39,10 @@ def test_what_slides_has_kilograms_newtons_and_metres(tmp_path: Path) -> None:
     assert [(u.position, u.force) for u in robot.units] == [("rad", "N m"), ("m", "N")]
     np.testing.assert_allclose(robot.pose_of([90.0, 0.25]), [0.5 * np.pi, 0.25])
     _, sliding = robot.units
+    ripple = effect_from_table(
+        {"type": "gear_ripple", "joint": "elbow", "order": 1.0, "amplitude": 2.0}, "", robot.joints
+    )
+    assert [(name, unit) for name, unit, _ in robot.values_of(ripple)][1:] == [("amplitude", "N"), ("phase", "rad")]
     per_turning = ("kg m^2", "N m/rad", "N m s/rad", "1/(N m)^2", "rad/s", "Hz")
     assert [sliding.of(unit) for unit in per_turning] == ["kg", "N/m", "N s/m", "1/N^2", "m/s", "Hz"]
 

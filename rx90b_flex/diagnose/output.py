@@ -44,7 +44,7 @@ def closed_loop_json(result: ClosedLoop | RefusedLoop) -> dict[str, Any]:
         "before": _roles(result.before),
         "after": _roles(result.after),
         "noise_floor": None if result.noise_floor is None else {"torque_rms": list(result.noise_floor)},
-        "effects": [_effect(e) for e in result.effects],
+        "effects": [_effect(e, result.model.regression.robot) for e in result.effects],
         "verdict": result.verdict,
         "data_faults": faults_json(result.data_faults),
         "explainable": _explainable(result),
@@ -86,13 +86,13 @@ def _roles(errors: RoleErrors) -> dict[str, Any]:
     return {role: e | {"torque_rms": list(e["torque_rms"])} for role, e in dataclasses.asdict(errors).items()}
 
 
-def _effect(found: FoundEffect) -> dict[str, Any]:
+def _effect(found: FoundEffect, robot: Robot) -> dict[str, Any]:
     return _named(found.effect) | {
         "parameters": estimates_json(found.parameters),
         "validation_relative_error_before": found.before.relative_error,
         "validation_relative_error_after": found.after.relative_error,
         "p_value": found.p_value,
-        "alternatives": [_alternative(a) for a in found.alternatives],
+        "alternatives": [_alternative(a, robot) for a in found.alternatives],
     }
 
 
@@ -119,11 +119,11 @@ def _named(effect: Effect) -> dict[str, Any]:
     return out
 
 
-def _alternative(other: Alternative) -> dict[str, Any]:
+def _alternative(other: Alternative, robot: Robot) -> dict[str, Any]:
     return _named(other.effect) | {
         "parameters": {
             name: {"value": None if np.isnan(value) else float(value), "unit": unit}
-            for name, unit, value in other.effect.public_values()
+            for name, unit, value in robot.values_of(other.effect)
         },
         "gain_share": other.share,
         "standard_errors_behind": other.behind,

@@ -217,7 +217,7 @@ class Identification:
         if (
             k and not determined[:k].any() and not effect.traits.coefficients_follow
         ):  # of a joint that never moves, say: its shape is not told either
-            return tuple(Estimate(name, None, None, unit) for name, unit, _ in effect.public_values())
+            return tuple(Estimate(name, None, None, unit) for name, unit, _ in self.regression.robot.values_of(effect))
 
         def public(x: Array) -> Array:
             shown = effect.with_coefficients(np.where(determined, x, np.nan)[:k]).with_shape(x[k:])
@@ -241,9 +241,10 @@ class Identification:
         free = np.concatenate([determined[:k], np.ones(len(effect.shape), bool)])
         usable = jacobian[:, free]
         std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", usable, covariance[np.ix_(free, free)], usable), 0.0))
+        shown = self.regression.robot.values_of(effect)
         return tuple(
             Estimate(name, None if np.isnan(value) else float(value), None if np.isnan(value) else float(s), unit)
-            for (name, unit, _), value, s in zip(effect.public_values(), values, std, strict=True)
+            for (name, unit, _), value, s in zip(shown, values, std, strict=True)
         )
 
     def link_estimates(self) -> tuple[Estimate, ...]:

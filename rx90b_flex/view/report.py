@@ -349,12 +349,12 @@ def _motion(result: ClosedLoop, motion: MotionErrors | str | None) -> Section | 
 
 
 def _alternatives(result: ClosedLoop) -> PageTable | None:
-    rows = []
+    rows, robot = [], result.model.regression.robot
     for found in result.effects:
         for other in found.alternatives:
             more = other.size - found.trial.size
             extra = f" ({more} more parameter{'s' if more > 1 else ''})" if more > 0 else ""
-            values = (f"{n} = {number(v)} {unit_text(unit)}".rstrip() for n, unit, v in other.effect.public_values())
+            values = (f"{n} = {number(v)} {unit_text(unit)}".rstrip() for n, unit, v in robot.values_of(other.effect))
             rows.append((
                 effect_words(found.effect), effect_words(other.effect) + extra, "; ".join(values), f"{100 * other.share:.1f}",
                 f"{other.behind:.1f}", other.advice,
