@@ -149,6 +149,19 @@ def test_a_trajectory_in_degrees_is_said_to_look_like_it(
     assert "Exit status: 0 the run is written, also one that ended early" in capsys.readouterr().out
 
 
+def test_a_trajectory_in_milliseconds_is_said_to_have_samples_seconds_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = urdf(tmp_path, ind.TWO_JOINTS)
+    for name, unit in (("s", 1.0), ("ms", 1e3)):
+        rows = "".join(f"{unit * k / 250},0,{1e-3 * k}\n" for k in range(12))
+        (tmp_path / f"{name}.csv").write_text(f"time,shoulder,elbow\n{rows}")
+        given = ["--trajectory", tmp_path / f"{name}.csv", "--out", tmp_path / name]
+        assert run(monkeypatch, "simulate", robot, *given) == 0
+        said = "ms.csv: samples are 4 s apart; expected seconds in column 'time', not ms" in capsys.readouterr().out
+        assert said == (name == "ms")
+
+
 # ---- names ------------------------------------------------------------------------------------------------------
 
 

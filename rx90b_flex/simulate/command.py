@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,7 @@ from rx90b_flex.simulate.trajectories import (
 )
 
 OF_THE_RX90B = ("line", "excitation", "square-wave")
+COARSE_S = 0.5  # between samples of a trajectory: no controller is as slow, but one of 1 kHz in ms is
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
 
 
@@ -178,7 +180,11 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     feedforward = np.zeros_like(position) if fed else None
     if feedforward is not None:
         feedforward[:, [forward.index(name) for name in fed]] = table.columns(fed)
-    return _at_rate(path, robot, (time - time[0], position, velocity, feedforward), rate_hz)
+    read = _at_rate(path, robot, (time - time[0], position, velocity, feedforward), rate_hz)
+    if steps.mean() < COARSE_S:
+        return read
+    note = f"{path}: samples are {steps.mean():.3g} s apart; expected seconds in column 'time', not ms"
+    return dataclasses.replace(read, note=note)
 
 
 def _at_rate(path: Path, robot: Robot, parts: tuple[Array, Array, Array, Array | None], rate_hz: float) -> Trajectory:
@@ -265,6 +271,7 @@ def summary(result: Simulation, from_file: bool = False) -> list[str]:
         for name in ("torque", "velocity"):
             each = ", ".join(f"{j} {100 * x:.2g} %" for j, x in zip(result.robot.joints, shares[name], strict=True))
             lines.append(f"Power above 125 Hz in the raw log, {name}: {each}")
+    lines += [f"Note: {result.trajectory.note}"] if result.trajectory.note else []
     hint = degrees_hint(result.trajectory, result.robot) if from_file else ""
     lines.append(f"The run ended early: {result.ended}{hint}" if result.ended else "The run went to its end")
     return lines

@@ -35,6 +35,8 @@ class Trajectory:
         N m, joint side.
     period_s : float or None
         Where it repeats.
+    note : str
+        What whoever wrote it should look at; empty where there is nothing.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Trajectory:
     velocity: Array
     feedforward: Array | None = None
     period_s: float | None = None
+    note: str = ""
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "feedforward"):
