@@ -309,12 +309,6 @@ def test_a_file_of_tests_gives_the_lever_arm(tmp_path: Path) -> None:
         ("load_n,deformation_rad,direction", "1,1,up", 'file = "a.csv"\nlever_arm_m = -1', "lever_arm_m: found -1"),
         ("load_n,deformation_rad,direction", "1,1,up", "lever_arm_m = 1", "file: missing"),
         ("load_n,deformation_rad,direction", "1,1,up", 'file = "b.csv"', "b.csv: no such file"),
-        (
-            "moment_nm,deformation_rad,direction",
-            "1,1,up",
-            'file = "a.csv"\nlever_arm_m = 1',
-            "moment_nm.* no lever_arm_m",
-        ),
     ],
 )
 def test_bad_files_are_refused_by_file_and_place(

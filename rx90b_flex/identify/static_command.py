@@ -8,7 +8,7 @@ A file of tests (TOML)::
     [[test]]
     coordinate = "joint_2:bend_1"
     file = "joint_2_bend_1.csv"       # moment_nm or load_n, deformation_rad, direction (up or down)
-    lever_arm_m = 0.985               # where the table has load_n, and only there
+    lever_arm_m = 0.985               # where the table has load_n
     moment_std_nm = 0.2               # optional, of one reading
     deformation_std_rad = 2.9e-5      # optional, of one reading
     [[test]]                          # the lever by the robot's kinematics instead

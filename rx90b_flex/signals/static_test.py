@@ -94,10 +94,6 @@ def read_static_table(
         raise ValueError(f"{path}: has {found}; expected one of these columns")
     if loads == ["load_n"] and lever is None:
         raise ValueError(f"{path}: column 'load_n' needs lever_arm_m; describe the test in a TOML file that gives it")
-    if loads == ["moment_nm"] and lever is not None:
-        raise ValueError(
-            f"{path}: column 'moment_nm' needs no lever_arm_m or frame; expected 'load_n' with one, or none"
-        )
     load, deformation = table.finite([*loads, "deformation_rad"]).T
     moment = load * lever if loads == ["load_n"] and lever is not None else load
     return StaticTest(coordinate, moment, deformation, _read_direction(path), moment_std, deformation_std)
