@@ -607,8 +607,8 @@ def _physical(effect: Effect) -> bool:
 
 
 def _certain(model: Identification, effect: Effect) -> bool:
-    """Whether any value of an effect is more than its uncertainty, shapes apart, for they are never zero; where it has nothing
-    else, those that are not held. Without values its torque tells.
+    """Whether any value of an effect is more than its uncertainty; shapes, which are never zero, only where they are all that it
+    has: of a drive that twists its stiffness. Without values its torque tells.
     """
     shapes = effect.shape_parameters
     known = [
@@ -616,8 +616,8 @@ def _certain(model: Identification, effect: Effect) -> bool:
         for e in model.estimates(model.effects.index(effect))
         if e.value is not None and e.std is not None
     ]
-    told = [sure for name, sure in known if name not in shapes]
-    told = told or [sure for name, sure in known if not shapes[name].held]
+    told = [] if effect.traits.coefficients_follow else [sure for name, sure in known if name not in shapes]
+    told = told or [sure for name, sure in known if not (name in shapes and shapes[name].held)]
     return not told or any(told)
 
 
