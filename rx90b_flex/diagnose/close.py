@@ -405,7 +405,7 @@ def _closed(
         return RefusedLoop(checked, declared_robot, campaign)
     tell("identifying the declared model", 0.05)
     sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
-    gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" for j in f.joints)
+    gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" and f.usable for j in f.joints)
     fitted = declared_robot.inertial_parameters == "fitted"
     residual = TorqueResidual(data, campaign, sites, fitted, gains, worth_while(jobs, data.regression.torque.size))
     loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))

@@ -108,6 +108,10 @@ class Hints(Parametrized, ABC):
         """Lower and upper ends, (2, s), between which this motion can tell the shape parameters, within their bounds."""
         return np.array([[p.lower, p.upper] for p in self.shape_parameters.values()]).reshape(-1, 2).T
 
+    def shape_range_beside(self, motion: Motion, others: Sequence[Effect]) -> Array:
+        """The same in a model with other effects: narrower where it would else play the part of one that is missing there."""
+        return self.shape_range(motion)
+
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """How its shape is searched for on a motion, by what a model leaves over there if that helps to find it."""
         return ShapeSearch(np.array([[p.start for p in self.shape_parameters.values()]]))

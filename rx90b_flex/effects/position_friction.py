@@ -14,7 +14,7 @@ from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import derived, shape
-from rx90b_flex.effects.reversal import DryFriction, turnover_range, turnover_shape
+from rx90b_flex.effects.reversal import DryFriction, quick_range, turnover_shape
 from rx90b_flex.effects.ripple import PeriodicEffect
 
 
@@ -58,7 +58,7 @@ class PositionFriction(PeriodicEffect, LawEffect, DryFriction, repeats=False):
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """As of a ripple, for a residual that changes sign with the direction."""
         found = self._orders(motion, left)
-        low, high = turnover_range(motion.joint(self.joint))
+        low, high = quick_range(motion.joint(self.joint))
         starts = np.concatenate([found.starts, np.full((len(found.starts), 1), np.sqrt(low * high))], axis=1)
         return replace(found, starts=starts, spread=np.r_[found.spread, 0.3 * self.sharpness])
 

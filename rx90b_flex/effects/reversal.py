@@ -22,10 +22,10 @@ from rx90b_flex.effects.stand_in import forms_of
 
 # Where no turn-over is stated, rad/s. The source asks for a c_a that is "sufficiently high" and prints none.
 SHARP = 2.0e-4
-FASTEST_PART = (
-    1.0  # of a joint's speed within which dry friction turns over at the most: wider, it is one with the viscous
-)
-QUICK_PART = 0.05  # the same of most robots
+# Of a joint's speed, within which dry friction turns over at the most: wider, it is one with the viscous.
+FASTEST_PART = 1.0
+QUICK_PART = 0.05  # the same of most robots, and of a joint in whose model nothing grows with the velocity
+GROWING = ("viscous_friction", "viscous_power_friction")
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
@@ -139,10 +139,16 @@ def turnover_range(at: JointMotion) -> tuple[float, float]:
     return low, max(FASTEST_PART * known.speed, 4.0 * low)
 
 
-def turnover_start(at: JointMotion) -> float:
-    """In the lower part of what most robots have of that range, rad/s: where a search begins."""
+def quick_range(at: JointMotion) -> tuple[float, float]:
+    """The lower part of that range, which most robots' friction has."""
     low, high = turnover_range(at)
-    return float(low**0.7 * min(high, max(QUICK_PART * Resolution.of(at).speed, 4.0 * low)) ** 0.3)
+    return low, min(high, max(QUICK_PART * Resolution.of(at).speed, 4.0 * low))
+
+
+def turnover_start(at: JointMotion) -> float:
+    """In the lower part of what most robots have, rad/s: where a search begins."""
+    low, high = quick_range(at)
+    return float(np.exp(0.7 * np.log(low) + 0.3 * np.log(high)))
 
 
 def last_direction(at: JointMotion) -> Array:
@@ -196,6 +202,13 @@ class DryFriction(JointForce):
         """The turn-over's from what the log resolves; of other shapes what `own_range` says."""
         out = self.own_range(motion)
         out[:, -1] = turnover_range(motion.joint(self.joint, self.port_kind))
+        return out
+
+    def shape_range_beside(self, motion: Motion, others: Sequence[Effect]) -> Array:
+        """Wide turn-overs only where viscous friction is in the model: where it is missing they play its part."""
+        out = self.shape_range(motion)
+        if not any(e.place == self.place and e.type_name() in GROWING for e in others):
+            out[1, -1] = min(out[1, -1], quick_range(motion.joint(self.joint, self.port_kind))[1])
         return out
 
     def own_range(self, motion: Motion) -> Array:

@@ -47,7 +47,7 @@ class Shapes:
         high: list[float] = []
         held: list[bool] = []
         for effect in effects:
-            ends = effect.shape_range(motion)
+            ends = effect.shape_range_beside(motion, effects)
             here = []
             own = effect.shape_parameters.values()
             for key, p, a, b in zip(shared_shapes(effect), own, *ends, strict=True):

@@ -33,9 +33,9 @@ def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
 def other_loads(look: Look) -> Iterator[Hypothesis]:
     """Another load on the flange in one recording."""
     tracks = look.sample.tracks
-    for r, track in enumerate(tracks if len(tracks) > 1 and not any(look.reading.other_load) else ()):
+    for r in range(len(tracks) if len(tracks) > 1 and not any(look.reading.other_load) else 0):
         text = (
-            f"{track.name} was made with another load than the other recordings: state what each had on the flange, with "
+            f"{_name(look, r)} was made with another load than the other recordings: state what each had on the flange, with "
             "`payload` in its [[recording]]."
         )
         reading = look.reading.with_entries({"other_load": tuple(i == r for i in range(len(tracks)))})
@@ -66,9 +66,16 @@ def _ratios(look: Look) -> Array:
     return np.where(np.abs(others) > 1e-9, out / np.where(np.abs(others) > 1e-9, others, 1.0), 1.0)
 
 
+def _name(look: Look, recording: int) -> str:
+    """Of a recording's file, and which it is of several parts of one."""
+    names = [t.name for t in look.sample.tracks]
+    name = names[recording]
+    return name if names.count(name) == 1 else f"{name} (recording {recording + 1})"
+
+
 def _reversed(look: Look, name: str, recording: int, joint: int) -> Hypothesis:
     what, signal = ("torque", "torque") if name == "torque_scale_in" else ("position", "motor_position")
-    said, where = look.sample.joints[joint], look.sample.tracks[recording].name
+    said, where = look.sample.joints[joint], _name(look, recording)
     text = (
         f"The {what} of {said} has the wrong sign in {where}, and not in the other recordings: change it in that log."
     )
@@ -76,7 +83,7 @@ def _reversed(look: Look, name: str, recording: int, joint: int) -> Hypothesis:
 
 
 def _scaled(look: Look, recording: int, joint: int, factor: float) -> Hypothesis:
-    said, where = look.sample.joints[joint], look.sample.tracks[recording].name
+    said, where = look.sample.joints[joint], _name(look, recording)
 
     def reading(factor: float) -> Reading:
         return look.reading.changed_in("torque_scale_in", recording, joint, 1.0 / factor)
