@@ -169,7 +169,7 @@ class Search:
                     continue
                 if any(shuts_out(e, effect) for e in here):
                     continue
-                if self.kinds in (laws, repeated) and crowded(effect, here) is (self.kinds is laws):
+                if crowded(effect, here) is not (self.kinds is repeated):
                     continue
                 new = as_beside(effect, here)
                 if new is None:

@@ -269,7 +269,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         for step in steps:
             if not step.trial.effect.traits.last_resort and self._untold(model, step.trial):
                 less = self._without(model, step.trial)
-                if not self.spoils(less[0], model):
+                own = [self.campaign.joints.index(j) for j in step.trial.effect.joints if j in self.campaign.joints]
+                rms, before = (np.array(m.errors.identification.torque_rms)[own] for m in (less[0], model))
+                if not self.spoils(less[0], model) and (rms <= WORSE * before).all():
                     self._lesser[:] = [(model, step.trial, less)]
                     return step
         return None
@@ -281,7 +283,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if all(e.value is None for e in values) or self.unsure(model, trial):
             return True
         before, after = trial.effect.coefficients, now.coefficients
-        return len(before) == len(after) and bool(np.linalg.norm(after - before) > CHANGED * np.linalg.norm(before))
+        # their size: a phase turns with the order
+        sizes = np.linalg.norm(before), np.linalg.norm(after)
+        return len(before) == len(after) and bool(abs(sizes[1] - sizes[0]) > CHANGED * sizes[0])
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""

@@ -88,7 +88,7 @@ class CoulombFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousFriction(SumOfLaws, SidedFriction):
+class ViscousFriction(SumOfLaws, SidedFriction, grows_with_speed=True):
     """Friction linear in velocity, ``coefficient * v``.
 
     Signature
@@ -140,7 +140,9 @@ class AsymmetricFriction(SidedFriction, LawEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousPowerFriction(SidedFriction, LawEffect, DryFriction, replaces=("viscous_friction",)):
+class ViscousPowerFriction(
+    SidedFriction, LawEffect, DryFriction, grows_with_speed=True, replaces=("viscous_friction",)
+):
     """Viscous part of equation 3.53, ``coefficient * sign(v) * |v|^power``, power = 1 - delta_v.
 
     It stands in for `viscous_friction` at the same joint.

@@ -25,7 +25,6 @@ SHARP = 2.0e-4
 # Of a joint's speed, within which dry friction turns over at the most: wider, it is one with the viscous.
 FASTEST_PART = 1.0
 QUICK_PART = 0.05  # the same of most robots, and of a joint in whose model nothing grows with the velocity
-GROWING = ("viscous_friction", "viscous_power_friction")
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
@@ -207,7 +206,7 @@ class DryFriction(JointForce):
     def shape_range_beside(self, motion: Motion, others: Sequence[Effect]) -> Array:
         """Wide turn-overs only where viscous friction is in the model: where it is missing they play its part."""
         out = self.shape_range(motion)
-        if not any(e.place == self.place and e.type_name() in GROWING for e in others):
+        if not any(e.place == self.place and e.traits.grows_with_speed for e in others):
             out[1, -1] = min(out[1, -1], quick_range(motion.joint(self.joint, self.port_kind))[1])
         return out
 

@@ -33,6 +33,8 @@ class Traits:
         Its force depends on the motion before, which a simulation step does not know.
     breaks_away : bool
         Its coefficients add up to a dry friction of its joint just before it slides.
+    grows_with_speed : bool
+        Friction that grows with the velocity: beside it, dry friction that turns over widely does not play its part.
     behind_gear : bool
         A torque sensor behind the gear feels it; what may be on either side is the motor's.
     multiplies : bool
@@ -70,6 +72,7 @@ class Traits:
     needs_model: bool = False
     remembers: bool = False
     breaks_away: bool = False
+    grows_with_speed: bool = False
     behind_gear: bool = False
     multiplies: bool = False
     coefficients_follow: bool = False
