@@ -271,12 +271,13 @@ def test_what_is_there_is_kept_and_the_rest_is_done(
     first, out = done[1], tmp_path / "out"
     shutil.copytree(first, out)
     shutil.rmtree(out / "r1")
+    (out / "r2" / "closed_loop.json").write_text("{")  # damaged: made again
     for path in out.glob("fleet.*"):
         path.unlink()
     kept = (out / "r0" / "closed_loop.json").stat().st_mtime_ns
     said: list[str] = []
     rf.close_loop_many(campaigns, out=out, progress=lambda text, part: said.append(text))
-    assert said[0] == "4 of 6 robots"
+    assert said[0] == "3 of 6 robots"
     assert tree(out) == tree(first)
     assert (out / "r0" / "closed_loop.json").stat().st_mtime_ns == kept
 
@@ -314,6 +315,14 @@ def test_the_command_goes_on_and_says_what_was_refused(
     assert ended.status == 1 and not ended.err
     assert "1 of 5 robots stand out: r2." in ended.out and "r5: refused: " in ended.out
     assert tree(out) == tree(done[1])
+
+
+def test_a_link_to_a_campaign_is_no_other_robot(campaigns: list[Path], tmp_path: Path) -> None:
+    link = tmp_path / "linked"
+    link.symlink_to(campaigns[0].parent)
+    with pytest.raises(ValueError, match=r"linked.*is given 2 times"):
+        rf.close_loop_many([link / campaigns[0].name, campaigns[0]], out=tmp_path / "out")
+    assert list(tmp_path.iterdir()) == [link]
 
 
 def test_wrong_words_and_campaigns_none_of_which_can_be_used_are_one_line(

@@ -169,9 +169,11 @@ def _tasks(campaigns: Sequence[str | os.PathLike[str]], folder: Path, options: L
     paths = [Path(os.path.abspath(c)) for c in campaigns]
     if not paths:
         raise ValueError("no campaign is given; expected one a robot")
-    for path in paths:
-        if paths.count(path) > 1:
-            raise ValueError(f"{path}: is given {paths.count(path)} times; expected one campaign a robot")
+    files = [os.path.realpath(p) for p in paths]  # a link is no other robot
+    for path, file in zip(paths, files, strict=True):
+        if files.count(file) > 1:
+            also = next((f" (also as {p})" for p, f in zip(paths, files, strict=True) if f == file and p != path), "")
+            raise ValueError(f"{path}: is given {files.count(file)} times{also}; expected one campaign a robot")
     return tuple(Task(n, p, folder / n, options) for n, p in zip(robot_names(paths), paths, strict=True))
 
 

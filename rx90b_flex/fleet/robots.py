@@ -22,6 +22,7 @@ from rx90b_flex.signals import load_campaign
 from rx90b_flex.signals.folders import CLOSED_LOOP
 
 REFUSED = "refused"  # in place of a verdict
+CONTENT = {"verdict", "robot", "before", "after", "effects", "data_faults"}  # of a result that is read
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,18 @@ class Task:
 
     @property
     def done(self) -> bool:
-        """Whether its result is there, as a whole."""
-        return (self.folder / CLOSED_LOOP.mark).is_file()
+        """Whether its result is there, as a whole: what is damaged is made again."""
+        return self.content is not None
+
+    @property
+    def content(self) -> dict[str, Any] | None:
+        """Of its ``closed_loop.json``; None where there is none, or one that no run wrote."""
+        try:
+            content = json.loads((self.folder / CLOSED_LOOP.mark).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        whole = isinstance(content, dict) and CONTENT <= content.keys()
+        return content if whole else None
 
     @property
     def digest(self) -> str:
@@ -156,11 +167,9 @@ def read_outcome(task: Task) -> Outcome:
     ValueError
         One line that names a file that cannot be read.
     """
-    file = task.folder / CLOSED_LOOP.mark
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise ValueError(f"{file}: cannot be read; expected what an earlier run wrote") from None
+    content = task.content
+    if content is None:
+        raise ValueError(f"{task.folder / CLOSED_LOOP.mark}: cannot be read; expected what an earlier run wrote")
     if content["verdict"] == DATA_FAULT:
         reason = " ".join(f["message"] for f in content["data_faults"])
         return Outcome(task.name, task.campaign, content["robot"], DATA_FAULT, reason)
