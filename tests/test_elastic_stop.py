@@ -31,4 +31,9 @@ def test_an_elastic_stop_is_a_curve(tmp_path, seed):
     assert names.count(("angle_curve", (arm.joints[1],))) == 1
     assert len(names) <= 3  # where a law came before the curve, or finds the corner that this rounds off
     assert result.verdict in ("explained", "partly_explained")
-    assert result.after.validation.relative_error < 0.02 * result.before.validation.relative_error
+    # where the fitted recordings have been: beyond that no curve knows how hard the stop is
+    (held_out,) = result.predictions
+    seen = max(r.position[:, 1].max() for r in result.campaign.identification)
+    known = held_out.recording.position[:, 1] < seen - 0.02  # the low-pass carries a little
+    left = (held_out.torque - held_out.after)[known]
+    assert np.linalg.norm(left) < 0.02 * result.before.validation.relative_error * np.linalg.norm(held_out.torque[known])

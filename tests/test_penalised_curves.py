@@ -197,6 +197,27 @@ def test_identification_chooses_the_strength_of_a_declared_curve(tmp_path):
     assert errors[0] < errors[1]
 
 
+def test_what_viscous_friction_has_is_left_to_it_and_nothing_else_changes(tmp_path, monkeypatch):
+    made = case(tmp_path, bump, NOISE[1], 0)
+    curve = made.trial().effect
+    model = made.with_curve(curve)
+    monkeypatch.setattr(FrictionCurve, "held_beside", Effect.held_beside)
+    free = made.with_curve(curve)
+    # the same friction, and in all the same error
+    _, friction, _ = friction_of(made, model)
+    np.testing.assert_allclose(friction, friction_of(made, free)[1], atol=2e-4 * np.abs(friction).max())
+    assert model.relative_error == pytest.approx(free.relative_error, rel=1e-6)
+    # but its straight part is the viscous friction's, and each value is told
+    (found,) = (e for e in model.effects if isinstance(e, FrictionCurve))
+    knots = np.array(found.velocities)
+    torques = np.array(found.torques)
+    at = knots**4 * (knots - np.average(knots, weights=knots**4))
+    assert abs(at @ torques) < 1e-3 * np.linalg.norm(at) * np.linalg.norm(torques)
+    place = next(i for i, e in enumerate(model.effects) if e.joints == (ELBOW,) and e.type_name() == "viscous_friction")
+    (viscous,), (untold,) = model.estimates(place), free.estimates(place)
+    assert viscous.std < 0.1 * untold.std
+
+
 def test_a_penalty_is_the_integral_of_the_bend_and_none_for_a_straight_line():
     knots = np.array([-1.0, -0.7, -0.65, 0.1, 0.3, 1.2])
     torques = np.array([0.3, -1.0, 2.0, 0.5, 0.1, -0.4])
@@ -219,6 +240,6 @@ def test_long_rests_leave_a_curve_its_knots():
         def joint(self, name: str) -> Moving:
             return self
 
-    curve = FrictionCurve(joint=ELBOW).placed(Moving())
+    curve = FrictionCurve(joint=ELBOW).placed([Moving()])
     assert 0.5 * KNOTS <= curve.count <= KNOTS
     assert curve.knots[0] == pytest.approx(-1.0, abs=0.01) and curve.knots[-1] == pytest.approx(1.0, abs=0.01)

@@ -24,7 +24,8 @@ from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Recording, write_campaign
 from rx90b_flex.view import plots, report_html, write_report
 from rx90b_flex.view.advice import next_measurements, standstill
-from rx90b_flex.view.report import headline, measured, number, p_value, percent, values
+from rx90b_flex.view.estimates import measured, number, values
+from rx90b_flex.view.report import headline, p_value, percent
 from rx90b_flex.view.zoom import envelope, script, script_hash
 
 JOINTS = ("shoulder", 'elbow <b>"1" & $x_1$</b>')  # names that break HTML or mathematics if they are not escaped

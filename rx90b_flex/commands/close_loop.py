@@ -139,10 +139,15 @@ def print_result(result: Any) -> None:
 
 
 def _values(parameters: Sequence[Any]) -> Iterator[str]:
-    """Of an effect; what of it is not determined is said once."""
-    yield from (value_words(p.name, p.value, p.std, p.unit) for p in parameters if p.value is not None)
+    """Of an effect, a curve's together; what of it is not determined is said once."""
+    from rx90b_flex.view.estimates import counted, measured_all, name_of, untold_names
+
+    for some in counted([p for p in parameters if p.value is not None]):
+        first = some[0]
+        if len(some) > 1 or first.value is None:
+            yield f"{name_of(some)} {measured_all(some, first.unit)}"
+        else:
+            yield value_words(first.name, first.value, first.std, first.unit)
     missing = [p.name for p in parameters if p.value is None]
     if missing:
-        from rx90b_flex.view.report import untold_names
-
         yield f"{untold_names(missing)} not determined"

@@ -154,6 +154,11 @@ class Search:
         )
         return Base(shared, np.arange(ends[-1]), shared.theta)
 
+    @property
+    def seen_sites(self) -> Sites:
+        """Places, with the motion of every recording."""
+        return dataclasses.replace(self.sites, motions=tuple(s.motion for s in self.regression.segments))
+
     @cached_property
     def candidates(self) -> list[tuple[Effect, Effect | None]]:
         """Effects to try, each with the declared effect that it would replace."""
@@ -161,7 +166,7 @@ class Search:
         for cls in catalogue().values():
             if not self.kinds(cls):
                 continue
-            for effect in cls.everywhere(dataclasses.replace(self.sites, motion=self.longest)):
+            for effect in cls.everywhere(self.seen_sites):
                 if not len(effect.coefficients):
                     continue  # this motion leaves nothing to place
                 here = [e for e in self.model.effects if e.place == effect.place]

@@ -39,6 +39,7 @@ MUCH = 0.1  # of the squared error of the joints it touches: an effect that expl
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
 CHANGED = 0.5  # of its values beside a curve: what changes by more is not what it was taken for
+ALIKE = 0.1  # of its torque by which an effect differs from what it stands in for: beside a curve less says nothing
 WEIGHT_ROUNDS = 2  # fits after which the weights of rows near reversals are kept until the next effect
 SAME_WEIGHTS = 0.05  # a change of factors below this is not worth a fit
 
@@ -265,16 +266,36 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return f"this log does not tell its {unknown[0]}" if all(unknown) else ""
 
     def _not_missed(self, model: TorqueModel, steps: Sequence[Addition[TorqueTrial]]) -> Addition[TorqueTrial] | None:
-        """The first addition with a name of which a model tells no value, or quite another one, and without which it fits as well."""
+        """The first addition with a name that is not possible, or of which a model tells no value, or quite another one, or hardly
+        another torque than that of what it stands in for, and without which it fits as well.
+        """
         for step in steps:
-            if not step.trial.effect.traits.last_resort and self._untold(model, step.trial):
-                less = self._without(model, step.trial)
-                own = [self.campaign.joints.index(j) for j in step.trial.effect.joints if j in self.campaign.joints]
-                rms, before = (np.array(m.errors.identification.torque_rms)[own] for m in (less[0], model))
-                if not self.spoils(less[0], model) and (rms <= WORSE * before).all():
-                    self._lesser[:] = [(model, step.trial, less)]
-                    return step
+            if step.trial.effect.traits.last_resort:
+                continue
+            named = find(model, step.trial.effect)
+            if not _physical(named):
+                return step
+            untold = self._untold(model, step.trial)
+            if not (untold or self.search(model).restored(named)):
+                continue
+            less = self._without(model, step.trial)
+            if not (untold or self._differs_little(less[0], model, named)):
+                continue
+            own = [self.campaign.joints.index(j) for j in named.joints if j in self.campaign.joints]
+            rms, before = (np.array(m.errors.identification.torque_rms)[own] for m in (less[0], model))
+            if not self.spoils(less[0], model) and (rms <= WORSE * before).all():
+                self._lesser[:] = [(model, step.trial, less)]
+                return step
         return None
+
+    def _differs_little(self, less: TorqueModel, model: TorqueModel, named: Effect) -> bool:
+        """Whether what came back in the place of a named effect has much the same torque."""
+        gone = {(type(e), e.place) for e in model.effects}
+        back = [e for e in less.effects if e.place == named.place and (type(e), e.place) not in gone]
+        columns = self.data.regression.columns
+        torque = columns(named) @ named.known_coefficients()
+        apart = torque - sum(columns(e) @ e.known_coefficients() for e in back)
+        return bool(back) and bool(np.linalg.norm(apart) < ALIKE * np.linalg.norm(torque))
 
     def _untold(self, model: TorqueModel, trial: TorqueTrial) -> bool:
         """Whether none of its values is certain, or known at all, or they are not what they were before."""
@@ -434,7 +455,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def _without(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel, list[TorqueTrial]]:
         search, effect = self.search(model), find(model, trial.effect)
-        less = self._identified(search.present_without(effect), model)
+        # a curve beside it may have to bend for both
+        left = [e.penalised(None) if e.place == effect.place else e for e in search.present_without(effect)]
+        less = self._identified(left, model)
         names = {r.label for r in search.restored(effect)} - self._declared
         back = []
         for simpler in [e for e in less.effects if e.label in names]:
@@ -605,15 +628,17 @@ def _weighted_better(new: TorqueModel, old: TorqueModel) -> bool:
 
 
 def _physical(effect: Effect) -> bool:
-    """Whether every single value that a robot file would hold lies above its lower bound."""
+    """Whether every single value that a robot file would hold lies above its lower bound, and all go together."""
     values = ((getattr(effect, p.attribute), p.lower) for p in effect.parameters().values())
-    return all(x is None or bool((np.atleast_1d(x) >= low).all()) for x, low in values)
+    return effect.possible() and all(x is None or bool((np.atleast_1d(x) >= low).all()) for x, low in values)
 
 
 def _certain(model: Identification, effect: Effect) -> bool:
     """Whether any value of an effect is more than its uncertainty; shapes, which are never zero, only where they are all that it
     has: of a drive that twists its stiffness. Without values its torque tells.
     """
+    if effect.penalty is not None:
+        return True  # of a curve no single value is certain, where a neighbour may have a part of it
     shapes = effect.shape_parameters
     known = [
         (e.name, abs(e.value) > CERTAIN * e.std)

@@ -19,6 +19,7 @@ from rx90b_flex.effects.parameters import FRICTION, SPRING, Parameter, given, li
 
 KNOTS = 40  # of a curve that a search places: more than it has bends, so that the penalty says how smooth it is
 NEAREST = 0.5 / KNOTS  # of their range: knots lie no nearer to each other, where samples crowd
+FAST = 4  # power of the speed by which knots count: what is no viscous friction fades
 STANDS = 1e-12  # rad or rad/s within which a joint has no curve: it does not move
 
 
@@ -71,7 +72,7 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
 
     A fit penalises how far it bends from knot to knot, ``integral h(x)^3 f''(x)^2 dx`` with the distance h of the two knots on
     either side: second differences, on knots that are not equally far apart. A straight line has none. How much that counts the
-    data choose: blocks that are held out.
+    data choose: blocks that are held out. What another effect of its joint has already, a level or a straight line, is left to that.
 
     Source: P. H. C. Eilers, B. D. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science 11(2), 1996;
     the integral of a natural cubic spline as in P. J. Green, B. W. Silverman, "Nonparametric Regression and Generalized Linear
@@ -79,6 +80,8 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
     """
 
     knots_name: ClassVar[str]
+    level_of: ClassVar[frozenset[str]]  # effect types that have a level, of which each stands before it
+    line_of: ClassVar[str]  # and a line along its knots
     strength: float | None
 
     def __post_init__(self) -> None:
@@ -98,6 +101,25 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
     def count(self) -> int:
         return len(self.knots)
 
+    def held_beside(self, others: Sequence[Effect], motions: Sequence[Motion]) -> Array:
+        """The level and the straight line, which other effects in its place have; not where it ends within the motion."""
+        here = {e.type_name() for e in others if e.place == self.place}
+        level, line = not here.isdisjoint(self.level_of), self.line_of in here
+        if not (level or line) or not self._covers(motions):
+            return super().held_beside(others, motions)
+        knots = np.array(self.knots)
+        where = self.straight_at(knots)
+        straight = [where] * level + [where * (knots - np.average(knots, weights=where))] * line
+        return np.array([x / np.linalg.norm(x) for x in straight]).T
+
+    def _covers(self, motions: Sequence[Motion]) -> bool:
+        every = [self.abscissa(m.joint(self.joint)) for m in motions]
+        return self.knots[0] <= min(x.min() for x in every) and max(x.max() for x in every) <= self.knots[-1]
+
+    def straight_at(self, knots: Array) -> Array:
+        """How much each knot counts where what others have is to be all, shape (k,)."""
+        return np.ones(len(knots))
+
     @property
     def penalty(self) -> Penalty | None:
         return Penalty(self._roughness(), self.strength) if self.count else None
@@ -111,20 +133,20 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
         middle = begin + end
         return np.asarray(ends + middle.T @ (weight[:, None] * middle))
 
-    def penalised(self, strength: float) -> Self:
+    def penalised(self, strength: float | None) -> Self:
         change: dict[str, Any] = {"strength": strength}
         return dataclasses.replace(self, **change)
 
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         every = [cls(joint=j) for j in sites.joints]
-        return every if sites.motion is None else [e.placed(sites.motion) for e in every]
+        return [e.placed(sites.motions) for e in every] if sites.motions else every
 
-    def placed(self, motion: Motion) -> Self:
-        """With knots over what this motion covers, half of them evenly and half where it has its samples; without any where it
-        does not move.
+    def placed(self, motions: Sequence[Motion]) -> Self:
+        """With knots over what these motions cover, half of them evenly and half where there are samples; without any where the
+        joint does not move.
         """
-        at = self.abscissa(motion.joint(self.joint))
+        at = np.concatenate([self.abscissa(m.joint(self.joint)) for m in motions])
         x = np.unique(at)  # a joint at rest has one velocity, however long it stands
         low, high = x[0], x[-1]
         change: dict[str, Any] = {self.knots_name: ()}
@@ -180,10 +202,15 @@ class FrictionCurve(_Curve):
     """
 
     knots_name: ClassVar[str] = "velocities"
+    level_of: ClassVar[frozenset[str]] = frozenset({"torque_offset", "joint_spring", "angle_curve"})
+    line_of: ClassVar[str] = "viscous_friction"
 
     velocities: tuple[float, ...] = given("rad/s", size=0)
     torques: tuple[float, ...] | None = linear("N m", rank=FRICTION, size=0)
     strength: float | None = None  # of the penalty in a fit, 1/(N m)^2
+
+    def straight_at(self, knots: Array) -> Array:
+        return np.abs(knots) ** FAST
 
     def abscissa(self, at: JointMotion) -> Array:
         return at.v
@@ -212,6 +239,8 @@ class AngleCurve(_Curve, part="spring"):
     """
 
     knots_name: ClassVar[str] = "angles"
+    level_of: ClassVar[frozenset[str]] = frozenset({"torque_offset", "joint_spring"})
+    line_of: ClassVar[str] = "joint_spring"
 
     angles: tuple[float, ...] = given("rad", size=0)
     torques: tuple[float, ...] | None = linear("N m", rank=SPRING, size=0)

@@ -222,6 +222,10 @@ class StribeckFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
         velocity, power = self.known_shape()[:2]
         return (self.direction(at) * np.exp(-np.exp(power * (log_speed(at) - np.log(velocity)))))[:, None]
 
+    def possible(self) -> bool:
+        """Friction that fades before its sign has turned over falls nowhere: it is how dry friction turns over."""
+        return self.turnover is None or self.velocity is None or self.velocity >= self.turnover
+
     @staticmethod
     def law(x: Any, rate: Any, parameters: Any, out: Any) -> None:
         torque, velocity, power, turnover = parameters[0], parameters[1], parameters[2], parameters[3]
@@ -278,11 +282,6 @@ class _OfUsualPower(OfUsualShape, StribeckFriction):
     """How quickly it fades a log may not tell: with a lower power, more torque comes to the same above the slowest speeds."""
 
     in_files: ClassVar[type[Effect]] = StribeckFriction
-
-    def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
-        turned = self.turnover is not None and self.velocity is not None and self.velocity < self.turnover
-        within = "it fades before its sign has turned over: it is how dry friction turns over"
-        return super().too_small(part, sample_s, motion) or (within if turned else "")
 
 
 @dataclass(frozen=True, kw_only=True)

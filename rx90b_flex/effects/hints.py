@@ -27,13 +27,13 @@ class Sites:
     joints : tuple of str
         In tree order.
     tip_frame : str
-    motion : Motion or None
-        On which it is tried, where one is known: what suggests the geometry that a curve needs.
+    motions : tuple of Motion
+        On which it is tried, a recording each, where they are known: they suggest the geometry that a curve needs.
     """
 
     joints: tuple[str, ...]
     tip_frame: str
-    motion: Motion | None = None
+    motions: tuple[Motion, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +144,15 @@ class Hints(Parametrized, ABC):
             "" if part >= SMALLEST_PART else f"it takes {max(part, 0.0):.1%} off a joint's error, too little for a name"
         )
 
+    def held_beside(self, others: Sequence[Effect], motions: Sequence[Motion]) -> Array:
+        """Combinations of its coefficients, (k, n), that a fit leaves at zero: on these motions others have all of their torque."""
+        return np.zeros((len(self.coefficients), 0))
+
     @property
     def penalty(self) -> Penalty | None:
         """What a fit keeps small of its coefficients; None: nothing."""
         return None
 
-    def penalised(self, strength: float) -> Self:
+    def penalised(self, strength: float | None) -> Self:
         """With that strength of its penalty."""
         return self

@@ -54,7 +54,7 @@ class Task:
             content = json.loads((self.folder / CLOSED_LOOP.mark).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        whole = isinstance(content, dict) and CONTENT <= content.keys()
+        whole = isinstance(content, dict) and content.keys() >= CONTENT
         return content if whole else None
 
     @property

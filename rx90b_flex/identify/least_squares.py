@@ -36,6 +36,10 @@ from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
 SAME_MISFIT = 1.0e-4  # change of the sum of the residuals' logarithms below which a fit has settled
 TWISTS = 2.0e-3  # of the torque: drives that take so much are fitted together with the links behind them
+# Of what the data say of a coefficient, were all torque noise, that holds a combination which is left to others at zero: about as
+# much as they say with a hundredth of it left.
+HELD = 1e4
+LARGEST = 10.0  # of a joint's torque, root mean square: a curve's standard deviation before the data
 BENT = 0.05  # of the torque: with so much left over, links that were fitted to it are far off
 CIRCULAR_ROUNDS = 4  # fits of effects whose columns depend on the model that they are part of
 MULTIPLIED_ROUNDS = 12  # with gains among them, which the links must follow
@@ -512,8 +516,21 @@ class _Fit:
 
     @cached_property
     def precision(self) -> Array:
-        """Inverse covariance of the coefficients before the data, shape (p, p): penalties, else zero."""
-        return _with_links(self.effects, self._own_links, self.links_near)
+        """Inverse covariance of the coefficients before the data, shape (p, p): penalties, what is left to others, else zero.
+
+        A curve is within `LARGEST` times its joint's torque: what others of much the same shape have would not end else.
+        """
+        out = _with_links(self.effects, self._own_links, self.links_near)
+        motions = [s.motion for s in self.regression.segments]
+        for effect, at in zip(self.effects, self._places, strict=True):
+            if effect.penalty is not None:
+                held = effect.held_beside(self.effects, motions)
+                (gram,), power = self.normal.gram, self.normal.power[0] / self.normal.counts.sum()
+                joint = int(np.argmax(gram[:, at, at].sum(axis=1)))
+                told = gram[joint, at, at].mean() / max(power[joint], 1e-300)
+                own = np.eye(len(at)) / max(LARGEST**2 * power[joint], 1e-300)
+                out[np.ix_(at, at)] += HELD * told * held @ held.T + own
+        return out
 
     @cached_property
     def _own_links(self) -> Array:

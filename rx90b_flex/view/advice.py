@@ -14,6 +14,7 @@ from rx90b_flex.diagnose.verdict import NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.view.estimates import counted, name_of
 from rx90b_flex.view.plots import rms
 
 HARDLY_MOVES_RAD = 0.05
@@ -232,7 +233,12 @@ def _alternatives(result: ClosedLoop) -> Iterator[Advice]:
 
 
 def _undetermined(result: ClosedLoop) -> Iterator[Advice]:
-    names = [f"{e.label}.{p.name}" for e, estimates in effect_estimates(result) for p in estimates if p.value is None]
+    names = [
+        f"{e.label}.{name_of(some)}"
+        for e, estimates in effect_estimates(result)
+        for some in counted(estimates)
+        if some[0].value is None
+    ]
     if names:
         links = " What only shows together with the links stays undetermined unless these are known."
         yield Advice(
@@ -246,8 +252,13 @@ def _uncertain(result: ClosedLoop) -> Iterator[Advice]:
     names = [
         f"{found.effect.label}.{p.name}"
         for found in result.effects
-        for p in found.parameters
-        if p.unit != "rad" and p.value is not None and p.std is not None and p.std > UNCERTAIN * abs(p.value)
+        for some in counted(found.parameters)
+        for p in some
+        if len(some) == 1
+        and p.unit != "rad"
+        and p.value is not None
+        and p.std is not None
+        and p.std > UNCERTAIN * abs(p.value)
     ]
     if names:
         yield Advice(

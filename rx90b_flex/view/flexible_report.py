@@ -11,9 +11,10 @@ from rx90b_flex.diagnose.flexible import FlexibleLoop
 from rx90b_flex.diagnose.modal import ModalLoop, alone, error_rms, in_order_rms
 from rx90b_flex.diagnose.response import ResponseLoop
 from rx90b_flex.view import frf_plots, modal_plots
+from rx90b_flex.view.estimates import number, unit_text
 from rx90b_flex.view.frf_report import delay_words
 from rx90b_flex.view.page import PageTable, Section, image, write_page
-from rx90b_flex.view.report import number, p_value, percent, unit_text
+from rx90b_flex.view.report import p_value, percent
 
 VERDICTS = {
     "nothing_missing": "The declared model is enough: it differs from the data by no more than their stated errors.",

@@ -14,8 +14,8 @@ from rx90b_flex.identify.grey_model import SLOPE, Delay, HingePlace
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
+from rx90b_flex.view.estimates import unit_text
 from rx90b_flex.view.page import PageTable, Section, image, seconds_table, write_page
-from rx90b_flex.view.report import unit_text
 
 SHOWN_STARTS = 6
 UNDER = "If the model is right, 95 % of the dots lie under the line of the band."

@@ -8,9 +8,9 @@ import numpy as np
 
 from rx90b_flex.identify.command import Identified, RoleError
 from rx90b_flex.identify.least_squares import Estimate
+from rx90b_flex.view.estimates import number, unit_text
 from rx90b_flex.view.identify_plots import relative_stds, torque_fit
 from rx90b_flex.view.page import PageTable, Section, image, write_page
-from rx90b_flex.view.report import number, unit_text
 
 LARGEST_BARS = 40  # parameters in the figure of standard deviations; the table holds all
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,7 +18,6 @@ from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Torqu
 from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.hints import SMALLEST_PART
-from rx90b_flex.identify.least_squares import Estimate
 from rx90b_flex.identify.near_tree import KNOWN
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 from rx90b_flex.signals.tables import write_whole
@@ -37,6 +34,7 @@ from rx90b_flex.view.advice import (
 )
 from rx90b_flex.view.check_report import check_section, write_check_page
 from rx90b_flex.view.deflection_section import gear_section
+from rx90b_flex.view.estimates import counted, measured, measured_all, name_of, number, unit_text, values
 from rx90b_flex.view.page import Image, PageTable, Section, image, render
 
 MOVED = 2.0  # standard deviations from which a link parameter is listed as moved
@@ -233,13 +231,6 @@ def _meaning(effect: Effect) -> str:
     return " ".join(first.replace("`", "").split())
 
 
-def number(value: float | None) -> str:
-    """Three digits that mean something."""
-    if value is None:
-        return "–"
-    return f"{value:#.3g}".rstrip(".") if value and abs(value) < 1e5 else f"{value:.3g}"
-
-
 def percent(value: float, decimals: int = 1) -> str:
     """A fraction in per cent, with more decimals for small ones."""
     return f"{100 * value:.{decimals}f} %" if value >= 0.01 or value == 0 else f"{100 * value:.{decimals + 1}g} %"
@@ -250,37 +241,6 @@ def p_value(value: float) -> str:
     if value >= 0.001:
         return f"{value:.2g}"
     return f"{value:.0e}".replace("e-0", "e-") if value > 0 else "< 1e-300"
-
-
-def unit_text(unit: str) -> str:
-    """A unit as it is printed: superscripts where there are some, nothing for a pure number."""
-    return "" if unit == "-" else unit.replace("^2", "²").replace("^3", "³")
-
-
-def values(parameters: Sequence[Estimate]) -> list[str]:
-    """Of an effect, one a line; what of it is not determined is said once."""
-    out = [f"{p.name} = {measured(p)} {unit_text(p.unit)}".rstrip() for p in parameters if p.value is not None]
-    untold = untold_names([p.name for p in parameters if p.value is None])
-    return [*out, f"{untold}: not determined by this data"] if untold else out
-
-
-def untold_names(names: Sequence[str]) -> str:
-    """Names in a row, those that only count by the first and the last; empty for none."""
-    counted = len({re.sub(r"_\d+$", "", name) for name in names}) == 1 < len(names)
-    return f"{names[0]} to {names[-1]}" if counted else ", ".join(names)
-
-
-def measured(estimate: Estimate) -> str:
-    """Value ± standard deviation, rounded to two digits of the latter; ``not determined`` where it has no value."""
-    value, std = estimate.value, estimate.std
-    if value is None:
-        return "not determined by this data"
-    if std is None or not math.isfinite(std) or std <= 0:
-        return number(value)
-    digits = 1 - math.floor(math.log10(std))
-    if digits > 6 or max(abs(value), std) >= 1e6:
-        return f"{value:.3g} ± {std:.1e}"
-    return f"{value:.{max(digits, 0)}f} ± {std:.{max(digits, 0)}f}"
 
 
 # ---- tables ---------------------------------------------------------------------------------------------
@@ -459,10 +419,12 @@ def _parameters(result: ClosedLoop) -> PageTable:
     rows = []
     for effect, estimates in effect_estimates(result):
         kind = _kind(effect) + (" (added)" if any(effect is e for e in new) else "")
-        for e in estimates:
-            key = (effect.type_name(), effect.place, e.name)
-            before = (declared.get(key, "–"), number(given.get(key)))
-            rows.append((kind, place_words(effect), e.name, measured(e), unit_text(e.unit), *before))
+        for some in counted(estimates):
+            key = (effect.type_name(), effect.place, some[0].name)
+            before = (declared.get(key, "–"), number(given.get(key))) if len(some) == 1 else ("–", "–")
+            rows.append(
+                (kind, place_words(effect), name_of(some), measured_all(some), unit_text(some[0].unit), *before)
+            )
     head = (
         "effect", "where", "parameter", "value ± standard deviation", "unit", "identified before", "in the robot file"
     )  # fmt: skip
