@@ -36,4 +36,6 @@ def test_an_elastic_stop_is_a_curve(tmp_path, seed):
     seen = max(r.position[:, 1].max() for r in result.campaign.identification)
     known = held_out.recording.position[:, 1] < seen - 0.02  # the low-pass carries a little
     left = (held_out.torque - held_out.after)[known]
-    assert np.linalg.norm(left) < 0.02 * result.before.validation.relative_error * np.linalg.norm(held_out.torque[known])
+    assert np.linalg.norm(left) < 0.02 * result.before.validation.relative_error * np.linalg.norm(
+        held_out.torque[known]
+    )

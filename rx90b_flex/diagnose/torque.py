@@ -481,13 +481,22 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def burden(self, standing: Standing[TorqueModel, TorqueTrial]) -> tuple[Addition[TorqueTrial], TorqueTrial] | None:
         """Of the additions after which the held-out error was larger than before, the one that raises it most surely; where all
         together leave more than the declared model does, the one without which least is left.
+
+        What did no harm before another one was taken out does none after, where the two have no joint in common.
         """
         worst: tuple[float, Addition[TorqueTrial], str] | None = None
+        gone = [t.effect for t in standing.taken_out[-1:]]
+        harmless = [t for t in self._harmless if not any(meet(t.effect, e) for e in gone)]
+        self._harmless[:] = harmless
         for step in standing.steps:
             if step.after.validation.relative_error <= step.before.validation.relative_error:
                 continue
+            if any(step.trial is t for t in harmless):
+                continue
             model, back = self.without(standing.model, step.trial)
             found = self.data.rise(model, standing.model)
+            if found is None:
+                self._harmless.append(step.trial)
             if found is not None and (worst is None or found[1] < worst[0]):
                 self._lesser[:] = [(standing.model, step.trial, (model, back))]
                 less, more = (m.errors.validation.relative_error for m in (model, standing.model))
@@ -531,6 +540,11 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def alternatives(self, search: Search, model: TorqueModel, step: Addition[TorqueTrial]) -> tuple[Alternative, ...]:
         """What the data cannot tell from an addition."""
         return alternatives(search, find(model, step.trial.effect), self.compared(model, step))
+
+    @cached_property
+    def _harmless(self) -> list[TorqueTrial]:
+        """Of additions, what raises no error that was not fitted, as far as it was asked."""
+        return []
 
     @cached_property
     def _searches(self) -> list[Search]:
