@@ -233,7 +233,8 @@ def simulate_lanes(
     """Several runs of one robot, advanced together.
 
     Each starts at its first reference, drives moving as it asks, hinges deformed as the weight deforms them and the
-    controller's integrators holding that weight.
+    controller's integrators holding that weight; a drive whose controller has no integral starts below its reference, as far as
+    its position gain takes to hold the weight.
 
     Parameters
     ----------
@@ -481,10 +482,11 @@ class _Runner:
     def _start(self) -> Lanes:
         starts: dict[bytes, tuple[Array, Array, Array]] = {}
         found = []
-        for t in self.job.trajectories:
-            key = np.r_[t.position[0], t.velocity[0]].tobytes()
+        for t, forward in zip(self.job.trajectories, self.forward, strict=True):
+            fed = np.zeros(len(self.loop.drive)) if forward is None else forward[0]
+            key = np.r_[t.position[0], t.velocity[0], fed].tobytes()
             if key not in starts:  # the runs of a campaign start alike
-                starts[key] = self._static_start(t.position[0], t.velocity[0])
+                starts[key] = self._static_start(t.position[0], t.velocity[0], fed)
             found.append(starts[key])
         q, v, torque = (np.stack(x) for x in zip(*found, strict=True))
         torque = np.ascontiguousarray(torque.T)
@@ -498,7 +500,7 @@ class _Runner:
             q=q,
             v=v,
             a=np.zeros_like(q),
-            integral=torque - forward,
+            integral=np.where(self._sags[:, None], 0.0, torque - forward),
             filtered=np.concatenate([at_rest(*each) for each in chains], axis=1),
             current=torque.copy(),
             held=torque.copy(),
@@ -514,16 +516,36 @@ class _Runner:
             stop=np.array(jumps, dtype=np.int64),
         )
 
-    def _static_start(self, position: Array, velocity: Array) -> tuple[Array, Array, Array]:
-        """`static_start` where the controller is shown these angles, with the torques that it then orders."""
-        angle = position
-        for _ in range(3 if self.job.between else 0):  # errors of angles are small: each round leaves their square
-            q, v, _ = static_start(self.job.robot, angle, velocity)
-            angle = position - measurement_errors(self.job.robot, self.job.between, q[None], v[None])[0][0]
-        q, v, torque = static_start(self.job.robot, angle, velocity)
-        for effect in self.job.between:
-            torque = effect.commanded_torque(self.job.robot.joints, torque[None])[0]
-        return q, v, torque
+    @property
+    def _sags(self) -> Array:
+        """Which joints have no integral that could hold a torque, shape (joints,), bool: their angle error orders it."""
+        return (self.loop.integral_gain == 0.0) & (self.loop.position_gain > 0.0)
+
+    def _static_start(self, position: Array, velocity: Array, forward: Array) -> tuple[Array, Array, Array]:
+        """`static_start` where the controller is shown these angles, with the torques that it then orders.
+
+        A joint whose controller has no integral stands below its reference, as far as its position gain takes to order what is
+        not fed `forward`, (joints,).
+        """
+
+        def ordered(angle: Array) -> tuple[Array, Array, Array]:
+            q, v, torque = static_start(self.job.robot, angle, velocity)
+            for effect in self.job.between:
+                torque = effect.commanded_torque(self.job.robot.joints, torque[None])[0]
+            return q, v, torque
+
+        # errors of angles, and sags, are small: each round leaves their square
+        start, sags = ordered(position), self._sags
+        for _ in range(3 if self.job.between or sags.any() else 0):
+            q, v, torque = start
+            off = (
+                measurement_errors(self.job.robot, self.job.between, q[None], v[None])[0][0]
+                if self.job.between
+                else 0.0
+            )
+            sag = np.where(sags, (torque - forward) / np.where(sags, self.loop.position_gain, 1.0), 0.0)
+            start = ordered(position - off - sag)
+        return start
 
     def _laws(self, rest: Motion) -> list[Law] | None:
         """All that is more than a torque by one angle as laws; None where some of it has none, and is worked out in between."""
