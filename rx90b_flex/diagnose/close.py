@@ -31,6 +31,7 @@ from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.side_by_side import worth_while
+from rx90b_flex.diagnose.slow import Slow, slow
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -448,8 +449,10 @@ class _Ended:
         beyond = self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         found = bool(standing.steps)
-        happened = _events(campaign.joints, predictions)
-        remains = Remains(campaign.joints, found, before, after, floor, known, where, doubtful, spread, happened)
+        happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
+        remains = Remains(
+            campaign.joints, found, before, after, floor, known, where, doubtful, spread, happened, bool(drifts)
+        )
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         tell("done", 1.0)
         return ClosedLoop(
@@ -480,6 +483,7 @@ class _Ended:
                 *_held_words(model),
                 *self._beyond_fitted(),
                 *_event_words(happened, campaign.joints, known, after.validation),
+                *(s.words for s in drifts if floor is None or remains.left),
             ),
         )
 
@@ -578,6 +582,12 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
     recordings = [p.recording for p in predictions]
     left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
     return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
+
+
+def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow, ...]:
+    rates = [p.recording.sample_rate_hz for p in predictions]
+    torque, left = [p.torque for p in predictions], [p.torque - p.after for p in predictions]
+    return slow(campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions])
 
 
 def _event_words(

@@ -46,6 +46,8 @@ class Remains:
         Standard deviation of the measured torque on validation, N m; None where errors have no size to go by.
     events : sequence of Events
         Where most of a joint's error on validation lies in a few short times.
+    slow : bool
+        Whether much of a joint's torque is left that is too slow for noise.
     """
 
     joints: tuple[str, ...]
@@ -58,6 +60,7 @@ class Remains:
     doubtful: bool = False
     spread: Array | None = None
     events: Sequence[Events] = ()
+    slow: bool = False
 
     @property
     def verdict(self) -> str:
@@ -73,7 +76,7 @@ class Remains:
             # what happens at a few instants makes repeats differ, too: a floor that holds it hides it
             happened = self._among([e.joint for e in self.events])
             return bool((self._above_floor(self.floor) | self._not_carried_over(self.floor) | happened).any())
-        if self.events or any(d.score > STRONG for d in self.where) or self._mostly_left:
+        if self.events or self.slow or any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
             return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
