@@ -16,6 +16,10 @@ from rx90b_flex.effects.law_effect import LawEffect
 from rx90b_flex.effects.motion import Array, Indices, JointMotion, Motion
 from rx90b_flex.effects.parameters import Parameter, derived, shape
 
+MOST_ORDERS = 2400  # that are looked at
+HEARD = 0.25  # of the sample rate, up to which a period has samples enough
+STANDS = 0.02  # of a joint's largest speed, below which it hardly moves
+MOSTLY = 0.6  # of the time in motion in which an order is to be heard
 GROUP = 16  # orders of a spectrum over the angle that are worked out together
 TURNS_BYTES = 4e6  # of turns that are kept
 AT_ONCE = 20_000  # samples whose turns are worked out at a time
@@ -26,6 +30,14 @@ def highest_peaks(power: Array, most: int) -> Indices:
     beside = np.concatenate([[-np.inf], power, [-np.inf]])
     peaks = np.flatnonzero((power >= beside[:-2]) & (power > beside[2:]))
     return peaks[np.argsort(-power[peaks], kind="stable")][:most]
+
+
+def _turned_back(one: Array, other: Array) -> NDArray[np.complex64]:
+    """``exp(-i one other)`` of all pairs, to the digits that a peak takes to be found."""
+    phase = np.outer(one, other).astype(np.float32)
+    out = np.empty(phase.shape, dtype=np.complex64)
+    out.real, out.imag = np.cos(phase), -np.sin(phase)
+    return out
 
 
 class SineEffect(JointEffect):
@@ -58,7 +70,8 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
 
     PEAKS: ClassVar[int] = 10  # of the residual's spectrum over the angle, from which a search begins
     SHOWN: ClassVar[float] = 1.0  # periods that a joint's travel shows at the least
-    HIGHEST_ORDER: ClassVar[float] = 240.0  # beyond it no usual gear has teeth to show a turn
+    HIGHEST_ORDER: ClassVar[float] = 1500.0  # of a motor's poles behind a large gear, or of a screw with a lead of 4 mm
+    TEETH: ClassVar[float] = 240.0  # of a gear, which are looked for however slowly a log hears
 
     order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=HIGHEST_ORDER)
     amplitude: float | None = derived("N m", lower=0.0)
@@ -67,17 +80,30 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         """From the highest peaks of the residual's spectrum over the joint's angle, for each weight of the samples."""
         # two starts a lobe of the periodogram over the range that the joint covers
-        order = self.parameters()["order"]
+        low, high = self.parameters()["order"].lower, self._highest(motion)
         step = np.pi / max(self._range(motion), 1e-2)
-        every = np.arange(
-            max(order.lower, 2 * step * self.SHOWN), order.upper, max(step, (order.upper - order.lower) / 600)
-        )
-        orders = every
+        every = np.arange(max(low, 2 * step * self.SHOWN), high, max(step, (high - low) / MOST_ORDERS))
+        orders, tried = every, max(1, len(every) // 2)
         if left is not None:
+            every = every[every < self._highest(motion, left.cutoff_hz)]
             best = [highest_peaks(power, self.PEAKS) for power in self._spectra(every, left)]
             # a joint that never moves shows none
             orders = every[np.unique(np.concatenate(best))] if best else every[:0]
-        return ShapeSearch(orders[:, None], max(1, len(every) // 2), spread=np.array([0.5 * step]))
+        return ShapeSearch(orders[:, None], tried, spread=np.array([0.5 * step]))
+
+    def _highest(self, motion: Motion, cutoff_hz: float | None = None) -> float:
+        """Highest order that is looked for: heard, through the low-pass and by samples, most of the time in which the joint moves."""
+        at = motion.joint(self.joint)
+
+        def make() -> tuple[Array, ...]:
+            speed = np.abs(at.v)
+            moving = speed[speed > STANDS * speed.max(initial=0.0)]
+            usual = np.quantile(moving, MOSTLY) if len(moving) > 1 else np.inf
+            return (np.array([usual, HEARD / np.median(np.diff(at.time)) if len(speed) > 1 else 0.0]),)
+
+        ((speed, hz),) = motion.once(("usual speed", self.joint), make)
+        hz = hz if cutoff_hz is None else min(cutoff_hz, hz)
+        return float(np.clip(2.0 * np.pi * hz / speed, self.TEETH, self.HIGHEST_ORDER))
 
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         """A sine of which a joint shows less than a period may be any curve over its angle."""
@@ -107,7 +133,7 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
                     if i == len(sums):
                         sums.append(np.zeros((len(groups), len(steps)), dtype=complex))
                         own.append(np.full((len(groups), 1), 1e-300))
-                    sums[i] = sums[i] + turned @ ((w * torque)[some, None] * onward)
+                    sums[i] = sums[i] + turned @ ((w * torque)[some, None].astype(np.float32) * onward)
                     own[i] = own[i] + (heard @ w[some] ** 2)[:, None]
         return [(np.abs(s) ** 2 / o).ravel()[: len(orders)] for s, o in zip(sums, own, strict=True)]
 
@@ -122,7 +148,7 @@ class PeriodicEffect(SineEffect, repeats=True, of_make=False):
         def make() -> tuple[NDArray[Any], ...]:
             q, v = at.q[some], at.v[some]
             heard = np.outer(groups + 0.5 * steps[-1], np.abs(v)) < fastest
-            return np.exp(-1j * np.outer(groups, q)) * heard, np.exp(-1j * np.outer(q, steps)), heard
+            return _turned_back(groups, q) * heard, _turned_back(q, steps), heard
 
         if 16 * len(at.q) * (len(groups) + len(steps)) > TURNS_BYTES or len(at.q) > AT_ONCE:
             return make()
