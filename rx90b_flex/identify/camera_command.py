@@ -245,8 +245,10 @@ def as_json(result: CameraResult) -> dict[str, Any]:
             {
                 "coordinate": h.coordinate,
                 "value": h.value if h.determined else None,
-                "std": h.std if h.determined else None,
+                "std": h.even_std if h.determined else None,
                 "unit": "N m/rad",
+                "interval": [x if np.isfinite(x) else None for x in h.interval],
+                "confidence": 0.95,
             }
             for h in result.hinges
         ],

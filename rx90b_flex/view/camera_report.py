@@ -21,7 +21,7 @@ def headline(result: CameraResult) -> list[str]:
     """What was found, a line a hinge, and what to look at."""
     lines = [f"{h.coordinate}: {_value(h)} N m/rad" for h in result.hinges if h.determined]
     lines += [
-        f"{h.coordinate}: not determined, for its moment hardly changes in this recording; the declared value stays"
+        f"{h.coordinate}: not determined, {_bounds(h)}; the declared value stays"
         for h in result.hinges
         if not h.determined
     ]
@@ -36,7 +36,23 @@ def headline(result: CameraResult) -> list[str]:
 
 
 def _value(hinge: HingeStiffness) -> str:
-    return f"{hinge.value:.4g} ± {hinge.std:.2g}" if hinge.determined else "not determined"
+    return f"{hinge.value:.4g} ± {hinge.even_std:.2g}" if hinge.determined else "not determined"
+
+
+def _bounds(hinge: HingeStiffness) -> str:
+    """What the markers tell of a stiffness that they do not determine."""
+    low, high = hinge.interval
+    if not np.isfinite(low):
+        return (
+            "for it turns against its moment, which no hinge does: look for an angle of the other sign or a wrong link"
+        )
+    known = f"at least {low:.3g}" if not np.isfinite(high) else f"between {low:.3g} and {high:.3g}"
+    return f"for its moment bends it little beyond the noise: {known} N m/rad (95 %)"
+
+
+def _interval(hinge: HingeStiffness) -> str:
+    low, high = (f"{x:.4g}" if np.isfinite(x) else "open" for x in hinge.interval)
+    return f"{low} to {high}"
 
 
 def write_camera_report(result: CameraResult, path: Path) -> None:
@@ -51,7 +67,10 @@ def write_camera_report(result: CameraResult, path: Path) -> None:
         "Hinges",
         "The joint's frame is fitted with the stiffnesses: an error of it leaks the joint's large angle into the bendings. Moments "
         "are those of the robot's links along the motion.",
-        PageTable(("hinge", "stiffness, N m/rad"), [(h.coordinate, _value(h)) for h in result.hinges]),
+        PageTable(
+            ("hinge", "stiffness, N m/rad", "interval of 95 %"),
+            [(h.coordinate, _value(h), _interval(h)) for h in result.hinges],
+        ),
         PageTable(("error of the joint's frame, mrad", "before", "std", "behind", "std"), frame),
         image(deformation_figure(result), "Deformation of each hinge over its moment, with the fitted line"),
     )

@@ -20,7 +20,7 @@ def headline(result: StaticResult) -> list[str]:
         tests = "" if h.measurements == 1 else f", {h.measurements} tests"
         lines.append(f"{h.coordinate}: {h.value:.4g} ± {h.std:.2g} N m/rad{tests}")
         if not h.determined:
-            lines.append("That is no better than half of itself: the declared value stays in the robot's file.")
+            lines.append("That is no better than a fifth of itself: the declared value stays in the robot's file.")
         if h.p_value < ALIKE:
             lines.append(
                 f"Its tests differ by more than their noise (p = {h.p_value:.2g}): another pose, slip, or a wrong lever."
