@@ -330,6 +330,8 @@ class JointFit:
         Torsion and bendings in the corrected frame.
     chi2 : float
     degrees_of_freedom : int
+    row_chi2 : array, shape (N,)
+        Of each row by itself, without the errors that rows have in common.
     """
 
     stiffness: Array
@@ -341,6 +343,7 @@ class JointFit:
     deformation: Array
     chi2: float
     degrees_of_freedom: int
+    row_chi2: Array
 
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
@@ -407,6 +410,7 @@ def fit_joint(
         deformation=deformation,
         chi2=float((whiten(residual[..., None]) ** 2).sum()),
         degrees_of_freedom=residual.size - size.shape[1],
+        row_chi2=np.einsum("ni,nij,nj->n", residual, np.linalg.inv(turn.covariance), residual),
     )
 
 
@@ -576,7 +580,10 @@ def _settled_base(
             at = at + step[6:].reshape(count, 3)
         if np.abs(step).max() < 1e-12:
             return rotation, at, translation, vt.T / s
-    raise ValueError(f"the calibration of the base did not settle in {STEPS} steps")
+    raise ValueError(
+        f"the calibration of the base did not settle in {STEPS} steps; look for markers in another unit, angles in degrees or of the "
+        "other sign, exchanged links or markers, a left-handed camera, another robot"
+    )
 
 
 def calibrate_base(

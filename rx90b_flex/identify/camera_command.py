@@ -44,6 +44,7 @@ from rx90b_flex.identify.camera import (
     links_beside,
     mean_frames,
 )
+from rx90b_flex.identify.camera_faults import NAMED, SIDES, check_size, check_turns, loud_rows, outliers
 from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
@@ -54,7 +55,6 @@ KEYS = ("robot", "joint", "file", "std_mm", "markers", "base_rpy_deg", "same_ben
 MOST_MARKERS = 100  # on a link
 KINDS = ("torsion", "bend_1", "bend_2")
 JITTER = 0.01  # of a sample's time
-SIDES = ("before", "behind")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +103,8 @@ class CameraResult(Showing):
     hinges : tuple of HingeStiffness
     robot : Robot
         With those stiffnesses that are determined.
+    cautions : tuple of str
+        Rows that stand out.
     """
 
     source: MarkerRecording
@@ -111,6 +113,7 @@ class CameraResult(Showing):
     base: BaseCalibration | None
     hinges: tuple[HingeStiffness, ...]
     robot: Robot
+    cautions: tuple[str, ...]
 
 
 def read_markers(path: Path) -> MarkerRecording:
@@ -165,6 +168,8 @@ def _read_table(file: Path, robot: Robot, count: int) -> tuple[Array, Array, flo
         if name in table.names:
             drives[:, i] = table.columns([name])[:, 0]
     places = scale * table.columns(used).reshape(rows, 2, count, 3).swapaxes(0, 1)
+    with named_in(file):
+        check_size(robot, places, used is millimetres)
     rate = None
     if "time" in table.names:
         steps = np.diff(table.columns(["time"])[:, 0])
@@ -185,13 +190,20 @@ def fit_markers(source: MarkerRecording) -> CameraResult:
     ValueError
         One line that names the file and why the markers do not tell them.
     """
+    loose = outliers(source.markers, source.std)
     with named_in(source.path):
-        return _fitted(source)
+        try:
+            return _fitted(source, loose)
+        except ValueError as error:
+            if not loose:
+                raise
+            raise ValueError(f"{error}; {loose[0]}") from None
 
 
-def _fitted(source: MarkerRecording) -> CameraResult:
+def _fitted(source: MarkerRecording, loose: list[str]) -> CameraResult:
     robot, joint = source.robot, source.joint
     bodies = [fit_rigid_shape(seen, source.std) for seen in source.markers]
+    check_turns(robot, joint, source.angles, source.markers, bodies)
     base, rotation, base_std = None, source.base_rotation, 0.0
     if rotation is None:
         _, behind = links_beside(robot, joint)
@@ -210,7 +222,18 @@ def _fitted(source: MarkerRecording) -> CameraResult:
         for kind, k, s in zip(KINDS, fit.stiffness, fit.stiffness_std, strict=True)
     )
     found = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
-    return CameraResult(source, fit, moment, base, hinges, found)
+    return CameraResult(source, fit, moment, base, hinges, found, _cautions(source, fit, loose))
+
+
+def _cautions(source: MarkerRecording, fit: JointFit, loose: list[str]) -> tuple[str, ...]:
+    """Rows whose markers, or else whose turn, stand out from the others."""
+    if loose:
+        return tuple(f"{line}; correct the row or take it out" for line in loose)
+    return tuple(
+        f"row {row + 1}: the turn of {source.joint} stands {np.sqrt(fit.row_chi2[row] / 3.0):.2g} standard deviations off the fit; "
+        "look at its angles and markers, or take it out"
+        for row in loud_rows(fit.row_chi2, 3)[:NAMED]
+    )
 
 
 def hinge_moments(robot: Robot, joint: str, angles: Array, rate_hz: float | None) -> Array:
@@ -259,6 +282,7 @@ def as_json(result: CameraResult) -> dict[str, Any]:
         "base_calibrated": result.base is not None,
         "chi2": fit.chi2,
         "degrees_of_freedom": fit.degrees_of_freedom,
+        "cautions": list(result.cautions),
     }
 
 

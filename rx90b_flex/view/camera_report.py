@@ -25,6 +25,7 @@ def headline(result: CameraResult) -> list[str]:
         for h in result.hinges
         if not h.determined
     ]
+    lines += [f"{line}." for line in result.cautions]
     freedom = max(result.fit.degrees_of_freedom, 1)
     ratio = result.fit.chi2 / freedom
     if ratio > max(LOUD, chdtri(freedom, BY_CHANCE) / freedom):
