@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 import rx90b_flex as rf
-from rx90b_flex.identify.static_command import read_static_tests
+from rx90b_flex.identify.static_command import fit_tests, read_static_tests
 from rx90b_flex.identify.static_stiffness import StaticStiffness, fit_static_stiffness, hysteresis_area
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.static_test import StaticTest, read_static_table
@@ -347,3 +347,54 @@ def test_a_reading_that_cannot_be_is_named(tmp_path: Path, cell: str, said: str)
     with pytest.raises(ValueError) as refused:
         read_static_table(file, "hinge")
     assert str(refused.value) == f"{file}: column 'moment_nm', {said}"
+
+
+# ---- what does not fit --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", [0, 5, 14])
+@pytest.mark.parametrize("skip", [0, 1])
+def test_a_reading_that_stands_out_is_named(place: int, skip: int) -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        test = table(1e-6, rng)
+        test.deformation[place] += 2e-5  # twenty standard deviations
+        assert fit_static_stiffness(test, skip=skip).outlier == (None if skip and place == 0 else place)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sound_readings_seldom_hold_one_that_stands_out(seed: int) -> None:
+    """In 1 % at most; 13 or more of 500 in one of 1000 cases."""
+    rng = np.random.default_rng(seed)
+    assert sum(fit_static_stiffness(table(1e-6, rng, lag=5.0)).outlier is not None for _ in range(500)) < 13
+
+
+@pytest.mark.parametrize(
+    ("factor", "lever", "named"),
+    [
+        (1.0, 1.0, None),
+        (1.0, 985.0, "a.toml: [[test]] 1 lever_arm_m: 985 is taken as m; a lever of 985 mm is 0.985 there"),
+        (57.3, 1.0, "57.3 times below the declared"),
+        (57.3, 1.0, "column 'deformation_rad' spans"),
+        (1e-3, 1.0, "times above the declared"),
+    ],
+)
+def test_units_that_can_hardly_be_are_said(tmp_path: Path, factor: float, lever: float, named: str | None) -> None:
+    load = np.array([*np.linspace(0.0, 300.0, 6), *np.linspace(250.0, 0.0, 6)])
+    seen = factor * (load / 2.4e5 + 1e-6 * np.random.default_rng(0).standard_normal(12))
+    frame = {"load_n": load, "deformation_rad": seen, "direction": np.where(np.arange(12) < 6, "up", "down")}
+    pd.DataFrame(frame).to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "a.toml").write_text(
+        f'robot = "rx90b_4dof"\n[[test]]\ncoordinate = "joint_2:bend_1"\nfile = "a.csv"\nlever_arm_m = {lever}\n'
+    )
+    cautions = fit_tests(read_static_tests(tmp_path / "a.toml")).cautions
+    assert any(named in line for line in cautions) if named else cautions == ()
+
+
+def test_the_row_and_file_of_a_reading_that_stands_out_are_said(tmp_path: Path) -> None:
+    test = table(1e-6, np.random.default_rng(0))
+    test.deformation[4] += 1e-4
+    write(test, tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text('[[test]]\ncoordinate = "hinge"\nfile = "a.csv"\n')
+    (line,) = fit_tests(read_static_tests(tmp_path / "a.toml")).cautions
+    assert line.startswith("a.csv, row 5: ")

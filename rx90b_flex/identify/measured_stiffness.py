@@ -62,6 +62,15 @@ class HingeStiffness:
         return (high - low) / (2.0 * REACH) if np.isfinite(high) else np.inf
 
 
+def declared_stiffnesses(robot: Robot) -> dict[str, float]:
+    """Stiffness of each hinge that a robot declares, N m/rad, by its coordinate."""
+    return {
+        f"{'_'.join(effect.joints) or 'base'}:{kind}": float(stiffness)
+        for effect in robot.effects
+        for kind, stiffness in zip(effect.traits.virtual, effect.coefficients, strict=False)
+    }
+
+
 def with_stiffnesses(robot: Robot, found: Mapping[str, float]) -> Robot:
     """The robot with other stiffnesses at some hinges; a hinge's damping keeps its ratio to them.
 

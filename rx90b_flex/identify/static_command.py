@@ -34,7 +34,7 @@ from rx90b_flex.export import save_robot
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.linear_fit import weighted_mean
-from rx90b_flex.identify.measured_stiffness import HingeStiffness, with_stiffnesses
+from rx90b_flex.identify.measured_stiffness import HingeStiffness, declared_stiffnesses, with_stiffnesses
 from rx90b_flex.identify.static_stiffness import ROUNDING, StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
@@ -45,6 +45,9 @@ TEST_KEYS = (
     "coordinate", "file", "lever_arm_m", "moment_std_nm", "deformation_std_rad", "frame", "direction", "angles_deg",
 )  # fmt: skip
 SHORTEST_LEVER = 1e-3  # m; below it a load does not turn the hinge
+LONGEST_LEVER = 20.0  # m; nobody's lever is longer
+LARGEST_TURN = 0.05  # rad; more than a drive or bearing yields under a load that it bears
+OFF_DECLARED = 20.0  # times a stiffness may be off the declared one without a word
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +59,21 @@ class StaticTests:
     path : Path
     robot : Robot or None
     tests : tuple of StaticTest
+    files : tuple of str
+        Of the tests.
     skip : int
     confidence : float
+    cautions : tuple of str
+        Levers that can hardly be.
     """
 
     path: Path
     robot: Robot | None
     tests: tuple[StaticTest, ...]
+    files: tuple[str, ...]
     skip: int
     confidence: float
+    cautions: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,12 +88,15 @@ class StaticResult(Showing):
         Tests of one hinge together, weighted by their variances.
     robot : Robot or None
         With those stiffnesses that are determined.
+    cautions : tuple of str
+        Readings, levers and units to look at.
     """
 
     source: StaticTests
     found: tuple[StaticStiffness, ...]
     hinges: tuple[HingeStiffness, ...]
     robot: Robot | None
+    cautions: tuple[str, ...]
 
 
 def read_static_tests(path: Path) -> StaticTests:
@@ -103,8 +115,16 @@ def read_static_tests(path: Path) -> StaticTests:
             robot = load_robot(named_beside(path, table.text("robot")))
     skip = table.whole("skip", 0) if table.has("skip") else 0
     confidence = table.share("confidence") if table.has("confidence") else 0.95
-    tests = tuple(_read_test(path, test, robot) for test in table.sections("test"))
-    return StaticTests(path, robot, tests, skip, confidence)
+    sections = table.sections("test")
+    tests = tuple(_read_test(path, test, robot) for test in sections)
+    files = tuple(test.text("file") for test in sections)
+    levers = [(test, test.positive("lever_arm_m")) for test in sections if test.has("lever_arm_m")]
+    cautions = tuple(
+        f"{path.name}: {test.name} lever_arm_m: {lever:.4g} is taken as m; a lever of {lever:.4g} mm is {1e-3 * lever:.4g} there"
+        for test, lever in levers
+        if lever > LONGEST_LEVER
+    )
+    return StaticTests(path, robot, tests, files, skip, confidence, cautions)
 
 
 def _read_test(path: Path, table: TomlTable, robot: Robot | None) -> StaticTest:
@@ -173,7 +193,41 @@ def fit_tests(source: StaticTests) -> StaticResult:
         robot = source.robot
         if robot is not None:
             robot = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
-    return StaticResult(source, found, hinges, robot)
+    return StaticResult(source, found, hinges, robot, _cautions(source, found, hinges))
+
+
+def _cautions(
+    source: StaticTests, found: tuple[StaticStiffness, ...], hinges: tuple[HingeStiffness, ...]
+) -> tuple[str, ...]:
+    said = list(source.cautions)
+    declared = {} if source.robot is None else declared_stiffnesses(source.robot)
+    for hinge in hinges:
+        ratio = hinge.value / declared.get(hinge.coordinate, hinge.value)
+        if hinge.determined and max(ratio, 1.0 / ratio) > OFF_DECLARED:
+            times = f"{max(ratio, 1.0 / ratio):.3g} times {'above' if ratio > 1.0 else 'below'}"
+            said.append(
+                f"{hinge.coordinate}: {hinge.value:.4g} N m/rad is {times} the declared {declared[hinge.coordinate]:.4g}; unless "
+                "that is meant, look at the units: deformation_rad in rad (degrees are 57 times, mrad 1000 times larger), "
+                "load_n in N, lever_arm_m in m"
+            )
+    for file, test, fit in zip(source.files, source.tests, found, strict=True):
+        span = float(np.ptp(test.deformation))
+        if span > LARGEST_TURN:
+            said.append(
+                f"{file}: column 'deformation_rad' spans {span:.2g} rad ({np.degrees(span):.2g} degrees), more than a hinge bears; "
+                "look whether it is in degrees or mrad"
+            )
+        if fit.outlier is not None:
+            said.append(_stands_out(file, test, fit.outlier))
+    return tuple(said)
+
+
+def _stands_out(file: str, test: StaticTest, place: int) -> str:
+    first = place in {int(np.flatnonzero(rows)[0]) for rows in (test.rising, ~test.rising)}
+    friction = (
+        "; of a direction's first readings it may be friction that does not slide yet, see `skip`" if first else ""
+    )
+    return f"{file}, row {place + 1}: the reading stands out from the line; correct it or take it out{friction}"
 
 
 def _together(coordinate: str, found: tuple[StaticStiffness, ...]) -> HingeStiffness:
@@ -209,9 +263,11 @@ def as_json(result: StaticResult) -> dict[str, Any]:
                 "loading_against_unloading_p_value": f.p_value,
                 "hysteresis_area": f.hysteresis_area,
                 "hysteresis_std": f.hysteresis_std,
+                "outlier_row": None if f.outlier is None else f.outlier + 1,
             }
             for f, t in zip(result.found, result.source.tests, strict=True)
         ],
+        "cautions": list(result.cautions),
     }  # fmt: skip
 
 

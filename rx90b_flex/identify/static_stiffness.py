@@ -14,9 +14,10 @@ from scipy import special
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.linear_fit import LinearFit
-from rx90b_flex.signals.static_test import StaticTest
+from rx90b_flex.signals.static_test import Mask, StaticTest
 
 SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
+OUTLIER = 0.01  # how often sound readings may hold one that stands out
 ROUNDING = 1e-12  # of the largest reading: what is less is no noise of a measurement
 
 Response = Literal["deformation", "moment"]
@@ -70,6 +71,9 @@ class StaticStiffness:
         Work lost in the loop, J (N m rad); positive where unloading lags.
     hysteresis_std : float
         What noise alone gives that area.
+    outlier : int or None
+        Place, in the test, of the reading that stands out from the lines: largest studentized residual, Student's t at 1 %
+        over all readings (Bonferroni).
     """
 
     coordinate: str
@@ -86,6 +90,7 @@ class StaticStiffness:
     slope_p_value: float
     hysteresis_area: float
     hysteresis_std: float
+    outlier: int | None = None
 
 
 def fit_static_stiffness(
@@ -124,7 +129,8 @@ def fit_static_stiffness(
     if response not in ("deformation", "moment"):
         raise ValueError(f"response is {response!r}; expected 'deformation' or 'moment'")
     area, weight = hysteresis_area(test)
-    test = _without_beginnings(test, skip)
+    kept = _without_beginnings(test, skip)
+    test = replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
     line, parallel, both = _fits(test, response)
     slope = float(parallel.theta[0])
     noisy = test.deformation if response == "deformation" else test.moment
@@ -146,6 +152,7 @@ def fit_static_stiffness(
         slope_p_value=_f_test(parallel, both, rounding),
         hysteresis_area=area,
         hysteresis_std=float(deformation_std * np.linalg.norm(weight)),
+        outlier=None if (place := _outlier(parallel, rounding)) is None else int(np.flatnonzero(kept)[place]),
     )
 
 
@@ -200,13 +207,24 @@ def hysteresis_area(test: StaticTest) -> tuple[float, Array]:
     return float(weight @ test.deformation), weight
 
 
-def _without_beginnings(test: StaticTest, skip: int) -> StaticTest:
-    if skip == 0:
-        return test
+def _without_beginnings(test: StaticTest, skip: int) -> Mask:
+    """Which readings are left without the first ones of each direction."""
     kept = np.ones(len(test), dtype=bool)
     for rows in (test.rising, ~test.rising):
         kept[np.flatnonzero(rows)[:skip]] = False
-    return replace(test, moment=test.moment[kept], deformation=test.deformation[kept], rising=test.rising[kept])
+    return kept
+
+
+def _outlier(fit: LinearFit, rounding: float) -> int | None:
+    """The reading whose residual is too large for the noise that all others show."""
+    if fit.freedom < 2 or fit.squares <= rounding:
+        return None
+    free = 1.0 - np.einsum("ij,jk,ik->i", fit.columns, fit.inverse, fit.columns)
+    own = fit.residual**2 / np.maximum(free, ROUNDING)
+    place = int(np.argmax(own))
+    others = max(fit.squares - float(own[place]), rounding, 1e-300) / (fit.freedom - 1)
+    chance = 2.0 * float(special.stdtr(fit.freedom - 1, -np.sqrt(own[place] / others)))
+    return place if len(own) * chance < OUTLIER else None
 
 
 def _f_test(small: LinearFit, large: LinearFit, rounding: float) -> float:

@@ -15,7 +15,7 @@ ALIKE = 0.01  # p-value below which loading and unloading are said to differ
 
 def headline(result: StaticResult) -> list[str]:
     """What was found, a line a hinge, and what to look at."""
-    lines = []
+    lines: list[str] = []
     for h in result.hinges:
         tests = "" if h.measurements == 1 else f", {h.measurements} tests"
         lines.append(f"{h.coordinate}: {h.value:.4g} ± {h.std:.2g} N m/rad{tests}")
@@ -30,7 +30,7 @@ def headline(result: StaticResult) -> list[str]:
             lines.append(
                 f"{f.coordinate}: loading and unloading differ (p = {f.p_value:.2g}): friction takes part, see `skip`."
             )
-    return lines
+    return [*lines, *(f"{line}." for line in result.cautions)]
 
 
 def write_static_report(result: StaticResult, path: Path) -> None:
