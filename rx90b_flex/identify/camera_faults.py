@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.camera import RigidBodyFit, link_poses, links_beside
+from rx90b_flex.identify.linear_fit import LinearFit
 from rx90b_flex.robot import Robot
 
 SIDES = ("before", "behind")
@@ -78,6 +79,28 @@ class Seen:
     centres: Array
 
 
+@dataclass(frozen=True)
+class Left:
+    """How the links' motion differs from that of the model, in the best frame of the camera.
+
+    Attributes
+    ----------
+    turn : float, rad
+        Median over rows and links.
+    scale, scale_std : float
+        How far the links go over how far they should, -1 in mirrored coordinates, in which they turn as the robot does;
+        as if every number had the same errors in all rows. Infinite: not told.
+    """
+
+    turn: float
+    scale: float
+    scale_std: float
+
+    def near(self, scale: float) -> bool:
+        """Whether the links go about so far."""
+        return abs(self.scale - scale) < SAME_SCALE
+
+
 def check_turns(robot: Robot, joint: str, angles: Array, markers: Array, bodies: Sequence[RigidBodyFit]) -> None:
     """Whether both links turn and go as the drives' angles say, whatever the camera's frame is.
 
@@ -93,21 +116,17 @@ def check_turns(robot: Robot, joint: str, angles: Array, markers: Array, bodies:
     turns = np.stack([body.rotation[rows] @ body.rotation[rows[0]].T for body in bodies])
     seen = Seen(angles[rows], turns, markers[:, rows].mean(axis=2))
     found = _left(robot, joint, seen)
-    if found is None or (found[0] < SAME_TURN and not _near(found[1], -1.0)):
+    if found is None or (found.turn < SAME_TURN and not (found.near(-1.0) and found.scale_std < SAME_SCALE)):
         return
     fitting = []
     for said, tried in _mistakes(robot, joint, seen):
         after = _left(robot, joint, tried)
-        if after is not None and after[0] < SAME_TURN and (after[1] is None or _near(after[1], 1.0)):
+        if after is not None and after.turn < SAME_TURN and (np.isinf(after.scale_std) or after.near(1.0)):
             fitting.append(said)
     if fitting:
         raise ValueError(
             f"the links beside {joint} do not move as the angles say; what explains it: " + ", or ".join(fitting)
         )
-
-
-def _near(scale: float | None, wanted: float) -> bool:
-    return scale is not None and abs(scale - wanted) < SAME_SCALE
 
 
 def _mistakes(robot: Robot, joint: str, seen: Seen) -> list[tuple[str, Seen]]:
@@ -129,8 +148,8 @@ def _mistakes(robot: Robot, joint: str, seen: Seen) -> list[tuple[str, Seen]]:
     return out
 
 
-def _left(robot: Robot, joint: str, seen: Seen) -> tuple[float, float | None] | None:
-    """What the best turn C of the base leaves of the turns of both links, their median in rad, and the scale of their places.
+def _left(robot: Robot, joint: str, seen: Seen) -> Left | None:
+    """What the best turn C of the base leaves of the turns of both links, and the scale of their places.
 
     ``seen C = C model`` is linear in C. None: turns about one axis, which leave it open.
     """
@@ -148,13 +167,13 @@ def _left(robot: Robot, joint: str, seen: Seen) -> tuple[float, float | None] | 
     u, _, vt = np.linalg.svd(base * np.sign(np.linalg.det(base)))
     base = u @ vt
     apart = Rotation.from_matrix(np.swapaxes(turns, 1, 2) @ base @ model @ base.T).magnitude()
-    return float(np.median(apart)), _scale([poses[link] for link in links], seen.centres, base)
+    return Left(float(np.median(apart)), *_scale([poses[link] for link in links], seen.centres, base))
 
 
-def _scale(poses: Sequence[tuple[Array, Array]], centres: Array, base: Array) -> float | None:
-    """How far both links go over how far they should: -1 in mirrored coordinates, in which they turn as the robot does.
+def _scale(poses: Sequence[tuple[Array, Array]], centres: Array, base: Array) -> tuple[float, float]:
+    """Scale of the links' places and its standard deviation.
 
-    ``centre = base (rotation marker + scale position) + translation`` is linear in what is left. None: not told.
+    ``centre = base (rotation marker + scale position) + translation`` is linear in what is left.
     """
     columns = np.zeros((2, len(centres[0]), 3, 10))
     for side, (rotation, position) in enumerate(poses):
@@ -163,10 +182,11 @@ def _scale(poses: Sequence[tuple[Array, Array]], centres: Array, base: Array) ->
     columns[..., 7:] = np.eye(3)
     slope = columns.reshape(-1, 10)
     size = np.linalg.norm(slope, axis=0)
-    if not size.all():
-        return None
-    found, _, rank, _ = np.linalg.lstsq(slope / size, centres.reshape(-1), rcond=1e-3)
-    return float(found[6] / size[6]) if rank == len(size) else None
+    if not size.all() or np.linalg.matrix_rank(slope / size, tol=1e-3 * np.sqrt(len(size))) < len(size):
+        return 0.0, np.inf
+    fit = LinearFit.of(slope, centres.reshape(-1))
+    # deformations make errors that more rows do not lessen
+    return float(fit.theta[6]), float(fit.std[6] * np.sqrt(len(slope) / len(size)))
 
 
 # ---- outliers -----------------------------------------------------------------------------------------------------
