@@ -175,6 +175,11 @@ def _slipped(x: np.ndarray) -> np.ndarray:
     return x
 
 
+def _held(q: np.ndarray) -> np.ndarray:
+    q[:, LIFT] = -0.3
+    return q
+
+
 def _standing(x: np.ndarray) -> np.ndarray:
     x[:, ELBOW] = 0.5
     return x
@@ -202,6 +207,7 @@ FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | No
     ),
     "a torque cut off": (lambda r: with_torques(r, _clipped), "clipped", (PAN,), None),
     "an encoder that stands": (lambda r: with_angles(r, _standing), "stuck", (ELBOW,), None),
+    "an encoder that stands in one log": (lambda r: [*r[:1], *with_angles(r[1:2], _held), *r[2:]], "stuck", (LIFT,), None),
     "an encoder that slips": (lambda r: with_angles(r, _slipped), "glitch", (ELBOW,), None),
     "a wild cell": (lambda r: with_torques(r, _wild), "glitch", (LIFT,), None),
     "validation as fitted": (_repeated, "repeated_recording", (), None),
@@ -228,6 +234,27 @@ def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said
     (fault,) = result.data_faults
     assert (fault.kind, fault.joints) == ("unrelated", JOINTS)
     assert not fault.usable and not result.usable
+
+
+def test_what_is_fitted_twice_is_told(tmp_path: Path) -> None:
+    runs = sound()
+    result = checked(tmp_path, [runs[0], runs[0], *runs[1:]])
+    (fault,) = result.data_faults
+    assert (fault.kind, fault.usable) == ("repeated_recording", True) and "fitted twice" in fault.message
+
+
+def test_a_joint_that_is_held_in_one_log_is_no_sensor_that_stands(tmp_path: Path) -> None:
+    """The others move it, and it needs torque for that."""
+    runs = sound()
+    rng = np.random.default_rng(8)
+    held = runs[0].motion
+    q, v, a = (x.copy() for x in (held.q, held.v, held.a))
+    q[:, ELBOW], v[:, ELBOW], a[:, ELBOW] = 0.4, 0.0, 0.0
+    motion = dataclasses.replace(held, q=q, v=v, a=a)
+    still = ind.run(
+        ARM, "identification", motion, [ind.friction(COULOMB, VISCOUS)], ind.white(rng, len(motion.time), NOISE)
+    )
+    assert not [f for f in checked(tmp_path, [*runs, still]).data_faults if f.kind == "stuck"]
 
 
 def test_rows_that_are_missing_are_no_encoders_that_slip(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from rx90b_flex.diagnose.faults.repeated import repeated
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
-from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck
+from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck, stuck_in_one
 from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
 from rx90b_flex.diagnose.residual import noise_between_periods
@@ -185,7 +185,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         fit = look.fit()
         faults += [_fault(f) for f in found]
         faults += list(impossible_sizes(look, faults))
-        faults += stuck(mended, np.sqrt(fit.error))
+        faults += [*stuck(mended, np.sqrt(fit.error)), *stuck_in_one(mended, look)]
         lost = unrelated(campaign.joints, *look.errors_at_least(), moving, constant)
         faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign)
         errors = tuple(float(x) for x in np.sqrt(fit.error))

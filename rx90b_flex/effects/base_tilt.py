@@ -14,6 +14,7 @@ from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import OTHER, linear
 
 # A base turned by R = 1 + [angles] sees gravity along R^T (-e_z), to first order -e_z + angle_x (-e_y) + angle_y e_x
+WIDEST = 0.35  # rad, up to which the first order says what gravity does: 6 % of it are missing there
 _DIRECTIONS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 
 
@@ -42,6 +43,10 @@ class BaseTilt(Effect, behind_gear=True, on="robot", part="links", needs_model=T
 
     angle_x: float | None = linear("rad", rank=OTHER)
     angle_y: float | None = linear("rad", rank=OTHER)
+
+    def possible(self) -> bool:
+        """Within `WIDEST`; an axis about which the tilt does next to nothing has any angle, and tells none."""
+        return bool(np.abs(self.known_coefficients()).max() <= WIDEST)
 
     def columns(self, motion: Motion) -> Array:
         return np.stack([motion.on_tree.gravity_torque(d, laden=True) for d in _DIRECTIONS], axis=2)

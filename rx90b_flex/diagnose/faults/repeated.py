@@ -1,8 +1,9 @@
-"""The same motion in both roles, which makes the held-out error say nothing; and excitations that repeat."""
+"""The same motion in both roles, which makes the held-out error say nothing; and the same samples twice in one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy import signal
@@ -17,8 +18,16 @@ SAMPLES_A_SECOND = 40.0
 
 
 def repeated(recordings: Sequence[Recording]) -> Iterator[DataFault]:
-    """Validation recordings whose motion one of the identification recordings has as well."""
+    """Validation recordings whose motion one of the identification recordings has as well, and samples that are fitted twice."""
     fitted = [r for r in recordings if r.role == "identification"]
+    for one, other in combinations(fitted, 2):
+        if np.array_equal(one.position, other.position) and np.array_equal(one.torque, other.torque):
+            names = one.name if one.name == other.name else f"{one.name} and {other.name}"
+            message = (
+                f"The same samples are fitted twice ({names}): they tell no more than once, and standard deviations come out too "
+                "small; leave one out."
+            )
+            yield DataFault("repeated_recording", None, (), message, usable=True)
     for other in (r for r in recordings if r.role == "validation"):
         same = next((r for r in fitted if _contains(r, other)), None)
         if same is not None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals import Recording
 from rx90b_flex.signals.data_fault import DataFault
@@ -15,6 +16,7 @@ HARDLY = 0.02  # rad or m: too little for a parameter to stand out of friction
 FROZEN_S = 0.3  # the same number for so long
 FEWEST = 12  # samples
 JUMP = 8.0  # times the usual step at the end of such a segment
+SWINGS = 0.2  # of the same torque's standard deviation in other recordings: more than noise
 UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not at rest
 
 
@@ -37,6 +39,27 @@ def stuck(recordings: Sequence[Recording], errors: Array) -> Iterator[DataFault]
         )
         message = f"{joint} never moves in the log (by {reach:.2g} rad in all): {cure}."
         yield DataFault("stuck", "motor_position", (joint,), message, usable=held)
+
+
+def stuck_in_one(recordings: Sequence[Recording], look: Look) -> Iterator[DataFault]:
+    """Joints whose position keeps one number all through a recording, while their torque swings as that of none at rest does."""
+    predicted = look.columns(look.reading) @ look.fit().theta.mean(axis=0)
+    measured = look.sample.torque_seen(look.reading)
+    swing, left = (
+        np.array([x[span].std(axis=0) for span in look.sample.spans]) for x in (measured, measured - predicted)
+    )
+    for i, recording in enumerate(recordings):
+        for k, joint in enumerate(recording.joints):
+            elsewhere = np.delete(swing[:, k], i).max(initial=0.0)
+            still = np.ptp(recording.position[:, k]) == 0.0 and any(
+                np.ptp(r.position[:, k]) > NEVER for r in recordings
+            )
+            if still and swing[i, k] > SWINGS * elsewhere and left[i, k] > UNEXPLAINED * swing[i, k]:
+                message = (
+                    f"{recording.file_name}: the position of {joint} keeps one number all through, but its torque is not that of a "
+                    "joint at rest: its sensor stood, or the column is not its; leave the recording out."
+                )
+                yield DataFault("stuck", "motor_position", (joint,), message)
 
 
 def frozen(recordings: Sequence[Recording]) -> Iterator[DataFault]:
