@@ -7,7 +7,6 @@ from the times; an option overrules each of these.
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,16 @@ from rx90b_flex.signals.readers.reader import Log
 from rx90b_flex.signals.recording import REQUIRED, SIGNALS, Recording, Role
 from rx90b_flex.signals.tables import LARGEST
 from rx90b_flex.signals.times import printed_resolution
+from rx90b_flex.signals.units import (
+    ANGLE_UNITS,
+    DEGREE,
+    TIME_UNITS,
+    TORQUE_UNITS,
+    time_unit,
+    unit_in_name,
+    unit_in_row,
+    words_of,
+)
 
 Array = NDArray[np.float64]
 Sureness = Literal["stated", "sure", "likely"]
@@ -41,23 +50,17 @@ SLOWEST_HZ, FASTEST_HZ = 0.1, 1e6  # rates that a log may have
 
 # words in names, in lower case
 # fmt: off
-_POSITION = {"q", "pos", "position", "positions", "angle", "angles", "theta", "enc", "encoder"}
+_POSITION = {"q", "pos", "position", "positions", "angle", "angles", "theta", "enc", "encoder", "istposition", "winkel"}
 _VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
-_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "ff", "feedforward"}
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "ff", "feedforward", "drehmoment"}
 _FORWARD = {"ff", "feedforward"}
 _REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
 _LINK = {"link", "load", "output", "secondary"}
 _CURRENT = {"current", "currents", "amp", "amps"}
 _OTHER = _CURRENT | {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
 _NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
-          "drive", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
-_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec"}
-_DEGREE = np.pi / 180.0
-_ANGLE_UNITS = {"deg": _DEGREE, "degs": _DEGREE, "degree": _DEGREE, "degrees": _DEGREE, "dps": _DEGREE, "mrad": 1e-3,
-                "rpm": 2 * np.pi / 60, "rev": 2 * np.pi, "revs": 2 * np.pi, "turns": 2 * np.pi}
-_TORQUE_UNITS = {"nmm": 1e-3, "ncm": 1e-2, "mnm": 1e-3, "knm": 1e3}
-_TIME_UNITS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6,
-               "ns": 1e-9, "nsec": 1e-9}
+          "drive", "achse", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
+_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "datetime"}
 # fmt: on
 
 
@@ -222,7 +225,7 @@ def _all_in_one_unit(files: Sequence[Path], axes: Axes, options: ReadingOptions)
     if len(set(scales)) > 1:
         stated = [all(f.sure != "likely" for f in i.found if f.what.startswith("angles:")) for i in imports]
         other = next(k for k, scale in enumerate(scales) if scale != scales[0])
-        names = {1.0: "rad", _DEGREE: "degrees"}
+        names = {1.0: "rad", DEGREE: "degrees"}
         widest = [float(np.median(np.ptp(i.recording.position, axis=0) / i.scale)) for i in imports]
         if any(stated) or max(widest) > MIXED * min(widest):
             one, two = (names.get(scales[k], f"{scales[k]:g} rad") for k in (other, 0))
@@ -275,6 +278,7 @@ class _Import:
     def __init__(self, log: Log, axes: Axes, options: ReadingOptions) -> None:
         self.log, self.axes, self.options = log, axes, options
         self.found = _Findings(Finding(note, "sure") for note in log.notes)
+        self.found += [Finding(note, "likely") for note in log.assumed]
         time, time_name = self._time()
         joints, signals = self._complete(self._places(time_name))
         names = [c.name for columns in signals.values() for c in columns]
@@ -305,7 +309,8 @@ class _Import:
         if candidates:
             name = (exact or candidates)[0]
             time = log.column(name) - log.column(name)[0]
-            stated = [_TIME_UNITS[w] for w in _time_words(name)[1:] if w in _TIME_UNITS]
+            below = time_unit(log.units.get(name, ""))
+            stated = [TIME_UNITS[w] for w in _time_words(name)[1:] if w in TIME_UNITS] if below is None else [below]
             step = float(np.nanmedian(np.abs(np.diff(time))))
             # the unit in which the rate is one that robots are logged at
             scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
@@ -333,7 +338,7 @@ class _Import:
         read: dict[str, list[_Column]] = {}
         numbered = [n for n in log.names if n not in taken and n != time_name]
         # the joints count from 0 where a column says so
-        from_zero = any(self._number_in(n) == 0 and _signal_of(_words(n))[0] for n in numbered)
+        from_zero = any(self._number_in(n) == 0 and _signal_of(words_of(n))[0] for n in numbered)
         for name in numbered:
             column = self._column(name, from_zero)
             if column is not None and column.signal not in stated:
@@ -349,7 +354,7 @@ class _Import:
                     f"--columns {signal} lists {len(names)} columns; expected at most {len(joints)}, one a joint"
                 )
             read[signal] = [
-                _Column(name, signal, joint, "stated", _unit(signal, _words(name)), 0)
+                _Column(name, signal, joint, "stated", self._unit(name, signal), 0)
                 for name, joint in zip(names, joints, strict=False)
             ]
         return read
@@ -359,12 +364,12 @@ class _Import:
 
     def _column(self, name: str, from_zero: bool) -> _Column | None:
         """What a column is by the format itself, else by its name; None: nothing known."""
-        joints, words, sure = self.axes.joints, _words(name), True
+        joints, words, sure = self.axes.joints, words_of(name), True
         if self.log.roles:
             role, joint = self.log.roles[name]
             return _Column(name, role, joint, "sure", 1.0, 0) if joint in joints else None
         for joint in sorted(joints, key=len, reverse=True):  # shoulder_pan before shoulder
-            place = _find(_words(joint), words)
+            place = _find(words_of(joint), words)
             if place is not None:
                 rest = words[: place[0]] + words[place[1] :]
                 break
@@ -378,12 +383,22 @@ class _Import:
         signal, left = _signal_of(rest)
         if signal is None:
             return None
-        return _Column(name, signal, joint, "sure" if sure else "likely", _unit(signal, words), len(left))
+        return _Column(name, signal, joint, "sure" if sure else "likely", self._unit(name, signal), len(left))
+
+    def _unit(self, name: str, signal: str) -> float | None:
+        """What brings a column to SI, by its name, else by the unit below that; None where neither says one."""
+        scale = unit_in_name(signal, words_of(name))
+        if scale is not None or name not in self.log.units:
+            return scale
+        try:
+            return unit_in_row(signal, self.log.units[name])
+        except ValueError as error:
+            raise self._problem(f"column {name!r}: {error}; bring it to one of these, or take the unit away") from None
 
     def _number_in(self, name: str) -> int | None:
         """The number of a joint in a name: its last one, where no joint's own name is in it."""
-        words = _words(name)
-        if any(_find(_words(joint), words) for joint in self.axes.joints):
+        words = words_of(name)
+        if any(_find(words_of(joint), words) for joint in self.axes.joints):
             return None
         numbers = [int(w) for w in words if w.isdigit()]
         return numbers[-1] if numbers else None
@@ -426,7 +441,7 @@ class _Import:
     def _nothing_found(self, signal: str) -> ValueError:
         log, joints, hint = self.log, self.axes.joints, ""
         shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
-        if signal == "torque" and any(_CURRENT & set(_words(n)) for n in log.names):
+        if signal == "torque" and any(_CURRENT & set(words_of(n)) for n in log.names):
             hint = "; currents must first be multiplied by motor constant and gear ratio"
         if log.roles and not any(joint in joints for _, joint in log.roles.values()):
             hint = f"; the robot's joints are {', '.join(joints)}"
@@ -450,7 +465,7 @@ class _Import:
         first = 1.0
         for signal, columns in signals.items():
             in_degrees = bool(degrees) and "torque" not in signal
-            assumed = [_DEGREE if in_degrees and self.axes.turns(c.joint) else 1.0 for c in columns]
+            assumed = [DEGREE if in_degrees and self.axes.turns(c.joint) else 1.0 for c in columns]
             # an option overrules what names say
             overruled = self.options.degrees is not None and "torque" not in signal
             scales = np.array(
@@ -459,7 +474,7 @@ class _Import:
             values[signal] = values[signal] * scales
             told = [c.name for c in columns if c.scale not in (None, 1.0)]
             if told and not overruled:
-                self.found.add(f"{signal}: brought to SI from the unit in the name of {', '.join(told)}")
+                self.found.add(f"{signal}: brought to SI from the unit of {', '.join(told)}")
             if signal == "motor_position":
                 first = float(scales[0])
         return first
@@ -477,7 +492,7 @@ class _Import:
 
         if not outside(1.0).any():
             return False
-        in_degrees = outside(_DEGREE)
+        in_degrees = outside(DEGREE)
         if not in_degrees.any():
             return True
         worst = int(np.argmax(in_degrees))
@@ -600,20 +615,14 @@ class _Import:
         return "median", _round_rate(median)
 
 
-def _words(name: str) -> list[str]:
-    """`jointPos_1 [deg]` gives joint, pos, 1, deg."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    return re.findall(r"[a-z]+|\d+", spaced.lower())
-
-
 def _time_words(name: str) -> list[str]:
     """`log.time_ms` gives time, ms."""
-    return [w for w in _words(name) if w in _TIMES or w in _TIME_UNITS or w not in _NOISE]
+    return [w for w in words_of(name) if w in _TIMES or w in TIME_UNITS or w not in _NOISE]
 
 
 def _is_time(name: str) -> bool:
     words = _time_words(name)
-    return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in _TIME_UNITS for w in words)
+    return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in TIME_UNITS for w in words)
 
 
 def _find(part: Sequence[str], words: Sequence[str]) -> tuple[int, int] | None:
@@ -628,7 +637,7 @@ def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
     kinds = set(words)
     if kinds & _OTHER:
         return None, []
-    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(_ANGLE_UNITS) | set(_TORQUE_UNITS)
+    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(ANGLE_UNITS) | set(TORQUE_UNITS)
     left = [w for w in words if w not in known and not w.isdigit()]
     wanted = bool(kinds & _REFERENCE)
     if kinds & _TORQUE:
@@ -644,13 +653,6 @@ def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
     if wanted:
         return "reference_position", left
     return ("motor_position" if kinds & _POSITION else None), left
-
-
-def _unit(signal: str, words: Sequence[str]) -> float | None:
-    """What brings a column to SI; None where its name says no unit."""
-    units = _TORQUE_UNITS if "torque" in signal else _ANGLE_UNITS
-    found = [units[w] for w in words if w in units]
-    return found[0] if found else 1.0 if {"rad", "nm"} & set(words) else None
 
 
 def _round_rate(rate: float, slack: float = 0.0) -> float:

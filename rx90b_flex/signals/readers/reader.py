@@ -29,6 +29,8 @@ class Log:
     time : (N,) s, where the format itself says which column that is; else None.
     roles : column -> (signal, joint), where the format itself says so.
     words : columns that hold no numbers -> what stands in their first row.
+    units : column -> unit, where a row below the names says so.
+    assumed : what was taken for likely while reading, a line each.
     """
 
     path: Path
@@ -38,6 +40,8 @@ class Log:
     time: Array | None = None
     roles: Mapping[str, tuple[str, str]] | None = None
     words: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
 
     def column(self, name: str) -> Array:
         """(N,) values of a column."""

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import dataclasses
+import datetime
 import gzip
+import itertools
+import re
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90b_flex.signals.readers.reader import Log, Reader, log_of
 from rx90b_flex.signals.tables import number_of
+from rx90b_flex.signals.units import are_units
 
 SEPARATORS = (",", ";", "\t", "|", " ")
+_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+# ISO 8601, as pandas and most loggers write dates with times
+_STAMP = re.compile(
+    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9})\d*)?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?", re.ASCII
+)
 
 
 class TextReader(Reader):
@@ -22,11 +33,9 @@ class TextReader(Reader):
 
     def read(self, path: Path) -> Log:
         raw = path.read_bytes()
-        text = (gzip.decompress(raw) if path.name.lower().endswith(".gz") else raw).decode("utf-8-sig")
+        text, assumed = _decoded(path, gzip.decompress(raw) if path.name.lower().endswith(".gz") else raw)
         lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("%", "//"))]
-        # a header may itself be a comment, as NumPy's savetxt writes it
-        lines = [line.lstrip("# ") if k == 0 else line for k, line in enumerate(lines)]
-        lines = [line for line in lines if not line.startswith("#")]
+        lines = _without_comments(lines)
         if len(lines) < 2:
             raise ValueError(f"{path}: {len(lines)} lines; expected a line of column names and rows of numbers")
         separator = _separator(lines)
@@ -37,28 +46,87 @@ class TextReader(Reader):
         header = [cell.strip().strip('"') for cell in _cells(lines[0], separator)]
         if all(_number(cell, False) is not None for cell in header):
             raise ValueError(f"{path}: the first line holds numbers; a line of column names is expected")
-        first = _cells(lines[1], separator)
-        decimal_comma = separator != "," and any("," in cell for cell in first) and "." not in "".join(first)
-        word = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}[separator]
-        notes = [f"columns between {word}" + (", decimal commas" if decimal_comma else "")]
-        try:  # quickly, where every cell is a number
-            values = np.loadtxt(lines[1:], delimiter=None if separator == " " else separator, ndmin=2, comments=None)
-        except ValueError:
-            return _read_cells(path, header, [_cells(line, separator) for line in lines[1:]], decimal_comma, notes)
-        if values.shape[1] != len(header):
-            raise ValueError(f"{path}: row 1 has {values.shape[1]} cells, the header has {len(header)}")
-        kept = [c for c in range(len(header)) if header[c]]
-        return log_of(path, [header[c] for c in kept], values[:, kept], notes)
+        units = _units(header, lines, separator)
+        log = _read_rows(path, header, lines[2 if units else 1 :], separator)
+        if units:
+            log = dataclasses.replace(log, notes=(*log.notes, "a row of units below the names"))
+        # what a column is read in, as of dates with times, overrules what stands below its name
+        return dataclasses.replace(log, units={**units, **log.units}, assumed=(*assumed, *log.assumed))
+
+
+def _decoded(path: Path, raw: bytes) -> tuple[str, list[str]]:
+    """The text of a file, and what was assumed of its characters."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return raw.decode("utf-16"), []
+    try:
+        return raw.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        byte, line = raw[error.start], raw[: error.start].count(b"\n") + 1
+    try:
+        text = raw.decode("cp1252")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise ValueError(
+            f"{path}: cannot be read: no text; line {line} holds byte 0x{byte:02x}; expected text as UTF-8 or CP1252"
+        )
+    return text, ["its characters are no UTF-8: read as CP1252 (Latin-1)"]
+
+
+def _without_comments(lines: list[str]) -> list[str]:
+    """Lines without those that start with `#`; the names come first, which may be a comment, as NumPy's savetxt writes them."""
+    comments = [line.lstrip("# \t") for line in itertools.takewhile(lambda line: line.startswith("#"), lines)]
+    rows = [line for line in lines if not line.startswith("#")]
+    if not comments or not rows:
+        return [*comments, *rows]
+    separator = _separator(rows[:20])
+    cells = _cells(rows[0], separator) if separator else rows[:1]
+    numbers = any(cell.strip() and _number(cell, separator != ",") is not None for cell in cells)
+    if not numbers:
+        return rows
+    names = comments[-1]
+    if separator and len(_cells(names, separator)) != len(cells):
+        return rows
+    if len(comments) > 1 and separator and are_units(_cells(names, separator)):
+        return [comments[-2], names, *rows]
+    return [names, *rows]
+
+
+def _units(header: list[str], lines: list[str], separator: str) -> dict[str, str]:
+    """Column -> unit, where a row of them stands below the names; else empty."""
+    cells = [cell.strip().strip('"') for cell in _cells(lines[1], separator)]
+    if len(cells) != len(header) or len(lines) < 3 or not are_units(cells):
+        return {}
+    if any(cell and cell != "1" and _number(cell, True) is not None for cell in cells):
+        return {}
+    return dict(zip(header, cells, strict=True))
+
+
+def _read_rows(path: Path, header: list[str], lines: list[str], separator: str) -> Log:
+    first = [cell for cell in _cells(lines[0], separator) if not _STAMP.fullmatch(cell.strip())]
+    decimal_comma = separator != "," and any("," in cell for cell in first) and "." not in "".join(first)
+    notes = [f"columns between {_WORDS[separator]}" + (", decimal commas" if decimal_comma else "")]
+    try:  # quickly, where every cell is a number
+        values = np.loadtxt(lines, delimiter=None if separator == " " else separator, ndmin=2, comments=None)
+    except ValueError:
+        return _read_cells(path, header, [_cells(line, separator) for line in lines], decimal_comma, notes)
+    if values.shape[1] != len(header):
+        raise ValueError(f"{path}: row 1 has {values.shape[1]} cells, the header has {len(header)}")
+    kept = [c for c in range(len(header)) if header[c]]
+    return log_of(path, [header[c] for c in kept], values[:, kept], notes)
 
 
 def _read_cells(path: Path, header: list[str], rows: list[list[str]], decimal_comma: bool, notes: list[str]) -> Log:
-    """Cell by cell: empty ones, words, decimal commas."""
-    values = np.empty((len(rows), len(header)))
+    """Cell by cell: empty ones, words, decimal commas, dates with times."""
+    header, values = list(header), np.empty((len(rows), len(header)))
+    stamps = {c for c, cell in enumerate(rows[0]) if _STAMP.fullmatch(cell.strip().strip('"'))}
     text_columns: set[int] = set()
     for r, row in enumerate(rows):
         if len(row) != len(header):
             raise ValueError(f"{path}: row {r + 1} has {len(row)} cells, the header has {len(header)}")
         for c, cell in enumerate(row):
+            if c in stamps:
+                continue
             number = _number(cell, decimal_comma)
             if number is None:
                 if r > 0 and c not in text_columns:
@@ -68,9 +136,42 @@ def _read_cells(path: Path, header: list[str], rows: list[list[str]], decimal_co
                 text_columns.add(c)  # words from the first row on: a label, not a signal
                 number = np.nan
             values[r, c] = number
+    for c in sorted(stamps):
+        if not header[c] and "time" not in header:
+            header[c] = "time"  # pandas gives an index no name
+        values[:, c] = _seconds(path, header[c], [row[c] for row in rows])
+    units = {header[c]: "s" for c in sorted(stamps) if header[c]}
+    notes = [*notes, *(f"column {name!r}: dates with times, as seconds from the first" for name in units)]
     kept = [c for c in range(len(header)) if c not in text_columns and header[c]]
     words = {header[c]: rows[0][c].strip()[:40] for c in sorted(text_columns) if header[c]}
-    return dataclasses.replace(log_of(path, [header[c] for c in kept], values[:, kept], notes), words=words)
+    log = log_of(path, [header[c] for c in kept], values[:, kept], notes)
+    return dataclasses.replace(log, words=words, units=units)
+
+
+def _seconds(path: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
+    """Dates with times as seconds from the first; NaN where a cell is empty."""
+    out: list[int | None] = []
+    for r, cell in enumerate(cells):
+        found = _STAMP.fullmatch(cell.strip().strip('"'))
+        try:
+            out.append(_nanoseconds(found) if found or cell.strip() else None)
+        except (ValueError, TypeError):
+            shown = cell.strip()[:40]
+            raise ValueError(
+                f"{path}: column {name!r}, row {r + 1}: {shown!r} is no date with time as {cells[0].strip()[:40]!r} is"
+            ) from None
+    start = next(t for t in out if t is not None)
+    return np.array([np.nan if t is None else (t - start) / 1e9 for t in out])
+
+
+def _nanoseconds(found: re.Match[str] | None) -> int:
+    """Since 1970; TypeError without a match, ValueError for a day or hour that does not exist."""
+    if found is None:
+        raise TypeError
+    day, clock, fraction, sign, hours, minutes = found.groups()
+    whole = datetime.datetime.fromisoformat(f"{day}T{clock}") - datetime.datetime(1970, 1, 1)
+    zone = int(f"{sign}1") * (60 * int(hours) + int(minutes)) * 60 if sign else 0
+    return (whole.days * 86400 + whole.seconds - zone) * 10**9 + int((fraction or "0").ljust(9, "0"))
 
 
 def _separator(lines: list[str]) -> str | None:

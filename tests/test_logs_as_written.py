@@ -1,0 +1,117 @@
+"""Logs as loggers and spreadsheets write them: characters, comments, rows of units, dates with times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_importers import AXES, SAMPLES, TAU, TIME, Q, numbered, said, table, whole
+
+from rx90b_flex.signals.importers import import_logs
+from rx90b_flex.signals.units import unit_in_row, words_of
+
+NAMES = ["t", *numbered("q", "tau")]
+
+
+def written(path: Path, before: str = "", names: str = "", units: str = "", **changes: object) -> Path:
+    """A log with lines before its names, and below them."""
+    rows = table(NAMES, TIME, Q, TAU).assign(**changes).to_csv(index=False, header=False)
+    path.write_text(before + (names or ",".join(NAMES)) + "\n" + units + rows)
+    return path
+
+
+def check(path: Path, atol: float = 1e-12) -> str:
+    imported = import_logs([path], AXES)
+    np.testing.assert_allclose(whole(imported, "position"), Q, rtol=0, atol=atol)
+    np.testing.assert_allclose(whole(imported, "torque"), TAU, rtol=0, atol=100 * atol)
+    assert imported.recordings[0].sample_rate_hz == 250.0
+    return said(imported)
+
+
+def test_a_file_that_is_no_utf_8_is_read_as_cp1252_and_it_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    names = [f"Achse{k}.{what}" for what in ("Istposition (°)", "Drehmoment (Nm)") for k in (1, 2, 3)]
+    data = table(["Zeit (s)", *names], TIME, np.rad2deg(Q), TAU)
+    data.to_csv(path, index=False, sep=";", decimal=",", encoding="latin-1")
+    assert "no UTF-8: read as CP1252 (Latin-1) (likely)" in check(path)
+    for encoding in ("utf-8", "utf-16"):
+        data.to_csv(path, index=False, sep=";", decimal=",", encoding=encoding)
+        assert "CP1252" not in check(path)
+
+
+def test_bytes_that_are_no_text_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(b"time,q1,tau1\n\xff\x81\x00,1,2\n")
+    with pytest.raises(ValueError, match=r"run\.csv: cannot be read: no text; line 2 holds byte 0xff"):
+        import_logs([path], AXES)
+
+
+@pytest.mark.parametrize(
+    ("before", "names"),
+    [
+        ("# robot log\n# date 2026\n", ""),
+        ("# robot log, 7 columns\n#\n", ""),
+        ("# robot log\n", "# " + ",".join(NAMES)),
+        ("#" + ",".join(NAMES) + "\n", "# s,rad,rad,rad,Nm,Nm,Nm"),
+    ],
+)
+def test_comments_stand_above_the_names_or_hold_them(tmp_path: Path, before: str, names: str) -> None:
+    check(written(tmp_path / "run.csv", before, names))
+
+
+@pytest.mark.parametrize(
+    ("units", "scales"),
+    [
+        ("s,rad,rad,rad,Nm,Nm,Nm", (1.0, 1.0, 1.0)),
+        ("[ms],[deg],[deg],[deg],[kNm],[kNm],[kNm]", (1e3, 180 / np.pi, 1e-3)),
+        ("ms,°,°,°,N·m,N m,mNm", (1e3, 180 / np.pi, (1.0, 1.0, 1e3))),
+        ("s,-,-,-,Nm,,", (1.0, 1.0, 1.0)),
+    ],
+)
+def test_a_row_of_units_gives_the_units(tmp_path: Path, units: str, scales: tuple) -> None:
+    time, angle, torque = scales
+    path, rows = tmp_path / "run.csv", table(NAMES, time * TIME, angle * Q, TAU * torque)
+    path.write_text(",".join(NAMES) + "\n" + units + "\n" + rows.to_csv(index=False, header=False))
+    assert "a row of units below the names" in check(path)
+
+
+def test_a_unit_of_something_else_is_refused_and_one_in_the_name_goes_first(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.csv", units="s,counts,rad,rad,Nm,Nm,Nm\n")
+    with pytest.raises(ValueError, match=r"run\.csv: column 'q1': the unit below its name is 'counts'; expected rad"):
+        import_logs([path], AXES)
+    names = ",".join(NAMES).replace("q1", "q1_rad")
+    check(written(path, names=names, units="s,deg,rad,rad,Nm,Nm,Nm\n"))
+
+
+def test_units_in_names_keep_their_capitals() -> None:
+    assert words_of("tau1 [mNm]") == ["tau", "1", "mnm"] and words_of("jointTorque_kNm")[-1] == "knm"
+    assert unit_in_row("torque", "mNm") == 1e-3 and unit_in_row("motor_velocity", "[rad/s]") == 1.0
+    with pytest.raises(ValueError, match="expected rad"):
+        unit_in_row("motor_velocity", "rad/s^2")
+
+
+@pytest.mark.parametrize(
+    "style", ["%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%fZ", "%Y-%m-%d %H:%M:%S.%f+02:00"]
+)
+def test_dates_with_times_are_seconds_from_the_first(tmp_path: Path, style: str) -> None:
+    stamps = pd.Timestamp("2026-03-02 23:59:59.5") + pd.to_timedelta(TIME, unit="s")
+    assert "column 't': dates with times" in check(written(tmp_path / "run.csv", t=stamps.strftime(style)))
+
+
+def test_dates_with_times_as_pandas_writes_its_index(tmp_path: Path) -> None:
+    data = table(NAMES[1:], Q, TAU)
+    data.index = pd.Timestamp("2026-01-02 03:04:05") + pd.to_timedelta(TIME, unit="s")
+    data.to_csv(tmp_path / "run.csv")
+    assert "column 'time': dates with times" in check(tmp_path / "run.csv")
+    data.to_csv(tmp_path / "run.csv", sep=";", decimal=",")
+    check(tmp_path / "run.csv")
+
+
+def test_a_date_that_is_none_is_told_with_its_row(tmp_path: Path) -> None:
+    stamps = np.array(["2026-01-02T03:04:05.5"] * SAMPLES, dtype=object)
+    stamps[2] = "2026-02-30 03:04:05"
+    path = written(tmp_path / "run.csv", t=stamps)
+    with pytest.raises(ValueError, match=r"run\.csv: column 't', row 3: '2026-02-30 03:04:05' is no date with time"):
+        import_logs([path], AXES)
