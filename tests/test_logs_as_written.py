@@ -9,8 +9,13 @@ import pandas as pd
 import pytest
 from test_importers import AXES, SAMPLES, TAU, TIME, Q, numbered, said, table, whole
 
+from rx90b_flex.identify.camera_command import read_markers
+from rx90b_flex.path.measured import read_measured
+from rx90b_flex.robot import load_robot
 from rx90b_flex.signals.importers import import_logs
+from rx90b_flex.signals.tables import read_table
 from rx90b_flex.signals.units import unit_in_row, words_of
+from rx90b_flex.simulate.command import read_trajectory
 
 NAMES = ["t", *numbered("q", "tau")]
 
@@ -115,3 +120,22 @@ def test_a_date_that_is_none_is_told_with_its_row(tmp_path: Path) -> None:
     path = written(tmp_path / "run.csv", t=stamps)
     with pytest.raises(ValueError, match=r"run\.csv: column 't', row 3: '2026-02-30 03:04:05' is no date with time"):
         import_logs([path], AXES)
+
+
+@pytest.mark.parametrize(("separator", "word"), [(";", "semicolons"), ("\t", "tabs")])
+def test_tables_that_are_not_between_commas_are_told_alike(tmp_path: Path, separator: str, word: str) -> None:
+    path, markers = tmp_path / "table.csv", tmp_path / "markers.toml"
+    table(["time", "x", "y", "z"], TIME, Q).to_csv(path, index=False, sep=separator, decimal=",")
+    markers.write_text('robot = "rx90b_3dof"\njoint = "joint_2"\nfile = "table.csv"\nstd_mm = [0.1, 0.1, 0.1]\n')
+    robot = load_robot("rx90b_3dof")
+    for read in (
+        lambda: read_table(path, ["time"]),
+        lambda: read_table(path, [], optional=["time"]),
+        lambda: read_trajectory(path, robot, 250.0),
+        lambda: read_measured(path),
+        lambda: read_markers(markers),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"table\.csv: columns seem separated by {word}, commas are expected; save"
+        ):
+            read()

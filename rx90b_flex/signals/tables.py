@@ -113,6 +113,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
         raise ValueError(f"{path}: the file is empty")
     try:
         header = list(pa_parquet.read_schema(path).names) if extension == ".parquet" else _csv_header(path)
+        refuse_separators(path, header)
         wanted = _choose(path, header, columns, optional)
         positions = [header.index(name) for name in wanted]
         read = _read_parquet if extension == ".parquet" else _read_csv
@@ -169,11 +170,23 @@ def _choose(path: Path, header: Sequence[str], columns: Sequence[str], optional:
     return wanted
 
 
+def refuse_separators(path: Path, header: Sequence[str]) -> None:
+    """Refuse a table whose names are divided by something else than commas, which looks like one column.
+
+    Raises
+    ------
+    ValueError
+        One line that names the file.
+    """
+    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) - header.count("") <= 1 and any(separator in name for name in header):
+            raise ValueError(
+                f"{path}: columns seem separated by {word}, commas are expected; "
+                "save it with commas between columns and points in numbers"
+            )
+
+
 def _why_missing(name: str, header: Sequence[str]) -> str:
-    if len(header) == 1:
-        for separator, word in ((";", "semicolons"), ("\t", "tabs")):
-            if separator in header[0]:
-                return f"; columns seem separated by {word}, commas are expected"
     if header and all(number_of(cell) is not None for cell in header):
         return "; the first line holds numbers, a line of column names is expected"
     hint = suggestion(name, header)

@@ -17,7 +17,7 @@ from rx90b_flex.excitation import multisine
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import write_campaign
-from rx90b_flex.signals.tables import read_table, write_table
+from rx90b_flex.signals.tables import read_table, refuse_separators, write_table
 from rx90b_flex.simulate.closed_loop import Noise, Progress, Simulation, simulate
 from rx90b_flex.simulate.cs8 import CS8, controller_of_joints, design_cs8, load_cs8, own_controller
 from rx90b_flex.simulate.perturbation import perturb_lanes
@@ -157,6 +157,7 @@ def read_trajectory(path: Path, robot: Robot, rate_hz: float) -> Trajectory:
     forward = [f"ff_{joint}" for joint in robot.joints]
     speeds = [f"v_{joint}" for joint in robot.joints]
     header = _header(path)
+    refuse_separators(path, header)
     for name in header:
         if name not in ("time", *robot.joints, *speeds, *forward):
             usual = ", ".join((*robot.joints, "v_<joint>", "ff_<joint>"))
