@@ -242,6 +242,30 @@ def test_what_cannot_be_is_one_line_and_nothing_is_written(
     assert not out.exists()
 
 
+def test_a_campaign_is_replaced_if_told_so_and_never_measured_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    few = ["excite", "rx90b_3dof", "--out", str(out), "--realisations", "1", "--periods", "2", "--joints", "joint_1"]
+    short = [*few, "--period-s", "0.512", "--low-hz", "3", "--high-hz", "30", "--simulate", "--one-sign"]
+    assert run(monkeypatch, *short) == 0
+    campaign = load_campaign(out / "campaign.toml")
+    assert [r.name for r in campaign.identification] == ["run_000_1_plus"]
+    assert sorted(p.name for p in (out / "logs" / "runs").iterdir()) == ["plan.json", "run_000_1_plus.parquet"]
+    capsys.readouterr()
+    assert run(monkeypatch, *few) == 2
+    said = capsys.readouterr().err
+    assert "has references already, and a campaign is replaced only if told so; give another folder, or --over" in said
+    assert run(monkeypatch, *few, "--overwrite") == 0 and list((out / "logs").iterdir()) == []
+    for log in ("runs/run_000_1_plus.csv", "other/mine.csv"):
+        assert run(monkeypatch, *short, "--overwrite") == 0
+        (out / "logs" / log).parent.mkdir(exist_ok=True)
+        (out / "logs" / log).write_text("measured")
+        assert run(monkeypatch, *few, "--overwrite") == 2
+        assert f"has logs/{log}; give another folder, so that no logs are lost" in capsys.readouterr().err
+        (out / "logs" / log).unlink()
+
+
 @pytest.mark.slow
 def test_simulated_logs_of_two_poses_go_the_whole_road(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import HighHz, LowHz, Out, Overwrite, RobotSource, numbers, progress, say
+from rx90b_flex.commands.shared import CampaignOut, HighHz, LowHz, Overwrite, RobotSource, numbers, progress, say
 
 # options that take several lines
 InputMatrix = Annotated[str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")]
@@ -42,7 +42,7 @@ RateHz = Annotated[float | None, typer.Option(help="Rate of the references; the 
 
 def excite_command(
     robot: RobotSource,
-    out: Out,
+    out: CampaignOut,
     pose: Poses = None,
     joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
     matrix: InputMatrix = "ones",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import ROBOT_HELP, Basics, Out, Overwrite, progress, say
+from rx90b_flex.commands.shared import ROBOT_HELP, Basics, CampaignOut, Overwrite, progress, say
 
 
 def import_command(
@@ -18,7 +18,7 @@ def import_command(
         ),
     ],
     robot: Annotated[str, typer.Option(help=ROBOT_HELP)],
-    out: Out,
+    out: CampaignOut,
     columns: Annotated[
         list[str] | None, typer.Option(help="What a signal's columns are: torque=NAME,NAME; repeat for more signals.")
     ] = None,

@@ -26,6 +26,15 @@ Out = Annotated[
         help="Folder for the results; made if it does not exist, an earlier result in it is replaced.",
     ),
 ]
+CampaignOut = Annotated[
+    Path,
+    typer.Option(
+        "--out",
+        parser=_folder,
+        metavar="PATH",
+        help="Folder for the campaign; made if it does not exist. A campaign in it is replaced with --overwrite only.",
+    ),
+]
 ROBOT_HELP = "Robot name, robot file, URDF, or example-robot-data:NAME."
 RobotSource = Annotated[str, typer.Argument(help=ROBOT_HELP)]
 CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).")]

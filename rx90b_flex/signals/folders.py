@@ -272,8 +272,11 @@ def _refuse_what_is_in_the_way(folder: Path, needed: set[str], output: Output, o
         path = folder / name
         if path.exists() or path.is_symlink():
             kind = f", {_unlike(path)}," if _unlike(path) else ""
+            # a campaign may hold measured logs: it is never replaced untold
+            earlier = not output.replaced and (folder / output.mark).is_file()
+            because = "and a campaign is replaced only if told so" if earlier else "which is of no earlier result"
             raise ValueError(
-                f"{shortened(folder)}: has {name}{kind} already, which is of no earlier result; give another folder, or --overwrite"
+                f"{shortened(folder)}: has {name}{kind} already, {because}; give another folder, or --overwrite"
             )
 
 

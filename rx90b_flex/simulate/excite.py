@@ -8,6 +8,8 @@ it, references that vibrate instead. Beside them a campaign file that names the 
 from __future__ import annotations
 
 import dataclasses
+import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -342,10 +344,7 @@ def excite_into(
                 files.append(RunFile(f"logs/{name}/{key.name}.csv", plan.role(key)))
             if simulated:
                 part = (0.3 + 0.7 * place / len(plans), 0.7 / len(plans))
-                logs = at / "logs" / name
-                result = run_campaign(plan, logs, progress=lambda text, done, p=part: tell(text, p[0] + p[1] * done))  # type: ignore[misc]
-                if result.failed:
-                    raise ValueError(f"{name}, {result.failed[0].run}: {result.failed[0].reason}")
+                _simulate_logs(plan, at, name, lambda text, done, p=part: tell(text, p[0] + p[1] * done))  # type: ignore[misc]
         first = plans[0]
         save_robot(first.robot, at, allow_inconsistent=True)
         if request.controller is not None or simulated or first.robot.controller:
@@ -358,13 +357,33 @@ def excite_into(
     return said
 
 
+def _simulate_logs(plan: CampaignPlan, at: Path, name: str, tell: Progress) -> None:
+    """The logs of one pose in ``logs/<name>/``, as ``references/<name>/`` has their references, with their plan."""
+    made, logs = at / ".simulated", at / "logs" / name
+    result = run_campaign(plan, made, progress=tell)
+    if result.failed:
+        raise ValueError(f"{name}, {result.failed[0].run}: {result.failed[0].reason}")
+    logs.parent.mkdir(exist_ok=True)
+    (made / RUNS).replace(logs)
+    (made / PLAN_FILE).replace(logs / PLAN_FILE)
+    shutil.rmtree(made)
+
+
 def _keep_logs(folder: Path) -> None:
-    """Refuse a folder with logs that a robot may have brought: simulated ones have their plan beside them."""
+    """Refuse a folder with logs that a robot may have brought: simulated ones are those that the plan beside them lists."""
     logs = folder / "logs"
-    brought = [p for p in logs.rglob("*") if p.is_file()] if logs.is_dir() else []
-    if brought and not any(logs.glob(f"*/{PLAN_FILE}")):
+    brought = {p for p in logs.rglob("*") if p.is_file()} if logs.is_dir() else set()
+    for plan in logs.glob(f"*/{PLAN_FILE}"):
+        try:
+            runs = [f"{run}.parquet" for run in json.loads(plan.read_text(encoding="utf-8"))["runs"]]
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        # versions before had them a folder deeper, with the robot beside them
+        names = (*runs, *(f"{RUNS}/{run}" for run in runs), PLAN_FILE, "campaign.toml", "controller.toml")
+        brought -= {plan.parent / each for each in (*names, "robot.toml", "robot.urdf")}
+    if brought:
         raise ValueError(
-            f"{folder}: has {brought[0].relative_to(folder)}; give another folder, so that no logs are lost"
+            f"{folder}: has {min(brought).relative_to(folder)}; give another folder, so that no logs are lost"
         )
 
 
@@ -388,10 +407,7 @@ def write_reference(trajectory: Trajectory, path: Path) -> None:
 def _campaign(plans: Sequence[CampaignPlan], files: Sequence[RunFile], simulated: bool) -> str:
     first = plans[0]
     if simulated:
-        logs = [(Path(f.file), f.role) for f in files]
-        return campaign_text(
-            first, [RunFile(f"{p.parent.as_posix()}/{RUNS}/{p.stem}.parquet", role) for p, role in logs]
-        )
+        return campaign_text(first, [RunFile(Path(f.file).with_suffix(".parquet").as_posix(), f.role) for f in files])
     return "".join(f"# {line}\n" for line in _how(first)) + campaign_text(first, files, LOGGED[first.by])
 
 
