@@ -18,6 +18,7 @@ from rx90b_flex import cli
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.drive import DriveInertia
 from rx90b_flex.effects.flexibility import DriveFlexibility, JointFlexibility
+from rx90b_flex.export import save_robot
 from rx90b_flex.path import Deviation, PathCheck, PathOptions, PathPlan, Seam, check_path, load_seam, plan
 from rx90b_flex.path.check import across_axes, deviation, sticking
 from rx90b_flex.path.correct import Learner, tip_response
@@ -507,6 +508,24 @@ def test_a_path_that_cannot_be_followed_is_refused_before_any_simulation(
     assert not (tmp_path / "out").exists()
     assert command("line", "--out", tmp_path / "out", "--tolerance-mm", -1).status == 2
     assert command("nothing.toml", "--out", tmp_path / "out").status == 2
+
+
+def test_the_robot_of_a_path_file_lies_beside_it(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    file, cell = tmp_path / "cell" / "paths" / "far.toml", tmp_path / "cell"
+    file.parent.mkdir(parents=True)
+    save_robot(robot(), cell, allow_inconsistent=True)
+    far = "points = [[0.6, 0, 0.4], [1.3, 0, 0.4]]\nspeed_mm_s = 200\nrobot = "
+    monkeypatch.chdir(tmp_path)
+    for named in (
+        "../robot.toml",
+        "cell/robot.toml",
+        "rx90b_3dof",
+    ):  # beside it, from here as it was before, of the catalogue
+        file.write_text(f"{far}'{named}'")
+        assert "mm of the path rx90b_3dof cannot reach" in command("cell/paths/far.toml", "--out", "out").err
+    file.write_text(f"{far}'../robots.toml'")
+    ran = command("cell/paths/far.toml", "--out", "out")
+    assert ran.status == 2 and ran.err.count("\n") == 1 and "cell/paths/far.toml: robot: " in ran.err
 
 
 @pytest.mark.parametrize("name", ["line", "square"])

@@ -11,7 +11,7 @@ A path file (TOML) has
     orientation = "free"           only the tip's place matters, three joints carry it; "keep": that of the start;
                                    or rpy_deg = [[r, p, y], ...] or quaternion_xyzw = [[x, y, z, w], ...], one a point or one for all
     start_deg = [0, 40, 80, 0]     joint angles near the start, where the robot can reach it in several ways
-    robot = "rx90b_4dof"           whose path it is, where the command does not say
+    robot = "rx90b_4dof"           whose path it is, where the command does not say; a file is relative to this file
 
 Only points and speed_mm_s are needed. A table of points (CSV) has columns x, y, z (m) or x_mm, y_mm, z_mm, and may have roll_deg,
 pitch_deg, yaw_deg or qx, qy, qz, qw. It is a path file of its own where the speed is given with the command.
@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.table import TomlTable
-from rx90b_flex.files.toml import named_in, read_toml
+from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.simulate.trajectories import LINE_DISTANCE, LINE_HEIGHT, LINE_LENGTH
 
@@ -377,7 +377,7 @@ def _seam(table: TomlTable, path: Path, speed_mm_s: float | None) -> Seam:
             orientation=orientation if rotations is None else "given",  # type: ignore[arg-type]
             rotations=rotations,
             start=np.deg2rad(table.numbers("start_deg")) if table.has("start_deg") else None,
-            robot=table.optional("robot", table.text),
+            robot=str(named_beside(path, table.text("robot"))) if table.has("robot") else None,
         )
     except ValueError as error:
         text = str(error)
