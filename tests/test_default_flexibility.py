@@ -91,6 +91,28 @@ def test_view_shows_what_flexify_wrote(tmp_path: Path, command: Command) -> None
     assert "joint_1: " not in found.out
 
 
+def test_flexify_puts_a_declared_payload_into_its_link(tmp_path: Path, command: Command) -> None:
+    rigid = rf.load_robot("rx90b_rigid")
+    tip = rigid.tip_frame
+    robot, urdf = tmp_path / "robot.toml", tmp_path / "flexible.urdf"
+    (tmp_path / "my.urdf").write_text(rigid.urdf)
+    head = f'urdf = "my.urdf"\n[[effects]]\ntype = "payload"\nframe = "{tip}"\n'
+    robot.write_text(head + "mass = 1.5\ncentre = [0.01, -0.02, 0.05]\n")
+    said = command("flexify", robot, "--out", urdf, "--torsion", "joint_2")
+    assert said.status == 0 and f"In the links: {tip}.payload" in said.out
+    loaded = rf.load_robot(robot)
+    flexible = rf.load_robot(urdf)
+    q = np.linspace(0.3, 0.8, len(rigid.joints))
+    at = dict(zip(rigid.joints, q, strict=True))
+    wide = np.array([at.get(joint, 0.0) for joint in flexible.joints])
+    pull = dict(zip(flexible.joints, flexible.inverse_dynamics(wide, 0 * wide, 0 * wide), strict=True))
+    wanted = loaded.inverse_dynamics(q, 0 * q, 0 * q)
+    np.testing.assert_allclose([pull[joint] for joint in rigid.joints], wanted, rtol=1e-9, atol=1e-9)
+    robot.write_text(head)
+    said = command("flexify", robot, "--out", urdf, "--torsion", "joint_2")
+    assert said.status == 0 and f"Not held: {tip}.payload: has no value" in said.out
+
+
 def test_the_tip_is_named_and_asked_for_where_it_is_a_finger(tmp_path: Path, command: Command) -> None:
     panda = rf.load_robot(PANDA)
     assert is_finger(panda) and not is_finger(rf.load_robot("rx90b")) and not is_finger(rf.load_robot(UR10))

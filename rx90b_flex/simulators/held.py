@@ -14,9 +14,11 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.effect import FrameEffect
 from rx90b_flex.effects.elements import AnchoredSpring, GravityChange, PointMass
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.export import with_link_parameters
 from rx90b_flex.flexify import UNLIMITED, read_xml
 from rx90b_flex.robot import Robot
 
@@ -173,6 +175,37 @@ def held_by(robot: Robot, how: Format) -> Held:
         return _gathered(robot.with_effects(kept), how, lost)
     except ValueError as error:
         raise ValueError(f"{robot.name}: {error}") from None
+
+
+def with_carried(robot: Robot) -> tuple[Robot, tuple[str, ...], tuple[Lost, ...]]:
+    """The robot with the masses that its effects put on it in its links, for a URDF that holds these alone.
+
+    Returns
+    -------
+    Robot, labels of the effects that are in its links now, and those that are not, for they have no value.
+
+    Raises
+    ------
+    ValueError
+        A link that a URDF cannot hold.
+    """
+    lost: list[Lost] = []
+    carried: list[str] = []
+    bodies = dict(zip((n for n, _ in robot.bodies), robot.link_parameters.reshape(-1, 10).copy(), strict=True))
+    for effect in robot.effects:
+        if not isinstance(effect, FrameEffect):
+            continue
+        try:
+            element = effect.element()
+        except ValueError:
+            lost.append(Lost(effect.label, "has no value; the links are written without it"))
+            continue
+        if isinstance(element, PointMass):
+            _carry(robot, bodies, element)
+            carried.append(effect.label)
+    if carried:
+        robot = with_link_parameters(robot, np.concatenate(list(bodies.values())), allow_inconsistent=True)
+    return robot, tuple(carried), tuple(lost)
 
 
 def _gathered(robot: Robot, how: Format, lost: list[Lost]) -> Held:
