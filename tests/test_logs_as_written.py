@@ -71,7 +71,7 @@ def test_comments_stand_above_the_names_or_hold_them(tmp_path: Path, before: str
     [
         ("s,rad,rad,rad,Nm,Nm,Nm", (1.0, 1.0, 1.0)),
         ("[ms],[deg],[deg],[deg],[kNm],[kNm],[kNm]", (1e3, 180 / np.pi, 1e-3)),
-        ("ms,°,°,°,N·m,N m,mNm", (1e3, 180 / np.pi, (1.0, 1.0, 1e3))),
+        ("ms,°,°,°,N·m,N.m,mNm", (1e3, 180 / np.pi, (1.0, 1.0, 1e3))),
         ("s,-,-,-,Nm,,", (1.0, 1.0, 1.0)),
     ],
 )
@@ -85,6 +85,9 @@ def test_a_row_of_units_gives_the_units(tmp_path: Path, units: str, scales: tupl
 def test_a_unit_of_something_else_is_refused_and_one_in_the_name_goes_first(tmp_path: Path) -> None:
     path = written(tmp_path / "run.csv", units="s,counts,rad,rad,Nm,Nm,Nm\n")
     with pytest.raises(ValueError, match=r"run\.csv: column 'q1': the unit below its name is 'counts'; expected rad"):
+        import_logs([path], AXES)
+    written(path, units="min,rad,rad,rad,Nm,Nm,Nm\n")
+    with pytest.raises(ValueError, match=r"run\.csv: column 't': the unit below its name is 'min'; expected s, ms"):
         import_logs([path], AXES)
     names = ",".join(NAMES).replace("q1", "q1_rad")
     check(written(path, names=names, units="s,deg,rad,rad,Nm,Nm,Nm\n"))
@@ -112,6 +115,11 @@ def test_dates_with_times_as_pandas_writes_its_index(tmp_path: Path) -> None:
     assert "column 'time': dates with times" in check(tmp_path / "run.csv")
     data.to_csv(tmp_path / "run.csv", sep=";", decimal=",")
     check(tmp_path / "run.csv")
+
+
+def test_a_column_of_dates_is_the_time_whatever_its_name(tmp_path: Path) -> None:
+    stamps = (pd.Timestamp("2026-03-02") + pd.to_timedelta(TIME, unit="s")).strftime("%Y-%m-%d %H:%M:%S.%f")
+    check(written(tmp_path / "run.csv", names=",".join(["Datum", *NAMES[1:]]), t=stamps))
 
 
 def test_a_date_that_is_none_is_told_with_its_row(tmp_path: Path) -> None:

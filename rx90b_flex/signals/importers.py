@@ -7,7 +7,7 @@ from the times; an option overrules each of these.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +26,8 @@ from rx90b_flex.signals.units import (
     DEGREE,
     TIME_UNITS,
     TORQUE_UNITS,
-    time_unit,
+    is_time_unit,
+    time_unit_in_row,
     unit_in_name,
     unit_in_row,
     words_of,
@@ -306,10 +307,13 @@ class _Import:
             return log.time, None
         candidates = [name for name in log.names if _is_time(name)]
         exact = [name for name in candidates if name.lower() == TIME]
+        if not candidates and options.rate_hz is None:  # the only one that is in seconds, as dates with times are
+            in_seconds = [name for name in log.names if is_time_unit(log.units.get(name, ""))]
+            candidates = in_seconds if len(in_seconds) == 1 else []
         if candidates:
             name = (exact or candidates)[0]
             time = log.column(name) - log.column(name)[0]
-            below = time_unit(log.units.get(name, ""))
+            below = self._in_row(name, time_unit_in_row)
             stated = [TIME_UNITS[w] for w in _time_words(name)[1:] if w in TIME_UNITS] if below is None else [below]
             step = float(np.nanmedian(np.abs(np.diff(time))))
             # the unit in which the rate is one that robots are logged at
@@ -388,10 +392,12 @@ class _Import:
     def _unit(self, name: str, signal: str) -> float | None:
         """What brings a column to SI, by its name, else by the unit below that; None where neither says one."""
         scale = unit_in_name(signal, words_of(name))
-        if scale is not None or name not in self.log.units:
-            return scale
+        return self._in_row(name, lambda text: unit_in_row(signal, text)) if scale is None else scale
+
+    def _in_row(self, name: str, read: Callable[[str], float | None]) -> float | None:
+        """What a unit below a column's name says; None where there is none."""
         try:
-            return unit_in_row(signal, self.log.units[name])
+            return read(self.log.units.get(name, ""))
         except ValueError as error:
             raise self._problem(f"column {name!r}: {error}; bring it to one of these, or take the unit away") from None
 

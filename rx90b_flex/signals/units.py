@@ -59,9 +59,24 @@ def unit_in_row(signal: str, text: str) -> float | None:
     return units[unit]
 
 
-def time_unit(text: str) -> float | None:
-    """Seconds of the unit of times that stands under a name; None where it is none."""
-    return TIME_UNITS.get(_bare(text))
+def is_time_unit(text: str) -> bool:
+    """Whether a unit is one of times."""
+    return _bare(text) in TIME_UNITS
+
+
+def time_unit_in_row(text: str) -> float | None:
+    """Seconds of the unit that stands under the name of times; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        It is no unit of times that is known: what is expected.
+    """
+    if _bare(text) in _NONE:
+        return None
+    if not is_time_unit(text):
+        raise ValueError(f"the unit below its name is {text!r}; expected s, ms, us, ns")
+    return TIME_UNITS[_bare(text)]
 
 
 def are_units(cells: Sequence[str]) -> bool:
@@ -74,7 +89,7 @@ def are_units(cells: Sequence[str]) -> bool:
 def _bare(text: str) -> str:
     """Without brackets and blanks, in lower case: `[Nm]` gives nm, `N·m` as well."""
     plain = text.replace("°", "deg").replace("µ", "u").replace("μ", "u")
-    return re.sub(r"[\s\[\]()·*\"]", "", plain).lower()
+    return re.sub(r"[\s\[\]().·*\"]", "", plain).lower()
 
 
 def _of_rate(text: str) -> str:
