@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import nnls
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.effect import FrameEffect
 from rx90b_flex.effects.elements import AnchoredSpring, GravityChange, PointMass
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array
@@ -193,12 +192,11 @@ def with_carried(robot: Robot) -> tuple[Robot, tuple[str, ...], tuple[Lost, ...]
     carried: list[str] = []
     bodies = dict(zip((n for n, _ in robot.bodies), robot.link_parameters.reshape(-1, 10).copy(), strict=True))
     for effect in robot.effects:
-        if not isinstance(effect, FrameEffect):
-            continue
         try:
             element = effect.element()
         except ValueError:
-            lost.append(Lost(effect.label, "has no value; the links are written without it"))
+            if effect.traits.adds_inertia and effect.traits.part == "links":
+                lost.append(Lost(effect.label, "has no value; the links are written without it"))
             continue
         if isinstance(element, PointMass):
             _carry(robot, bodies, element)
