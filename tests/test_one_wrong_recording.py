@@ -28,13 +28,15 @@ def campaign(
     position: float = 1.0,
     load_kg: Sequence[float] = (0.0, 0.0, 0.0),
     stated: bool = False,
+    rubs: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Path:
-    """Three recordings, of which one has a joint's torque or position so many times what it is."""
+    """Three recordings, of which one has a joint's torque or position so many times what it is; or each another friction."""
     rng, runs = np.random.default_rng(seed), []
     for r, role in enumerate(("identification", "identification", "validation")):
         m = ind.harmonics(rng, 6, period_s=10.0, rate_hz=200.0, lines=6)
         carried = [ind.carrying(ARM, "tool0", load_kg[r], (0.0, 0.05, 0.1))] if load_kg[r] else []
-        made = ind.run(ARM, role, m, [ind.friction(COULOMB, VISCOUS), *carried], ind.white(rng, len(m.time), NOISE))
+        friction = ind.friction(*(tuple(rubs[r] * x for x in every) for every in (COULOMB, VISCOUS)))
+        made = ind.run(ARM, role, m, [friction, *carried], ind.white(rng, len(m.time), NOISE))
         if r == where:
             logged, q = made.torque.copy(), m.q.copy()
             logged[:, joint] *= torque
@@ -93,3 +95,12 @@ def test_another_load_in_one_recording_is_said_and_is_nothing_once_it_is_stated(
 @pytest.mark.parametrize("seed", [1, *SLOW])
 def test_three_sound_recordings_have_no_fault(tmp_path, seed):
     assert rf.check(campaign(tmp_path, seed)).data_faults == ()
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+@pytest.mark.parametrize("rubs", [(1.3, 1.3, 1.0), (1.0, 1.0, 1.5), (1.6, 1.3, 0.9)])
+def test_a_robot_that_is_warmer_in_one_recording_has_no_other_unit_and_no_other_load(
+    tmp_path: Path, rubs: tuple[float, float, float], seed: int
+) -> None:
+    checked = rf.check(campaign(tmp_path, seed, rubs=rubs))
+    assert checked.usable and not checked.data_faults, checked.data_faults

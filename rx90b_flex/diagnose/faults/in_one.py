@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.rigid_fit import PER_JOINT
 from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.effects.motion import Array
 
 OTHER = 1.1  # times what the other recordings ask for, from which a torque is looked at
 WITHIN = 1.6  # times a first guess of a factor
+AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
+MOSTLY = (
+    0.5  # of a recording's squared error that is left where its joints' friction may be another: it is no other load
+)
+FRICTION = (1, 2, 4)  # viscous, dry, and viscous by direction, of a joint's own columns
 
 
 def reversed_in_one(look: Look) -> Iterator[Hypothesis]:
@@ -24,8 +31,12 @@ def reversed_in_one(look: Look) -> Iterator[Hypothesis]:
 
 
 def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
-    """A joint's torque in another unit in one recording."""
-    for r, k, ratio in _places(look):
+    """A joint's torque in another unit in one recording, but where its friction alone may be another, as it is when warm."""
+    places = list(_places(look))
+    friction = _of_friction(look) if places else None
+    for r, k, ratio in places:
+        if friction is not None and friction.explains(r, k):
+            continue
         if ratio > OTHER or 0 < ratio < 1 / OTHER:
             yield _scaled(look, r, k, ratio)
 
@@ -33,13 +44,52 @@ def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
 def other_loads(look: Look) -> Iterator[Hypothesis]:
     """Another load on the flange in one recording."""
     tracks = look.sample.tracks
-    for r in range(len(tracks) if len(tracks) > 1 and not any(look.reading.other_load) else 0):
+    if len(tracks) < 2 or any(look.reading.other_load):
+        return
+    friction = _of_friction(look)
+    spread = look.sample.torque_seen(look.reading).var(axis=0) + 1e-300
+    warm = (friction.left / spread).sum(axis=1) < MOSTLY * (friction.left_now / spread).sum(axis=1)
+    for r in np.flatnonzero(~warm).tolist():
         text = (
             f"{_name(look, r)} was made with another load than the other recordings: state what each had on the flange, with "
             "`payload` in its [[recording]]."
         )
         reading = look.reading.with_entries({"other_load": tuple(i == r for i in range(len(tracks)))})
         yield dataclasses.replace(Hypothesis.of("kinematics", None, (), text, reading), usable=True)
+
+
+class _OfFriction(NamedTuple):
+    """Squared error of each recording and joint, (recordings, joints), N^2 m^2."""
+
+    left_now: Array
+    left_of_all: Array  # with the joint's torque times what fits that recording best
+    left: Array  # with its friction alone so
+
+    def explains(self, recording: int, joint: int) -> bool:
+        """Whether friction does as well as the whole torque; less well where that of most joints is another, too."""
+        alike = float((self.left < MOSTLY * self.left_now)[recording].mean())
+        room = AS_WELL if alike <= 0.5 else WITH_OTHERS
+        return bool(self.left[recording, joint] < room * self.left_of_all[recording, joint])
+
+
+def _of_friction(look: Look) -> _OfFriction:
+    """Whether a recording that stands apart has another friction: a robot is warmer in one than in another."""
+    sample, reading = look.sample, look.reading
+    columns, theta = look.columns(reading), look.fit().theta.mean(axis=0)
+    measured, predicted = sample.torque_seen(reading), columns @ theta
+    own = [[reading.links + PER_JOINT * j + i for i in FRICTION] for j in range(len(sample.joints))]
+    rubs = np.stack([columns[:, j, at] @ theta[at] for j, at in enumerate(own)], axis=1)
+
+    def left(part: Array) -> Array:
+        out = []
+        for span in sample.spans:
+            rest, some = (measured - predicted + part)[span], part[span]
+            factor = (some * rest).sum(axis=0) / np.maximum((some**2).sum(axis=0), 1e-300)
+            out.append(((rest - factor * some) ** 2).mean(axis=0))
+        return np.array(out)
+
+    now = np.array([((measured - predicted)[span] ** 2).mean(axis=0) for span in sample.spans])
+    return _OfFriction(now, left(predicted), left(rubs))
 
 
 def _places(look: Look) -> Iterator[tuple[int, int, float]]:
