@@ -81,6 +81,41 @@ def test_a_folder_of_frequency_responses_is_closed(folder, monkeypatch, capsys):
     assert (folder / "out" / "report.html").read_text().count("data:image/svg") == 1
 
 
+def test_a_folder_of_which_not_all_joints_were_excited_is_closed(folder, monkeypatch):
+    """Drives that were not excited are held, in the data (by MuJoCo) and in the model."""
+    excited, rng = MEASURED[:2], np.random.default_rng(8)
+    response = measured_response(truth_of(PLAIN), rng, 0.03, STRETCHED, PLAIN.joints, measured=excited)
+    content = json.loads((folder / "frf" / "frf.json").read_text())
+    content["frequency_response"] |= {
+        "joints": excited, "hz": response.hz.tolist(), "std": response.std().tolist(),
+        "real": response.value.real.tolist(), "imag": response.value.imag.tolist(),
+    }  # fmt: skip
+    (folder / "frf" / "frf.json").write_text(json.dumps(content))
+    assert not run(monkeypatch, folder / "frf", "--robot", folder / "plain.toml", "--out", folder / "out")
+    found = json.loads((folder / "out" / "closed_loop.json").read_text())
+    assert found["joints"] == list(excited) and found["verdict"] == "nothing_missing"
+    assert found["after"]["identification"][0]["weighted_error"] < 1.2
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("list", "frf.json: not a result of `rx90b-flex frf`: holds a list; expected a JSON object"),
+        ("other joints", "poses: joint_1, joint_2, joint_3 at one pose and joint_1, joint_2 at another were excited"),
+    ],
+)
+def test_a_folder_that_cannot_be_closed_is_refused_in_a_line(folder, monkeypatch, capsys, content, message):
+    table = json.loads((folder / "frf" / "frf.json").read_text())
+    pose = {"pose_rad": table["pose_rad"], "frequency_response": table["frequency_response"]}
+    fewer = {key: np.array(pose["frequency_response"][key])[:, :2, :2].tolist() for key in ("real", "imag", "std")}
+    other = {**pose["frequency_response"], **fewer, "joints": MEASURED[:2]}
+    poses = [pose, {**pose, "frequency_response": other}]
+    (folder / "frf" / "frf.json").write_text(json.dumps([] if content == "list" else {**table, "poses": poses}))
+    assert run(monkeypatch, folder / "frf", "--robot", folder / "plain.toml", "--out", folder / "out") == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error and not (folder / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("source", "options", "message"),
     [

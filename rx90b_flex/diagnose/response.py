@@ -24,6 +24,7 @@ from rx90b_flex.diagnose.flexible import FlexibleLoop, FlexibleResidual, Structu
 from rx90b_flex.diagnose.likelihood import Change, LikelihoodFit, State, close_residual
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.table import shown
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.grey_data import REACH_HZ, smoothed_covariance
 from rx90b_flex.identify.grey_model import DELAY_STD, DELAY_UNIT, Delay, late
@@ -411,19 +412,28 @@ def load_frequency_responses(folder: str | os.PathLike[str]) -> tuple[tuple[Freq
     path = Path(folder) / "frf.json"
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(table, dict):
+            raise ValueError(f"holds {'a list' if isinstance(table, list) else shown(table)}; expected a JSON object")
         # a campaign about one pose may stand by itself, not in a list of poses
-        poses, joints = table.get("poses", [table]), tuple(table["joints"])
-        responses = tuple(_read(pose, pose["frequency_response"], joints) for pose in poses)
+        poses = table.get("poses", [table])
+        responses = tuple(_read(pose, pose["frequency_response"], table["joints"]) for pose in poses)
         if all(pose.get("replayed_response") for pose in poses):
-            replayed = tuple(_read(pose, pose["replayed_response"], joints) for pose in poses)
+            replayed = tuple(_read(pose, pose["replayed_response"], table["joints"]) for pose in poses)
             responses = _better_told(responses, replayed)
-        return responses, str(table["robot"])
+        name = str(table["robot"])
     except FileNotFoundError:
         raise ValueError(f"{path}: no such file; expected a folder that `rx90b-flex frf` wrote") from None
     except KeyError as error:
         raise ValueError(f"{path}: key {error} is missing") from None
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: not a result of `rx90b-flex frf`: {error}") from None
+    excited = dict.fromkeys(", ".join(r.joints) for r in responses)
+    if len(excited) > 1:
+        each = " at one pose and ".join(excited)
+        raise ValueError(
+            f"{path}: poses: {each} at another were excited; keep poses with the same joints in the campaign"
+        )
+    return responses, name
 
 
 def _better_told(
@@ -434,13 +444,14 @@ def _better_told(
     return measured if np.mean(np.concatenate(wider)) > 0 else replayed
 
 
-def _read(pose: dict[str, Any], measured: dict[str, Any], joints: tuple[str, ...]) -> FrequencyResponse:
+def _read(pose: dict[str, Any], measured: dict[str, Any], joints: Sequence[str]) -> FrequencyResponse:
+    """One response; of all the robot's joints where it does not say which were excited."""
     hz, std = np.array(measured["hz"], dtype=float), np.array(measured["std"], dtype=float)
     value = np.array(measured["real"], dtype=float) + 1j * np.array(measured["imag"], dtype=float)
     variance = std.reshape(len(hz), -1) ** 2
     covariance = variance[:, :, None] * np.eye(variance.shape[1]).astype(complex)
     freedom = measured["degrees_of_freedom"]
     return FrequencyResponse(
-        hz, value, covariance, joints, np.array(pose["pose_rad"], dtype=float),
+        hz, value, covariance, tuple(measured.get("joints", joints)), np.array(pose["pose_rad"], dtype=float),
         degrees_of_freedom=np.inf if freedom is None else float(freedom),
     )  # fmt: skip
