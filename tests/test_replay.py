@@ -15,7 +15,7 @@ from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
 from rx90b_flex.identify.grey_box import GreyBox, grey_box
 from rx90b_flex.identify.grey_data import GreyBoxOptions
-from rx90b_flex.identify.grey_model import response_derivatives
+from rx90b_flex.identify.grey_model import grey_parameters, matrices_at, response_derivatives, slope_name
 from rx90b_flex.identify.replay import (
     Less,
     PosesReplayed,
@@ -25,6 +25,7 @@ from rx90b_flex.identify.replay import (
     grey_box_by_replay,
     linear_response,
     shifts_between,
+    sticking,
 )
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.robot import Robot, load_robot
@@ -218,6 +219,14 @@ def test_a_joint_that_is_not_excited_does_not_stand_in_the_way(tmp_path: Path) -
     assert found == pytest.approx(known, rel=0.1 / 8.0)  # as near as wrong friction is brought above
     assert (std > 0.0).all()
     assert at.replays[0].torques_off(robot, 0.0).shape == (3,)
+    first = grey_box(robot, dataclasses.replace(response, pose=pose), GreyBoxOptions(BAND_HZ, starts=0))
+    grey = grey_box_by_replay(robot, first, at.replays, rounds=2, fit_friction=False).grey
+    # what the wrist's drive does is held against nothing that moves it
+    assert not any(e.determined for e in grey.estimates if e.name.startswith("joint_4.drive_"))
+    told = [e for e in grey.estimates if e.determined and "slope" not in e.name]
+    inside = [e.low <= e.start <= e.high for e in told]
+    # 95 % intervals that depend on each other
+    assert len(told) > 15 and np.mean(inside) >= 0.8
 
 
 def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:
@@ -238,6 +247,36 @@ def test_linear_derivatives_are_the_differences_of_linear_responses() -> None:
             sides.append(linear_response(robot.with_effects(effects), robot.joints, pose, SLOPES, hz))
         # central differences: second order in the step
         np.testing.assert_allclose((sides[0] - sides[1]) / (2 * step), told, atol=1e-6 * np.abs(told).max())
+
+
+def test_a_drive_that_is_not_excited_is_held_in_the_linear_response() -> None:
+    """As by an inertia that no vibration moves; and as the grey box has it that is fitted to what is left."""
+    robot, hz = load_robot("rx90b_3dof"), np.linspace(8.0, 80.0, 7)
+    pose, excited = np.array([0.0, 1.0, 0.5]), ("joint_1", "joint_2")
+    slopes = {joint: SLOPES[joint] for joint in excited}
+    held = linear_response(robot, excited, pose, slopes, hz)
+    heavy = robot.with_effects(
+        e.with_coefficients(1e9 * e.coefficients)
+        if e.type_name() == "drive_inertia" and e.joints == ("joint_3",)
+        else e
+        for e in robot.effects
+    )
+    free = linear_response(heavy, robot.joints, pose, SLOPES, hz)[:, :2, :2]
+    np.testing.assert_allclose(held, free, atol=1e-6 * np.abs(free).max())
+    parameters = grey_parameters(robot, excited, 1, 0.0)
+    names = {joint: slope_name(joint, 0, 1) for joint in excited}
+    values = {p.name: p.declared for p in parameters} | {names[joint]: slopes[joint] for joint in excited}
+    grey = matrices_at(robot, names, pose, parameters).response(hz, np.array([values[p.name] for p in parameters]))
+    np.testing.assert_allclose(held, grey, rtol=1e-9)
+
+
+def test_drives_that_are_not_excited_stick_by_dry_friction_only() -> None:
+    robot = load_robot("rx90b_3dof")
+    assert sticking(robot, robot.joints) == ()
+    assert sticking(robot, robot.joints[:2]) == ("joint_3",)
+    slopes = [ViscousFriction(joint=joint, coefficient=slope) for joint, slope in SLOPES.items()]
+    viscous = robot.with_effects([*(e for e in robot.effects if not e.traits.is_friction), *slopes])
+    assert sticking(viscous, robot.joints[:2]) == ()
 
 
 def test_logged_torques_replay_the_experiments_without_controller_and_references(

@@ -28,7 +28,7 @@ from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, es
 from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_data import Feedback, GreyBoxOptions, PoseResponse
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
-from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between
+from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between, sticking
 from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
@@ -244,8 +244,9 @@ def identify_from_motors(
         replayed = stages.run(
             "replay", 0.75, lambda fit: _replay(together, robot, fit, controller, options, tell), grey
         )
-    if replayed is not None and controller is not None:
-        remarks += _torques_off(replayed, together)
+    if replayed is not None:
+        remarks += [] if controller is None else _torques_off(replayed, together)
+        remarks += _sticking_words(replayed, sticking(robot, together[0].measured.joints))
     if grey is not None and replayed is not None:
         grey = grey.doubted(shifts_between(grey, replayed.grey))  # a bias that is known of and still in it
     return MotorIdentification(
@@ -482,6 +483,19 @@ def _torques_off(replayed: ReplayedGreyBox, poses: Sequence[AtPose]) -> list[str
         f"replay: under the controller file the torques of {', '.join(joints)} are up to {100.0 * off.max():.0f} % off those logged "
         "(2 to 6 % are usual where all is as declared): its gains, filters or rates, friction or the robot are others; without a "
         "controller file the logged torques drive the replay"
+    ]
+
+
+def _sticking_words(replayed: ReplayedGreyBox, joints: Sequence[str]) -> list[str]:
+    """Why own drive parameters of joints that were not excited are not called determined."""
+    own = {e.name.partition(".")[0] for e in replayed.grey.estimates if ".drive_" in e.name}
+    named = [joint for joint in joints if joint in own]
+    if not named:
+        return []
+    each = ", ".join(named)
+    return [
+        f"replay: drive inertia, stiffness and damping of {each} are called not determined: not excited, the drive sticks by dry "
+        "friction, and a replay's errors of it are as large as what shows of them; excite the joint to know them"
     ]
 
 

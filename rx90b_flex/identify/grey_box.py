@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -183,6 +183,11 @@ class GreyBox(Showing):
             estimates.append(dataclasses.replace(e, std=e.value * std, low=low, high=high))
         free = shift[[e.std > 0.0 for e in self.estimates]]  # of fixed ones there is no covariance
         return dataclasses.replace(self, estimates=tuple(estimates), covariance=self.covariance + np.outer(free, free))
+
+    def undetermined(self, names: Collection[str]) -> GreyBox:
+        """The same with some parameters that the data are not trusted to tell."""
+        estimates = (dataclasses.replace(e, determined=e.determined and e.name not in names) for e in self.estimates)
+        return dataclasses.replace(self, estimates=tuple(estimates))
 
     @property
     def bias_detected(self) -> bool:

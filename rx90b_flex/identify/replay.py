@@ -255,14 +255,22 @@ def _period(measured: Recording, of: Recording, number: int) -> Recording:
 def linear_response(
     robot: Robot, joints: Sequence[str], pose: Array, slopes: dict[str, float], hz: Array
 ) -> ComplexArray:
-    """L: the robot at rest at a pose, its friction viscous with given slopes (N m s/rad); shape (F, n, n)."""
+    """L: the robot at rest at a pose, its friction viscous with given slopes (N m s/rad); shape (F, n, n).
+
+    Drives without a slope are held, as in the grey box.
+    """
     viscous = [
         ViscousFriction(joint=joint, coefficient=slope, side=friction_side(robot.effects, joint))
         for joint, slope in slopes.items()
     ]
     line = robot.with_effects([*(e for e in robot.effects if not e.traits.is_friction), *viscous])
-    rows = [line.joints.index(j) for j in joints]
-    return np.asarray(line.linearize(line.input_matrix @ pose).frf(hz)[:, rows][:, :, rows])
+    at = line.linearize(line.input_matrix @ pose)
+    held = [j not in slopes for j in line.joints]
+    free = np.flatnonzero(~at.input_matrix[:, held].any(axis=1))
+    drives = at.input_matrix[free][:, [line.joints.index(j) for j in joints]]
+    M, D, K = (x[np.ix_(free, free)] for x in (at.M, at.D, at.K))
+    s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None, None]
+    return np.asarray(s**2 * (drives.T @ np.linalg.solve(s**2 * M + s * D + K, drives.astype(complex)[None])))
 
 
 @dataclass(frozen=True)
@@ -369,7 +377,21 @@ def grey_box_by_replay(
         if _settled(last, grey):
             break
     estimates = _friction_estimates(declared, friction, std)
-    return _refined(_with_what_is_left(grey, less, fit), at, less, estimates, number + 1)
+    grey = _with_what_is_left(grey, less, fit)
+    own = {f"{joint}.drive_" for joint in sticking(robot, joints)}
+    grey = grey.undetermined([e.name for e in grey.estimates if e.name.startswith(tuple(own))])
+    return _refined(grey, at, less, estimates, number + 1)
+
+
+def sticking(robot: Robot, excited: Sequence[str]) -> tuple[str, ...]:
+    """Joints that were not excited and whose drives dry friction holds: what these creep hides what little shows of them."""
+    dry = {
+        joint
+        for e in robot.effects
+        if e.traits.is_friction and e.traits.in_dynamics and not e.traits.grows_with_speed
+        for joint in e.joints
+    }
+    return tuple(joint for joint in robot.joints if joint in dry and joint not in excited)
 
 
 def _poses_replayed(replay: Replay | Sequence[Replay], first: GreyBox, jobs: int) -> PosesReplayed:
