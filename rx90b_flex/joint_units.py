@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 
@@ -44,3 +45,22 @@ class JointUnits:
 
 TURNS = JointUnits("rad", "rad/s", "N m", "degrees", math.degrees(1.0), "turn", "torque", False)
 SLIDES = JointUnits("m", "m/s", "N", "m", 1.0, "move", "force", True)
+
+
+def response_unit(units: Iterable[JointUnits]) -> str:
+    """Of accelerations over torques of some joints, as a figure is labelled; all that there are where some turn and some slide."""
+    several = tuple(units)
+    return f"{any_of(f'{u.position}/s²' for u in several)} per {any_of(u.force for u in several)}"
+
+
+def any_of(units: Iterable[str]) -> str:
+    """Different units of one axis: ``N m or N``."""
+    return " or ".join(dict.fromkeys(units))
+
+
+def flexibility_unit(units: Sequence[JointUnits]) -> str | list[list[str]]:
+    """Of the joints' angles over their torques; by row and column where some turn and some slide."""
+    each = [
+        [f"{u.position}/({f.force})" if " " in f.force else f"{u.position}/{f.force}" for f in units] for u in units
+    ]
+    return each[0][0] if len({x for row in each for x in row}) == 1 else each

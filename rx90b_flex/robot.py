@@ -121,6 +121,10 @@ class Robot:
         kinds = [joint.shortname() for joint in self.tree.joints][1:]
         return tuple(SLIDES if kind.startswith("JointModelP") else TURNS for kind in kinds)
 
+    def units_of(self, joints: Sequence[str]) -> tuple[JointUnits, ...]:
+        """Of some driven joints."""
+        return tuple(self.units[self.joints.index(joint)] for joint in joints)
+
     def unit_of(self, effect: Effect, unit: str) -> str:
         """The unit of an effect's parameter on this robot, from the one that it has on a joint that turns."""
         if len(effect.joints) != 1 or "bend_1" in effect.traits.virtual:

@@ -17,6 +17,9 @@ from rx90b_flex.identify import frf_command
 from rx90b_flex.identify.frf import POSE_SPREAD, confidence_radius, estimate_frequency_response, group_poses
 from rx90b_flex.identify.frf_command import FrfOptions, frf_json, identify_from_motors
 from rx90b_flex.identify.grey_box import VAGUE
+from rx90b_flex.identify.grey_model import Delay
+from rx90b_flex.joint_units import flexibility_unit, response_unit
+from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Recording, load_campaign
 from rx90b_flex.simulate.excite import write_reference
 from rx90b_flex.simulate.trajectories import Trajectory
@@ -351,3 +354,68 @@ def test_two_realisations_still_give_a_covariance_that_can_be_inverted_and_bands
     # 10 * 37 circles of each entry, alike in 19 neighbours' radius: deviation 1.1 % of the circles, about as much of the radii
     by_entry = np.mean(inside, axis=(0, 1))
     assert np.all(np.abs(by_entry - 0.95) < 3.0 * 0.011 * np.sqrt(2.0))
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "said"),
+    [
+        (2e-9, 1e-9, []),  # a thousandth of what a sentence says
+        (3e-5, 2e-5, []),
+        (2.5e-4, 4e-6, ["Torques are logged 250.0 ± 4.0 µs later than angles; that is taken out."]),
+        (-2e-6, 4e-9, ["Torques are logged 2.00 ± 0.01 µs earlier than angles; that is taken out."]),
+    ],
+)
+def test_a_delay_is_told_where_there_is_one(value: float, std: float, said: list[str]) -> None:
+    assert frf_report.delay_words(Delay(value, std)) == said
+
+
+# ---- joints that slide ----------------------------------------------------------------------------------------
+
+CART = """<robot name="cart"><link name="base"/>
+<link name="rail"><inertial><origin xyz="0.1 0.2 0"/><mass value="10"/>
+<inertia ixx="0.3" iyy="0.3" izz="0.3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="arm"><inertial><origin xyz="0.2 0.2 0"/><mass value="4"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="rail"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="900"/></joint>
+<joint name="swing" type="revolute"><parent link="rail"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="3" effort="90"/></joint></robot>
+"""
+
+
+@pytest.mark.slow
+def test_what_slides_is_told_in_metres_newtons_and_kilograms(tmp_path: Path, monkeypatch, capsys) -> None:
+    """A cart's drive has a mass and pushes; its bendings and the arm on it turn."""
+    (tmp_path / "cart.urdf").write_text(CART)
+    effects = [
+        ("drive_inertia", "slide", "inertia = 20.0"),
+        ("drive_flexibility", "slide", "stiffness = 3e5\ndamping = 300.0"),
+        ("viscous_friction", "slide", "coefficient = 60.0"),
+        ("drive_inertia", "swing", "inertia = 0.5"),
+        ("drive_flexibility", "swing", "stiffness = 9e3\ndamping = 9.0"),
+        ("viscous_friction", "swing", "coefficient = 6.0"),
+    ]
+    tables = [f'[[effects]]\ntype = "{kind}"\njoint = "{joint}"\n{rest}' for kind, joint, rest in effects]
+    (tmp_path / "cart.toml").write_text("\n".join(['name = "cart"', 'urdf = "cart.urdf"', *tables]) + "\n")
+    cart = load_robot(tmp_path / "cart.toml")
+    runs = recordings_at(cart, np.array([0.25, 0.4]), np.random.default_rng(3), realisations=3, noise=1e-3)
+    campaign = write(tmp_path / "runs", cart, runs)
+    assert run(campaign, tmp_path / "out", monkeypatch, "--no-replay", "--modes", "2", "--jobs", "1") == 0
+    assert "kg m^2" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "frf.json").read_text())
+    units = {name: p["unit"] for name, p in found["grey_box"]["parameters"].items()}
+    for name, slides, turns in (
+        ("drive_inertia", "kg", "kg m^2"),
+        ("drive_stiffness", "N/m", "N m/rad"),
+        ("drive_damping", "N s/m", "N m s/rad"),
+        ("friction_slope_1", "N s/m", "N m s/rad"),
+    ):
+        assert (units[f"slide.{name}"], units[f"swing.{name}"]) == (slides, turns)
+    drives = found["poses"][0]["drives"]
+    assert drives["slide"]["stiffness"]["unit"] == "N/m" and drives["swing"]["inertia"]["unit"] == "kg m^2"
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "slide 0.25 m, swing 22.9°" in page and "N s/m" in page
+    slides, turns = cart.units
+    assert response_unit([slides]) == "m/s² per N" and response_unit(cart.units) == "m/s² or rad/s² per N or N m"
+    assert flexibility_unit([turns]) == "rad/(N m)"
+    assert flexibility_unit(cart.units) == [["m/N", "m/(N m)"], ["rad/N", "rad/(N m)"]]

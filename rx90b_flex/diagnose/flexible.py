@@ -255,12 +255,12 @@ def _changes(
         if e >= declared:
             out.append(_addition(structure.robot, additions[e - declared], groups, sizes, new_std))
         elif effect.traits.virtual or set(effect.joints) <= set(structure.joints):
-            out.append(_factor(effect, _place(effect), tuple(i for i in at if structure.stiffens(i))))
+            out.append(_factor(structure.robot, effect, _place(effect), tuple(i for i in at if structure.stiffens(i))))
             if effect.traits.virtual:
                 shared.setdefault(effect.type_name(), []).append(e)
     for several in (s for s in shared.values() if len(s) > 1):
         at = tuple(i for (e, _), i in numbers.items() if e in several and structure.stiffens(i))
-        out.append(_factor(full.effects[several[0]], "all", at))
+        out.append(_factor(structure.robot, full.effects[several[0]], "all", at))
     return out
 
 
@@ -272,7 +272,7 @@ def _addition(
     robot: Robot, effect: ShownAtRest, groups: tuple[tuple[int, ...], ...], sizes: RestSizes, std: float
 ) -> Change:
     single = len(groups) == 1
-    coefficients, units = tuple(effect.coefficient_parameters), _units(effect)
+    coefficients, units = tuple(effect.coefficient_parameters), _units(robot, effect)
     names = tuple(effect.parameters())[:1] if single else coefficients[: len(groups)]
     coordinates = tuple(f"{_place(effect)}:{v}" for v in effect.traits.virtual)
     starts = np.log(effect.starts_at_rest(sizes))
@@ -286,14 +286,14 @@ def _addition(
     return _unlike(alike, coefficients[:2], ((first, first + 2), (first + 1, first + 3)))
 
 
-def _units(effect: Effect) -> tuple[str, ...]:
-    return tuple(p.unit for p in effect.coefficient_parameters.values())
+def _units(robot: Robot, effect: Effect) -> tuple[str, ...]:
+    return tuple(robot.unit_of(effect, p.unit) for p in effect.coefficient_parameters.values())
 
 
-def _factor(effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
+def _factor(robot: Robot, effect: Effect, place: str, moved: tuple[int, ...]) -> Change:
     starts = np.log(np.array([[0.6], [1.6]]))
     alike = Change(
-        effect.type_name(), place, False, (effect.traits.rescaled,), _units(effect)[:1],
+        effect.type_name(), place, False, (effect.traits.rescaled,), _units(robot, effect)[:1],
         starts, np.zeros(1), FACTOR_STD, (moved,),
     )  # fmt: skip
     if len(effect.traits.virtual) != 2 or len(moved) != 2:

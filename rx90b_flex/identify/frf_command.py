@@ -32,6 +32,7 @@ from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_repl
 from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
+from rx90b_flex.joint_units import flexibility_unit
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign
@@ -521,7 +522,8 @@ def _start(robot: Robot, found: Sequence[DriveIdentification]) -> dict[str, floa
 def frf_json(result: MotorIdentification) -> dict[str, Any]:
     """The content of ``frf.json``.
 
-    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m;
+    Of each pose, ``frequency_response`` holds lists over lines, then rows (accelerations), then columns (torques), rad/s^2 per N m
+    (m and N of joints that slide);
     ``replayed_response`` the same without the distortion that the replay explains, null without one; what of that the replay is not
     trusted with is part of its ``std``. Of ``transfer_functions``,
     ``refused`` has modes and antiresonances that do not count, each with its reason, and ``stabilisation`` the modes of every order.
@@ -549,8 +551,8 @@ def frf_json(result: MotorIdentification) -> dict[str, Any]:
                 "recordings": [r.name for r in p.recordings],
                 "frequency_response": _response_json(p.measured),
                 "replayed_response": _replayed_json(result, k),
-                "transfer_functions": _transfer_json(p.transfer, p.validation),
-                "drives": _drives_json(p.drives),
+                "transfer_functions": _transfer_json(result.robot, p.transfer, p.validation),
+                "drives": _drives_json(result.robot, p.drives),
             }
             for k, p in enumerate(result.poses)
         ],
@@ -599,7 +601,7 @@ def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "std": float(std), "unit": unit}
 
 
-def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[str, Any] | None:
+def _transfer_json(robot: Robot, fit: TransferFit | None, tests: Validation | None) -> dict[str, Any] | None:
     if fit is None:
         return None
     # each with why it does not count
@@ -623,7 +625,7 @@ def _transfer_json(fit: TransferFit | None, tests: Validation | None) -> dict[st
         "antiresonances": {joint: [one for one, why in each if not why] for joint, each in zeros.items()},
         "refused": refused,
         "residual_terms": list(fit.residual_terms),
-        "residual_flexibility": _flexibility_json(fit),
+        "residual_flexibility": _flexibility_json(robot, fit),
         "stabilisation": _stabilisation_json(fit),
         # one for all torques, or one a torque in the order of the joints; null where none was fitted
         "torque_delays": [_quantity(value, std, "s") for value, std in zip(*fit.torque_delays(), strict=True)] or None,
@@ -638,12 +640,12 @@ def _mode_json(hz: float, std: float, damping: float, damping_std: float) -> dic
     return {**_quantity(hz, std, "Hz"), "damping_ratio": float(damping), "damping_ratio_std": float(damping_std)}
 
 
-def _flexibility_json(fit: TransferFit) -> dict[str, Any] | None:
+def _flexibility_json(robot: Robot, fit: TransferFit) -> dict[str, Any] | None:
     """Of the modes above the band, rows and columns in the order of the response's joints; null where the term does not pay."""
     if "flexibility" not in fit.residual_terms:
         return None
     value, std = fit.residual_flexibility()
-    return {"value": value.tolist(), "std": std.tolist(), "unit": "rad/(N m)"}
+    return {"value": value.tolist(), "std": std.tolist(), "unit": flexibility_unit(robot.units_of(fit.response.joints))}
 
 
 def _stabilisation_json(fit: TransferFit) -> list[dict[str, Any]]:
@@ -660,16 +662,18 @@ def _stabilisation_json(fit: TransferFit) -> list[dict[str, Any]]:
     ]
 
 
-def _drives_json(drives: DriveIdentification | None) -> dict[str, Any] | None:
+def _drives_json(robot: Robot, drives: DriveIdentification | None) -> dict[str, Any] | None:
     if drives is None:
         return None
     return {
         joint: {
-            "inertia": _quantity(d.inertia, d.inertia_std, "kg m^2"),
-            "stiffness": _quantity(d.stiffness, d.stiffness_std, "N m/rad"),
+            "inertia": _quantity(d.inertia, d.inertia_std, own.of("kg m^2")),
+            "stiffness": _quantity(d.stiffness, d.stiffness_std, own.of("N m/rad")),
             "modes": int(modes),
         }
-        for joint, d, modes in zip(drives.joints, drives.drives, drives.modes, strict=True)
+        for joint, own, d, modes in zip(
+            drives.joints, robot.units_of(drives.joints), drives.drives, drives.modes, strict=True
+        )
     }
 
 

@@ -234,10 +234,11 @@ def grey_parameters(robot: Robot, joints: Sequence[str], experiments: int, link_
             for name, parameter, value in named:
                 if not (np.isfinite(value) and value > 0):
                     raise ValueError(f"{effect.label}: {name} is {value:g}; expected a positive value to start from")
-                out.append(GreyParameter(name, parameter.unit, float(value), WEAK))
+                out.append(GreyParameter(name, robot.unit_of(effect, parameter.unit), float(value), WEAK))
     for joint in joints:
         slope = _slope(robot, joint)
-        out += [GreyParameter(slope_name(joint, k, experiments), "N m s/rad", slope, WEAK) for k in range(experiments)]
+        unit = robot.units[robot.joints.index(joint)].of("N m s/rad")
+        out += [GreyParameter(slope_name(joint, k, experiments), unit, slope, WEAK) for k in range(experiments)]
     if link_mass_std > 0.0:
         out += [GreyParameter(f"{link}.{MASS}", "-", 1.0, link_mass_std) for link, _ in robot.bodies]
     return out

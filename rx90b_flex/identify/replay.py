@@ -376,7 +376,7 @@ def grey_box_by_replay(
         last, grey = grey, fit([x.response for x in less], start=_start(grey, at.slopes))
         if _settled(last, grey):
             break
-    estimates = _friction_estimates(declared, friction, std)
+    estimates = _friction_estimates(robot, declared, friction, std)
     grey = _with_what_is_left(grey, less, fit)
     own = {f"{joint}.drive_" for joint in sticking(robot, joints)}
     grey = grey.undetermined([e.name for e in grey.estimates if e.name.startswith(tuple(own))])
@@ -578,10 +578,12 @@ def _settled(before: GreyBox, now: GreyBox) -> bool:
     )
 
 
-def _friction_estimates(declared: Sequence[Effect], values: Array, std: Array) -> tuple[FrictionEstimate, ...]:
+def _friction_estimates(
+    robot: Robot, declared: Sequence[Effect], values: Array, std: Array
+) -> tuple[FrictionEstimate, ...]:
     """Coefficients of frictions beside their declared values."""
     known = [
-        (f"{e.label} {name}", p.unit, float(c))
+        (f"{e.label} {name}", robot.unit_of(e, p.unit), float(c))
         for e in declared
         for (name, p), c in zip(e.coefficient_parameters.items(), e.coefficients, strict=True)
     ]

@@ -10,6 +10,7 @@ import numpy as np
 from rx90b_flex.diagnose.flexible import FlexibleLoop
 from rx90b_flex.diagnose.modal import ModalLoop, alone, error_rms, in_order_rms
 from rx90b_flex.diagnose.response import ResponseLoop
+from rx90b_flex.joint_units import response_unit
 from rx90b_flex.view import frf_plots, modal_plots
 from rx90b_flex.view.estimates import number, unit_text
 from rx90b_flex.view.frf_report import delay_words
@@ -134,10 +135,11 @@ def _(loop: ModalLoop) -> Section:
 def _(loop: ResponseLoop) -> Section:
     figures = []
     for k, response in enumerate(loop.responses):
-        pose = ", ".join(f"{np.rad2deg(a):.0f}°" for a in response.pose)
+        units = zip(loop.source.units, response.pose.tolist(), strict=True)
+        pose = ", ".join(u.place(a) if u.slides else f"{np.rad2deg(a):.0f}°" for u, a in units)
         words = f"at {pose}" + ("" if k < loop.fitted else " (not fitted)")
         others = [(response.hz, loop.before[k], "as declared"), (response.hz, loop.after[k], "as found")]
-        drawn = frf_plots.magnitude(response, others)
+        drawn = frf_plots.magnitude(response, others, unit=response_unit(loop.source.units_of(loop.joints)))
         figures.append(image(drawn, f"Magnitude of every entry {words}", words, zoom=True))
     rows = [
         (name, percent(b.relative), percent(a.relative), f"{b.weighted:.3g}", f"{a.weighted:.3g}")

@@ -16,12 +16,13 @@ from matplotlib.ticker import NullLocator
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, Spectra, confidence_radius
+from rx90b_flex.joint_units import TURNS, JointUnits, any_of, response_unit
 
 MEASURED, MODEL, DISTORTION, NOISE = "#0072b2", "#d55e00", "#009e73", "#8a8a8a"
 MARGINS_IN = (0.6, 0.42, 0.25)  # left, bottom and top of a grid of entries
 FILL = 0.25  # opacity of a band
 CELL_IN = (2.9, 2.1)  # width and height of one entry's axes
-UNIT = "rad/s² per N m"
+UNIT = response_unit([TURNS])
 
 Draw = Callable[[Axes, int, int], None]  # axes, row, column of an entry
 Comparison = tuple[Array, ComplexArray, str]  # hz, value (F, n, n), label
@@ -45,7 +46,9 @@ def bode(response: FrequencyResponse, others: Sequence[Comparison] = (), level: 
     return figure
 
 
-def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
+def magnitude(
+    response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95, unit: str = UNIT
+) -> Figure:
     """Magnitude of every entry over frequency, with its band; models or other estimates beside it (figure 6.4).
 
     Parameters
@@ -53,8 +56,10 @@ def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), le
     others : sequence of (hz, value, label)
     level : float
         Of the band: the circle about the entry in the complex plane.
+    unit : str
+        `response_unit` of the joints.
     """
-    return _entries(response.joints, _draw_magnitude(response, others, level), f"|P|, {UNIT}")
+    return _entries(response.joints, _draw_magnitude(response, others, level), f"|P|, {unit}")
 
 
 def _draw_magnitude(response: FrequencyResponse, others: Sequence[Comparison], level: float) -> Draw:
@@ -97,7 +102,9 @@ def _draw_phase(response: FrequencyResponse, others: Sequence[Comparison], level
     return draw
 
 
-def difference(response: FrequencyResponse, value: ComplexArray, label: str = "model", level: float = 0.95) -> Figure:
+def difference(
+    response: FrequencyResponse, value: ComplexArray, label: str = "model", level: float = 0.95, unit: str = UNIT
+) -> Figure:
     """Magnitude of what parts every entry from a model or another estimate at the same lines, with the estimate's own uncertainty.
 
     If the model is right, `level` of the lines lie under the band's line.
@@ -119,7 +126,7 @@ def difference(response: FrequencyResponse, value: ComplexArray, label: str = "m
         _log(ax)
         ax.annotate(f"{100 * below[j, k]:.0f} % below", (0.97, 0.04), xycoords="axes fraction", ha="right", fontsize=7)
 
-    return _entries(response.joints, draw, UNIT)
+    return _entries(response.joints, draw, unit)
 
 
 def signal_to_noise(response: MeasuredResponse) -> Figure:
@@ -153,13 +160,17 @@ def channel_signal_to_noise(response: MeasuredResponse) -> Figure:
     return figure
 
 
-def excitation(spectra: Spectra, joints: Sequence[str]) -> Figure:
-    """Torque and acceleration at the excited lines, at the others, and the noise of one period, for each joint."""
+def excitation(spectra: Spectra, joints: Sequence[str], units: Sequence[JointUnits] = (TURNS,)) -> Figure:
+    """Torque and acceleration at the excited lines, at the others, and the noise of one period, for each joint of these units."""
     figure = Figure(figsize=(CELL_IN[0] * len(joints), 2 * CELL_IN[1]), layout="constrained")
     grid = figure.subplots(2, len(joints), squeeze=False, sharex=True, sharey="row")
     rows = (
-        (spectra.torque, spectra.torque_noise, "torque, N m"),
-        (spectra.acceleration, spectra.acceleration_noise, "acceleration, rad/s²"),
+        (spectra.torque, spectra.torque_noise, f"torque, {any_of(u.force for u in units)}"),
+        (
+            spectra.acceleration,
+            spectra.acceleration_noise,
+            f"acceleration, {any_of(f'{u.position}/s²' for u in units)}",
+        ),
     )
     for row, (axes, (signal, noise, label)) in enumerate(zip(grid, rows, strict=True)):
         for j, (ax, joint) in enumerate(zip(axes, joints, strict=True)):

@@ -13,11 +13,13 @@ from rx90b_flex.identify.grey_box import GreyBox
 from rx90b_flex.identify.grey_model import SLOPE, Delay, HingePlace
 from rx90b_flex.identify.replay import ReplayedGreyBox
 from rx90b_flex.identify.transfer_function import TransferFit
+from rx90b_flex.joint_units import response_unit
 from rx90b_flex.view import frf_plots, grey_plots, transfer_plots
 from rx90b_flex.view.estimates import unit_text
 from rx90b_flex.view.page import PageTable, Section, image, seconds_table, write_page
 
 SHOWN_STARTS = 6
+LEAST_DELAY_US = 0.5  # a shorter one is not worth a word
 UNDER = "If the model is right, 95 % of the dots lie under the line of the band."
 SHOWN_DIRECTIONS = 4  # vaguest; frf.json has all
 
@@ -65,8 +67,11 @@ def _named(result: MotorIdentification, at: AtPose) -> str:
 
 
 def _angles(result: MotorIdentification, at: AtPose) -> str:
-    both = zip(result.robot.joints, at.pose, strict=True)
-    return ", ".join(f"{joint.replace('_', ' ')} {round(np.rad2deg(q), 1) + 0.0:.1f}°" for joint, q in both)
+    both = zip(at.pose.tolist(), result.robot.units, strict=True)
+    each = (u.place(q) if u.slides else f"{round(np.rad2deg(q), 1) + 0.0:.1f}°" for q, u in both)
+    return ", ".join(
+        f"{joint.replace('_', ' ')} {place}" for joint, place in zip(result.robot.joints, each, strict=True)
+    )
 
 
 def amounts(*values: float) -> tuple[str, ...]:
@@ -135,12 +140,15 @@ def _by_replay(result: MotorIdentification) -> Section | None:
 
 
 def delay_words(delay: Delay | None) -> list[str]:
-    """By how much torques were logged late, in a sentence; none where it was not asked."""
+    """By how much torques were logged late, in a sentence; none where it was not asked, or is none within its uncertainty."""
     if delay is None:
         return []
     value, std = (1e6 * x for x in (delay.value, delay.std))
+    if abs(value) < max(LEAST_DELAY_US, 2.0 * std):
+        return []
+    size, spread = amounts(abs(value), max(std, 0.01))
     return [
-        f"Torques are logged {abs(value):.0f} ± {std:.0f} µs {'later' if value >= 0 else 'earlier'} than angles; that is taken out."
+        f"Torques are logged {size} ± {spread} µs {'later' if value >= 0 else 'earlier'} than angles; that is taken out."
     ]
 
 
@@ -211,19 +219,23 @@ def _physical(result: MotorIdentification) -> Section | None:
 
 def _drive_rows(result: MotorIdentification, at: AtPose, grey: GreyBox) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for joint, d in zip(at.drives.joints, at.drives.drives, strict=True) if at.drives is not None else ():
+    if at.drives is None:
+        return rows
+    units = result.robot.units_of(at.drives.joints)
+    for joint, own, d in zip(at.drives.joints, units, at.drives.drives, strict=True):
         for kind, value, std, unit in (
-            ("inertia", d.inertia, d.inertia_std, "kg m²"),
+            ("inertia", d.inertia, d.inertia_std, "kg m^2"),
             ("stiffness", d.stiffness, d.stiffness_std, "N m/rad"),
         ):
             best = grey[f"{joint}.drive_{kind}"]
             name = f"{_named(result, at)}{joint.replace('_', ' ')} {kind}"
-            rows.append((name, *amounts(value, std), *amounts(best.value, best.std), unit))
+            rows.append((name, *amounts(value, std), *amounts(best.value, best.std), unit_text(own.of(unit))))
     return rows
 
 
 def _response(result: MotorIdentification, at: AtPose) -> Section:
-    measured = at.measured
+    measured, units = at.measured, result.robot.units_of(at.measured.joints)
+    unit = response_unit(units)
     others: list[frf_plots.Comparison] = []
     place = _place_in_grey(result, at)
     if result.grey is not None and place is not None:
@@ -231,13 +243,13 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
     if at.transfer is not None:
         others.append((measured.hz, at.transfer.model.frf(measured.hz), "transfer functions"))
     pictures = [
-        (frf_plots.magnitude(measured, others), "Magnitude of every entry", "Magnitude, with 95 % bands"),
+        (frf_plots.magnitude(measured, others, unit=unit), "Magnitude of every entry", "Magnitude, with 95 % bands"),
         (frf_plots.phase(measured, others), "Phase of every entry", "Phase, with 95 % bands"),
     ]
     for hz, model, name in others:
         if len(hz) == len(measured.hz):
             apart = f"Difference from the {name}"
-            pictures.append((frf_plots.difference(measured, model, name), apart, f"{apart}. {UNDER}"))
+            pictures.append((frf_plots.difference(measured, model, name, unit=unit), apart, f"{apart}. {UNDER}"))
     signals = "Signal-to-noise ratio of the measured signals"
     pictures += [
         (
@@ -248,7 +260,7 @@ def _response(result: MotorIdentification, at: AtPose) -> Section:
         ),
         (frf_plots.channel_signal_to_noise(measured), signals, signals),
         (
-            frf_plots.excitation(measured.spectra, measured.joints),
+            frf_plots.excitation(measured.spectra, measured.joints, units),
             "Torque and acceleration at excited and other lines",
             "Torque and acceleration at the excited lines; at the others nonlinearity (mostly friction) answers",
         ),
@@ -289,7 +301,7 @@ def _modes(result: MotorIdentification, at: AtPose) -> Section | None:
             zoom=True,
         ),
         image(
-            transfer_plots.stabilisation(fit),
+            transfer_plots.stabilisation(fit, response_unit(result.robot.units_of(fit.response.joints))),
             "Modes of fits of several orders",
             "Stabilisation diagram: modes of the fits of every order that was tried, and the mean response",
         ),

@@ -25,6 +25,7 @@ from rx90b_flex.identify.frf_command import MotorIdentification
 from rx90b_flex.identify.grey_box import GreyBox
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
 from rx90b_flex.identify.static_command import StaticResult
+from rx90b_flex.joint_units import response_unit
 from rx90b_flex.linearize import Modes
 from rx90b_flex.path.check import PathCheck
 from rx90b_flex.path.measured import MeasuredTip
@@ -210,7 +211,9 @@ def _(result: MotorIdentification) -> Appearance:
         if result.grey is not None and 0 in result.fitted:
             place = result.fitted.index(0)
             others = [(result.grey.responses[place].hz, result.grey.predicted[place], "identified robot")]
-        return frf_plots.magnitude(result.poses[0].measured, others)
+        measured = result.poses[0].measured
+        unit = response_unit(result.robot.units_of(measured.joints))
+        return frf_plots.magnitude(measured, others, unit=unit)
 
     return Appearance(
         f"{result.robot.name} from motor signals, {len(result.poses)} pose(s){lost}",

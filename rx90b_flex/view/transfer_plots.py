@@ -10,6 +10,7 @@ from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit
 from rx90b_flex.identify.validation import whiteness
 from rx90b_flex.view.axes import AFTER, BEFORE, FLOOR, MEASURED, legend, new_figure
+from rx90b_flex.view.frf_plots import UNIT
 
 
 def residual_correlation(fit: TransferFit) -> Figure:
@@ -26,13 +27,13 @@ def residual_correlation(fit: TransferFit) -> Figure:
     return figure
 
 
-def stabilisation(fit: TransferFit) -> Figure:
+def stabilisation(fit: TransferFit, unit: str = UNIT) -> Figure:
     """Modes of the fits of every order over frequency, and behind them the mean response (root mean square of its entries)."""
     figure, (ax,) = new_figure(3.4)
     behind = ax.twinx()
     hz, mean = fit.response.hz, np.sqrt((np.abs(fit.response.value) ** 2).mean(axis=(1, 2)))
     behind.semilogy(hz, mean, color=MEASURED, alpha=0.35, linewidth=1.0)
-    behind.set_ylabel("mean response, rad/s² per N m", fontsize=9)
+    behind.set_ylabel(f"mean response, {unit}", fontsize=9)
     behind.tick_params(labelsize=8)
     behind.yaxis.set_minor_formatter(NullFormatter())
     behind.spines["top"].set_visible(False)
