@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -125,11 +126,21 @@ def test_a_folder_that_cannot_be_closed_is_refused_in_a_line(folder, monkeypatch
         ("frf", ["--robot", "rx90b_3dof"], "a pose has shape (6,); expected 3 angles of rx90b_3dof"),
         ("campaign.toml", ["--robot", "rx90b"], "--robot goes with a modal table"),
         ("missing.toml", ["--robot", "rx90b"], "missing.toml: no such file"),
+        ("no_pose.toml", [], "no_pose.toml: [[pose]]: missing; one or more are expected"),
+        ("rad.toml", [], "outside band_hz, 8 to 75 Hz; are they in rad/s? else widen band_hz"),
+        ("narrow.toml", [], "outside band_hz, 74 to 75 Hz; widen band_hz"),
+        ("exact.toml", [], "exact.toml: [[pose]] 1 resonance std_hz: found 0, expected standard deviations above 0 Hz"),
     ],
 )
 def test_bad_input_is_one_line_status_2_and_nothing_written(folder, monkeypatch, capsys, source, options, message):
     (folder / "campaign.toml").write_text('robot = "rx90b"\nsample_rate_hz = 500.0\n')
     (folder / "broken.toml").write_text((folder / "modes.toml").read_text().replace("resonance =", "resonances =", 1))
+    modes = (folder / "modes.toml").read_text()
+    (folder / "no_pose.toml").write_text(modes.partition("[[pose]]")[0])
+    in_rad = re.sub(r"\bhz = \[([^\]]*)\]", lambda m: f"hz = {[6.2832 * float(x) for x in m[1].split(',')]}", modes)
+    (folder / "rad.toml").write_text(in_rad)
+    (folder / "narrow.toml").write_text(modes.replace("band_hz = [8.0", "band_hz = [74.0"))
+    (folder / "exact.toml").write_text(re.sub(r"std_hz = \[[^,\]]*", "std_hz = [0.0", modes, count=1))
     assert run(monkeypatch, folder / source, "--out", folder / "out", *options) == 2
     error = capsys.readouterr().err.strip()
     assert message in error and "\n" not in error

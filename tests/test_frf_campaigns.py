@@ -362,7 +362,7 @@ def test_two_realisations_still_give_a_covariance_that_can_be_inverted_and_bands
         (2e-9, 1e-9, []),  # a thousandth of what a sentence says
         (3e-5, 2e-5, []),
         (2.5e-4, 4e-6, ["Torques are logged 250.0 ± 4.0 µs later than angles; that is taken out."]),
-        (-2e-6, 4e-9, ["Torques are logged 2.00 ± 0.01 µs earlier than angles; that is taken out."]),
+        (-2e-6, 4e-9, ["Torques are logged 2.000 ± 0.010 µs earlier than angles; that is taken out."]),
     ],
 )
 def test_a_delay_is_told_where_there_is_one(value: float, std: float, said: list[str]) -> None:

@@ -152,6 +152,8 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
     """
     path = Path(path)
     table = TomlTable(str(path), "", read_toml(path, "modal table"))
+    if not table.has("pose"):
+        raise table.problem("[[pose]]", "missing; one or more are expected, each with resonance or antiresonance")
     table.allow("robot", "joints", "band_hz", "pose")
     joints = table.texts("joints")
     read = tuple(_read_pose(pose, joints) for pose in table.sections("pose"))
@@ -165,7 +167,25 @@ def load_modal_table(path: str | os.PathLike[str]) -> ModalTable:
     low, high = map(float, band)
     if not 0 < low < high:
         raise table.problem("band_hz", f"found {[low, high]}, a low and a higher frequency above 0 are expected")
+    _check_inside(table, read, (low, high))
     return ModalTable(joints, (low, high), read, robot, path.stem)
+
+
+def _check_inside(table: TomlTable, poses: Sequence[ModalPose], band_hz: tuple[float, float]) -> None:
+    low, high = band_hz
+    for number, pose in enumerate(poses, start=1):
+        for modes in pose.lists:
+            outside = modes.hz[(modes.hz < low) | (modes.hz > high)]
+            if len(outside):
+                key = "resonance" if modes.locked is None else f"antiresonance.{modes.locked}"
+                hint = (
+                    "are they in rad/s? else widen band_hz"
+                    if outside.max() > high
+                    else "widen band_hz if it was looked at as well"
+                )
+                raise table.problem(
+                    f"[[pose]] {number} {key} hz", f"{outside[0]:g} is outside band_hz, {low:g} to {high:g} Hz; {hint}"
+                )
 
 
 def _read_pose(table: TomlTable, joints: tuple[str, ...]) -> ModalPose:
@@ -187,8 +207,9 @@ def _read_list(table: TomlTable, locked: str | None) -> ModeList:
     table.allow("hz", "std_hz")
     hz = table.numbers("hz")
     std = table.numbers("std_hz", len(hz), "hz lists")
-    if not ((hz > 0).all() and (std >= 0).all()):
-        raise table.problem("hz", "expected frequencies above 0 Hz and standard deviations of 0 Hz or more")
+    for key, values, what in (("hz", hz, "frequencies"), ("std_hz", std, "standard deviations")):
+        if not (values > 0.0).all():
+            raise table.problem(key, f"found {values[values <= 0.0][0]:g}, expected {what} above 0 Hz")
     order = np.argsort(hz, kind="stable")
     return ModeList(locked, hz[order], std[order])
 
