@@ -271,6 +271,7 @@ def test_rows_that_are_missing_are_no_encoders_that_slip(tmp_path: Path) -> None
     assert all("rows are missing" in f.message and len(f.joints) > 1 for f in slips)
 
 
+@pytest.mark.slow
 def test_torques_turned_round_in_one_recording_are_not_called_late(tmp_path: Path) -> None:
     *fitted, validated = sound()
     found = checked(tmp_path, [*fitted, *with_torques([validated], lambda x: -x)]).data_faults

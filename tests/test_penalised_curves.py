@@ -163,6 +163,7 @@ def test_a_straight_line_stays_straight(folder, memory):
     assert np.median([f[3].size for f in found]) <= 3  # parameters: a line has two, both of which are declared
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_where_nothing_is_hidden_no_curve_is_named(tmp_path, memory):
     for seed in range(8):

@@ -46,14 +46,17 @@ def nothing(motion: Motion, load: Array, number: int) -> Array:
     return np.zeros_like(load)
 
 
-@pytest.mark.parametrize(("hidden", "said"), [(drifting, "drifts with time"), (differing, "differs between")])
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [(drifting, "drifts with time"), pytest.param(differing, "differs between", marks=pytest.mark.slow)],
+)
 def test_what_is_slow_is_not_called_noise(tmp_path: Path, hidden: Hidden, said: str) -> None:
     result = closed(tmp_path, hidden)
     assert result.verdict in ("unexplained", "partly_explained")
     assert any("elbow" in c and said in c for c in result.cautions), result.cautions
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.95])
+@pytest.mark.parametrize("memory", [0.95, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_noise_is_no_such_error(tmp_path: Path, memory: float) -> None:
     result = closed(tmp_path, nothing, memory, (0.5, 0.3))
     assert result.verdict == "nothing_missing" and not any("slow" in c for c in result.cautions)

@@ -31,7 +31,7 @@ from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.side_by_side import worth_while
-from rx90b_flex.diagnose.slow import Slow, slow
+from rx90b_flex.diagnose.slow import Slow, slow_errors
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -442,18 +442,15 @@ class _Ended:
         links_off, in_doubt = self._if_links_are_off(after.validation.relative_error)
         predictions = self._predictions()
         tell("asking how much can be explained at all", 0.97)
-        compared_with = [HeldOut(p.torque, p.before) for p in predictions]
-        explainable = yardstick(self.declared.possible, held_out.weighted(None), compared_with, after.validation, floor)
+        explainable = self._explainable(held_out, predictions, floor)
         known = explainable if isinstance(explainable, Explainable) else None
-        spread = np.concatenate([p.torque for p in predictions]).std(axis=0)
         beyond = self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
-        found = bool(standing.steps)
         happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
-        remains = Remains(
-            campaign.joints, found, before, after, floor, known, where, doubtful, spread, happened, bool(drifts)
-        )
+        spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
+        rest = (where, doubtful, spread, happened, bool(drifts))
+        remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         tell("done", 1.0)
         return ClosedLoop(
             before,
@@ -486,6 +483,14 @@ class _Ended:
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
         )
+
+    def _explainable(
+        self, held_out: Regression, predictions: Sequence[Prediction], floor: Array | None
+    ) -> Explainable | str:
+        """What a free form leaves of the declared model's error, or why none says."""
+        compared_with = [HeldOut(p.torque, p.before) for p in predictions]
+        after = self.standing.model.errors.validation
+        return yardstick(self.declared.possible, held_out.weighted(None), compared_with, after, floor)
 
     def _beyond_model(self) -> tuple[str, ...]:
         """That a low-pass would serve a log which has none."""
@@ -587,7 +592,7 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
 def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow, ...]:
     rates = [p.recording.sample_rate_hz for p in predictions]
     torque, left = [p.torque for p in predictions], [p.torque - p.after for p in predictions]
-    return slow(campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions])
+    return slow_errors(campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions])
 
 
 def _event_words(

@@ -54,7 +54,7 @@ class Slow:
         )
 
 
-def slow(
+def slow_errors(
     joints: Sequence[str],
     rates_hz: Sequence[float],
     cutoff_hz: float | None,
