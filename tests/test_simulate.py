@@ -726,6 +726,20 @@ def test_any_robot_can_be_given_a_controller() -> None:
     assert largest(run.q - position) < 0.05
 
 
+def test_without_an_integral_a_drive_stands_where_its_position_gain_holds_the_weight() -> None:
+    joints = tuple(dataclasses.replace(j, integral_gain=0.0) for j in load_cs8().joints if j.name in robot().joints)
+    controller = dataclasses.replace(load_cs8(), joints=joints)
+    here = np.tile(STRETCHED, (250, 1))
+    run = simulate(robot(), controller, Trajectory("stays", robot().joints, 250.0, here, 0.0 * here))
+    assert run.ended is None
+    drives = np.asarray(run.q)[:, DRIVES]
+    assert largest(drives - drives[0]) < 1e-6  # the encoders' steps
+    still = np.zeros(len(robot().coordinates))
+    held = robot().inverse_dynamics(run.q[-1], still, still)[DRIVES]
+    gains = np.array([j.position_gain for j in joints])
+    assert np.array(STRETCHED) - drives[-1] == pytest.approx(held / gains, abs=1e-6) and largest(held / gains) > 1e-5
+
+
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="joints"):
         simulate(rf.load_robot("rx90b"), load_cs8(), line())

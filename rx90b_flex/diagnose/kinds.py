@@ -31,8 +31,15 @@ def beside_motion(kind: type[Effect]) -> bool:
 
 def crowded(effect: Effect, here: Sequence[Effect]) -> bool:
     """Whether as many of a type stand in a place as make a series of any curve, and no curve."""
-    if any(e.traits.last_resort for e in here):
-        return False
+    return not any(e.traits.last_resort for e in here) and _many(effect, here)
+
+
+def rounded_off(effect: Effect, here: Sequence[Effect]) -> bool:
+    """Whether as many stand in a place beside a curve over its angle: what that rounds off is no teeth's."""
+    return any(e.traits.last_resort and not e.traits.is_friction for e in here) and _many(effect, here)
+
+
+def _many(effect: Effect, here: Sequence[Effect]) -> bool:
     return repeated(type(effect)) and sum(type(e) is type(effect) for e in here) >= MOST_REPEATED
 
 

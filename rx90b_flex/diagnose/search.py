@@ -21,7 +21,7 @@ from rx90b_flex.diagnose.base import (
     wald,
 )
 from rx90b_flex.diagnose.families import FAMILIES, family
-from rx90b_flex.diagnose.kinds import crowded, laws, repeated, shuts_out
+from rx90b_flex.diagnose.kinds import crowded, laws, repeated, rounded_off, shuts_out
 from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
 from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
@@ -173,6 +173,8 @@ class Search:
                 if effect.traits.needs and not any(e.type_name() in effect.traits.needs for e in here):
                     continue
                 if any(shuts_out(e, effect) for e in here):
+                    continue
+                if rounded_off(effect, here):
                     continue
                 if crowded(effect, here) is not (self.kinds is repeated):
                     continue

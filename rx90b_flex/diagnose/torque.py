@@ -34,6 +34,9 @@ from rx90b_flex.signals import Campaign
 MOST_EFFECTS, MOST_A_JOINT = 24, 3  # and so many a joint, its basics: a loop that adds more than both explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
+WORSE_UNTOLD = (
+    1.1  # the same of its joints without an effect whose values beside a curve are not those that it was added for
+)
 WORSE_HELD_OUT = 1.005  # the same held out, over the declared model's, where the joints' own errors fall on average
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
@@ -281,9 +284,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             less = self._without(model, step.trial)
             if not (untold or self._differs_little(less[0], model, named)):
                 continue
-            own = [self.campaign.joints.index(j) for j in named.joints if j in self.campaign.joints]
-            rms, before = (np.array(m.errors.identification.torque_rms)[own] for m in (less[0], model))
-            if not self.spoils(less[0], model) and (rms <= WORSE * before).all():
+            # a value that is another one tells nothing, though a few per cent more are left of its own joints
+            room = [WORSE_UNTOLD if untold and j in named.joints else WORSE for j in self.campaign.joints]
+            rms, before = (np.array(m.errors.identification.torque_rms) for m in (less[0], model))
+            if (rms <= room * before).all():
                 self._lesser[:] = [(model, step.trial, less)]
                 return step
         return None

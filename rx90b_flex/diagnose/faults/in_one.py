@@ -16,9 +16,7 @@ from rx90b_flex.effects.motion import Array
 OTHER = 1.1  # times what the other recordings ask for, from which a torque is looked at
 WITHIN = 1.6  # times a first guess of a factor
 AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
-MOSTLY = (
-    0.5  # of a recording's squared error that is left where its joints' friction may be another: it is no other load
-)
+MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
 FRICTION = (1, 2, 4)  # viscous, dry, and viscous by direction, of a joint's own columns
 
 
