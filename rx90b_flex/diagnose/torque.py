@@ -272,16 +272,15 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """The first addition with a name that is not possible, or of which a model tells no value, or quite another one, or hardly
         another torque than that of what it stands in for, and without which it fits as well.
         """
-        for step in steps:
-            if step.trial.effect.traits.last_resort:
+        for step, named in zip(steps, find_each(model, [s.trial.effect for s in steps]), strict=True):
+            if named.traits.last_resort:
                 continue
-            named = find(model, step.trial.effect)
             if not _physical(named):
                 return step
-            untold = self._untold(model, step.trial)
+            untold = _untold(model.identified, step.trial.effect, named)
             if not (untold or self.search(model).restored(named)):
                 continue
-            less = self._without(model, step.trial)
+            less = self._less(model, named)
             if not (untold or self._differs_little(less[0], model, named)):
                 continue
             # a value that is another one tells nothing, though a few per cent more are left of its own joints
@@ -300,17 +299,6 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         torque = columns(named) @ named.known_coefficients()
         apart = torque - sum(columns(e) @ e.known_coefficients() for e in back)
         return bool(back) and bool(np.linalg.norm(apart) < ALIKE * np.linalg.norm(torque))
-
-    def _untold(self, model: TorqueModel, trial: TorqueTrial) -> bool:
-        """Whether none of its values is certain, or known at all, or they are not what they were before."""
-        now = find(model, trial.effect)
-        values = model.identified.estimates(model.effects.index(now))
-        if all(e.value is None for e in values) or self.unsure(model, trial):
-            return True
-        before, after = trial.effect.coefficients, now.coefficients
-        # their size: a phase turns with the order
-        sizes = np.linalg.norm(before), np.linalg.norm(after)
-        return len(before) == len(after) and bool(abs(sizes[1] - sizes[0]) > CHANGED * sizes[0])
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
@@ -455,10 +443,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             if known is model and taken_out is trial:
                 self._lesser.clear()
                 return less
-        return self._without(model, trial)
+        return self._less(model, find(model, trial.effect))
 
-    def _without(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel, list[TorqueTrial]]:
-        search, effect = self.search(model), find(model, trial.effect)
+    def _less(self, model: TorqueModel, effect: Effect) -> tuple[TorqueModel, list[TorqueTrial]]:
+        search = self.search(model)
         # a curve beside it may have to bend for both
         left = [e.penalised(None) if e.place == effect.place else e for e in search.present_without(effect)]
         less = self._identified(left, model)
@@ -666,6 +654,18 @@ def _certain(model: Identification, effect: Effect) -> bool:
     told = [] if effect.traits.coefficients_follow else [sure for name, sure in known if name not in shapes]
     told = told or [sure for name, sure in known if not (name in shapes and shapes[name].held)]
     return not told or any(told)
+
+
+def _untold(model: Identification, before: Effect, now: Effect) -> bool:
+    """Whether no value of an effect is certain, or known at all, or they are not what they were before."""
+    if all(e.value is None for e in model.estimates(model.effects.index(now))):
+        return True
+    if not _certain(model, now) or _unknown(model, now):
+        return True
+    # their size: a phase turns with the order
+    sizes = np.linalg.norm(before.coefficients), np.linalg.norm(now.coefficients)
+    alike = len(before.coefficients) == len(now.coefficients)
+    return alike and bool(abs(sizes[1] - sizes[0]) > CHANGED * sizes[0])
 
 
 def _unknown(model: Identification, effect: Effect) -> str:

@@ -80,8 +80,7 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
     """
 
     knots_name: ClassVar[str]
-    level_of: ClassVar[frozenset[str]]  # effect types that have a level, of which each stands before it
-    line_of: ClassVar[str]  # and a line along its knots
+    axis: ClassVar[str]  # along which it is a curve, as in `Traits.straight`
     strength: float | None
 
     def __post_init__(self) -> None:
@@ -103,8 +102,8 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
 
     def held_beside(self, others: Sequence[Effect], motions: Sequence[Motion]) -> Array:
         """The level and the straight line, which other effects in its place have; not where it ends within the motion."""
-        here = {e.type_name() for e in others if e.place == self.place}
-        level, line = not here.isdisjoint(self.level_of), self.line_of in here
+        here = {what for e in others if e.place == self.place and e is not self for what in e.traits.straight}
+        level, line = "level" in here, self.axis in here
         if not (level or line) or not self._covers(motions):
             return super().held_beside(others, motions)
         knots = np.array(self.knots)
@@ -202,8 +201,7 @@ class FrictionCurve(_Curve):
     """
 
     knots_name: ClassVar[str] = "velocities"
-    level_of: ClassVar[frozenset[str]] = frozenset({"torque_offset", "joint_spring", "angle_curve"})
-    line_of: ClassVar[str] = "viscous_friction"
+    axis: ClassVar[str] = "velocity"
 
     velocities: tuple[float, ...] = given("rad/s", size=0)
     torques: tuple[float, ...] | None = linear("N m", rank=FRICTION, size=0)
@@ -221,7 +219,7 @@ class FrictionCurve(_Curve):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AngleCurve(_Curve, part="spring"):
+class AngleCurve(_Curve, part="spring", straight=("level",)):
     """A torque of no known form over the joint's own angle: a smooth curve through `torques` at `angles`.
 
     Signature
@@ -239,8 +237,7 @@ class AngleCurve(_Curve, part="spring"):
     """
 
     knots_name: ClassVar[str] = "angles"
-    level_of: ClassVar[frozenset[str]] = frozenset({"torque_offset", "joint_spring"})
-    line_of: ClassVar[str] = "joint_spring"
+    axis: ClassVar[str] = "angle"
 
     angles: tuple[float, ...] = given("rad", size=0)
     torques: tuple[float, ...] | None = linear("N m", rank=SPRING, size=0)

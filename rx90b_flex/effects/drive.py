@@ -54,7 +54,7 @@ class DriveInertia(
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueOffset(LawEffect, of_make=False):
+class TorqueOffset(LawEffect, of_make=False, straight=("level",)):
     """A constant torque: an offset of the current sensor, or friction that never changes sign.
 
     Signature

@@ -88,7 +88,7 @@ class CoulombFriction(SidedFriction, LawEffect, DryFriction, breaks_away=True):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousFriction(SumOfLaws, SidedFriction, grows_with_speed=True):
+class ViscousFriction(SumOfLaws, SidedFriction, grows_with_speed=True, straight=("velocity",)):
     """Friction linear in velocity, ``coefficient * v``.
 
     Signature

@@ -19,7 +19,14 @@ from rx90b_flex.effects.parameters import SPRING, Parameter, derived, linear
 
 @dataclass(frozen=True, kw_only=True)
 class JointSpring(
-    SumOfLaws, JointEffect, ShownAtRest, behind_gear=True, part="spring", of_make=False, scaled=((0, 1),)
+    SumOfLaws,
+    JointEffect,
+    ShownAtRest,
+    behind_gear=True,
+    part="spring",
+    of_make=False,
+    scaled=((0, 1),),
+    straight=("level", "angle"),
 ):
     """A hose or cable, ``stiffness * (q - rest_angle)``.
 

@@ -35,6 +35,8 @@ class Traits:
         Its coefficients add up to a dry friction of its joint just before it slides.
     grows_with_speed : bool
         Friction that grows with the velocity: beside it, dry friction that turns over widely does not play its part.
+    straight : tuple of str
+        What of a straight torque it can have, whatever else it has: "level", and lines along "angle" or "velocity" of its joint.
     behind_gear : bool
         A torque sensor behind the gear feels it; what may be on either side is the motor's.
     multiplies : bool
@@ -73,6 +75,7 @@ class Traits:
     remembers: bool = False
     breaks_away: bool = False
     grows_with_speed: bool = False
+    straight: tuple[str, ...] = ()
     behind_gear: bool = False
     multiplies: bool = False
     coefficients_follow: bool = False

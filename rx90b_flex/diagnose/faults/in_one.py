@@ -74,7 +74,7 @@ def _of_friction(look: Look) -> _OfFriction:
     """Whether a recording that stands apart has another friction: a robot is warmer in one than in another."""
     sample, reading = look.sample, look.reading
     columns, theta = look.columns(reading), look.fit().theta.mean(axis=0)
-    measured, predicted = sample.torque_seen(reading), columns @ theta
+    measured, predicted = sample.torque_seen(reading), look.predicted()
     own = [[reading.links + PER_JOINT * j + i for i in FRICTION] for j in range(len(sample.joints))]
     rubs = np.stack([columns[:, j, at] @ theta[at] for j, at in enumerate(own)], axis=1)
 
@@ -102,8 +102,7 @@ def _ratios(look: Look) -> Array:
     Of a fit to all of them, which the wrong one bends: its sign and size beside the others' show all the same.
     """
     sample, reading = look.sample, look.reading
-    predicted = look.columns(reading) @ look.fit().theta.mean(axis=0)
-    measured = sample.torque_seen(reading)
+    predicted, measured = look.predicted(), sample.torque_seen(reading)
     out = np.array(
         [
             (predicted[span] * measured[span]).sum(axis=0) / np.maximum((predicted[span] ** 2).sum(axis=0), 1e-300)

@@ -125,6 +125,10 @@ class Look:
         reading = reading or self.reading
         return RigidFit.of(self.products(reading), reading, near=near)
 
+    def predicted(self) -> Array:
+        """Torques that the fit of the present reading predicts, (R, joints), N m."""
+        return np.asarray(self.columns(self.reading) @ self.fit().theta.mean(axis=0))
+
     def fit_of_known_links(self, reading: Reading | None = None, near: RigidFit | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
         return self.fit_held(range((reading or self.reading).links), KNOWN, reading, near)
