@@ -68,4 +68,5 @@ class Refinement(Iterate):
         return self.look.gram, self.look.score
 
     def moved(self, step: Array) -> Refinement:
-        return replace(self, x=self.after(self.x, step))
+        x = self.after(self.x, step)
+        return self if np.array_equal(x, self.x) else replace(self, x=x)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from rx90b_flex.effects.traits import Traits
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+Found = TypeVar("Found")
 STICKS = ("turn", "pause")  # where a drive sticks: as it turns, or on its way
 Held = tuple[str, str]  # a joint, and one of these
 MOST_LATEST, LATEST_BYTES = (
@@ -185,6 +186,8 @@ class Motion:
         (`signals.sticking.held_part`); elsewhere NaN.
     low_pass : LowPass or None
         What a log's angles went through, and their noise.
+    logged : Motion or None
+        The motion as it was logged, which tells what the log resolves, where this one is worked out from it.
     """
 
     coordinates: Coordinates
@@ -197,6 +200,7 @@ class Motion:
     angle_noise: Array | None = field(default=None, repr=False)
     stuck: Array | None = field(default=None, repr=False)
     low_pass: LowPass | None = field(default=None, repr=False)
+    logged: Motion | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.q.shape[0]
@@ -264,7 +268,7 @@ class Motion:
         return self._kept[key]
 
     @cached_property
-    def _latest(self) -> dict[tuple[str, str], dict[str, dict[float, Array]]]:
+    def _latest(self) -> dict[tuple[str, str], dict[str, dict[float, Any]]]:
         return {}
 
     def forget(self) -> None:
@@ -359,10 +363,10 @@ class JointMotion:
     time: Array
     motion: Motion = field(repr=False)
     port: Array = field(repr=False)
-    kept: dict[str, dict[float, Array]] = field(default_factory=dict, repr=False, compare=False)
+    kept: dict[str, dict[float, Any]] = field(default_factory=dict, repr=False, compare=False)
 
-    def of_number(self, name: str, number: float, make: Callable[[], Array]) -> Array:
-        """What follows from this motion and one number, shape (N,): of the numbers asked for last it is kept.
+    def of_number(self, name: str, number: float, make: Callable[[], Found]) -> Found:
+        """What follows from this motion and one number: of the numbers asked for last it is kept.
 
         Friction laws of one joint share their turn-over, and each asks what the others have asked.
         """
@@ -371,12 +375,18 @@ class JointMotion:
         found = known.pop(number, None)
         if found is None:
             found = make()
-            found.flags.writeable = False
+            if isinstance(found, np.ndarray):
+                found.flags.writeable = False
             if most and len(known) >= most:
                 del known[next(iter(known))]
         if most:
             known[number] = found  # what was asked for last stands last
-        return found
+        return cast(Found, found)
+
+    def creeping(self, number: float, velocity: Callable[[], Array]) -> JointMotion:
+        """With another velocity (N,), which follows from one number, and what is kept of that motion."""
+        v, kept = self.of_number("creeping", number, lambda: (velocity(), dict[str, dict[float, Any]]()))
+        return replace(self, v=v, kept=kept)
 
     @property
     def follows(self) -> bool:

@@ -7,7 +7,7 @@ friction does that, so the sign is a hyperbolic tangent here; in simulations wit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -87,9 +87,9 @@ class Resolution:
     def of(at: JointMotion) -> Resolution:
         """From a joint's motion in time, worked out once."""
         key = ("resolution", *(str(i) for i in np.flatnonzero(at.port)))
-        noise = at.motion.angle_noise
-        off = None if noise is None else float(np.linalg.norm(at.port * noise))
-        (values,) = at.motion.once(key, lambda: (_resolution(at.q, at.motion.v @ at.port, at.time, off),))  # as logged
+        log = at.motion.logged or at.motion
+        off = None if log.angle_noise is None else float(np.linalg.norm(at.port * log.angle_noise))
+        (values,) = log.once(key, lambda: (_resolution(log.q @ at.port, log.v @ at.port, log.time, off),))
         return Resolution(*(float(x) for x in values))
 
 
@@ -180,9 +180,13 @@ class DryFriction(JointForce):
         at = super().at(motion)
         if motion.stuck is None:
             return at
-        part = motion.stuck[:, motion.coordinates.joints.index(self.joint)]
-        creeping = self.sharpness * np.arctanh(np.clip(part, -MOST_HELD, MOST_HELD))
-        return replace(at, v=np.where(np.isnan(part), at.v, creeping), kept={})
+        stuck = motion.stuck[:, motion.coordinates.joints.index(self.joint)]
+
+        def velocity() -> Array:
+            creeping = self.sharpness * np.arctanh(np.clip(stuck, -MOST_HELD, MOST_HELD))
+            return np.where(np.isnan(stuck), at.v, creeping)
+
+        return at.creeping(self.sharpness, velocity)
 
     @property
     def sharpness(self) -> float:

@@ -72,7 +72,8 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
             return np.zeros_like(motion.q)
         q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
         stuck = None if motion.stuck is None else _late_sticks(motion.stuck, delay / (motion.time[1] - motion.time[0]))
-        ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay, stuck=stuck)
+        logged = motion.logged or motion
+        ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay, stuck=stuck, logged=logged)
         own = [e for e in motion.effects if not e.traits.needs_load]
         smooth, now = motion.once(("torque without delay",), lambda: self._without_delay(motion, own))
         out = with_forces(np.zeros_like(motion.q), own, ago) - now
