@@ -267,6 +267,7 @@ def test_a_campaign_is_replaced_if_told_so_and_never_measured_logs(
 
 
 @pytest.mark.slow
+@pytest.mark.long  # of one pose the table of the README does it
 def test_simulated_logs_of_two_poses_go_the_whole_road(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     poses = ["--pose", "0,90,0", "--pose", "0,60,60", "--realisations", "2", "--periods", "3", "--simulate"]

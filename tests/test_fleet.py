@@ -383,7 +383,7 @@ def test_a_fleet_that_is_killed_at_random_instants_goes_on_and_ends_as_one_that_
     )
     lasted = time.perf_counter() - began
     rng = np.random.default_rng(jobs)
-    for instant in rng.uniform(0.1, 0.9, 4) * lasted:
+    for instant in rng.uniform(0.1, 0.9, 3) * lasted:
         killed(fleet_command(campaigns, out, jobs), float(instant), signal.SIGKILL)
         for closed in out.glob("*/closed_loop.json"):
             assert {n: c for n, c in tree(closed.parent).items() if not n.startswith(".")} == tree(

@@ -254,6 +254,7 @@ def test_tip_agrees_with_radau_to_a_micrometre(segment: tuple[float, float]) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.long  # its parts: above
 def test_tip_agrees_with_radau_to_a_micrometre_on_the_whole_line() -> None:
     controller = load_cs8().ideal()
     run = simulate(robot(), controller, line())

@@ -113,7 +113,7 @@ def judged(case: Case, inputs: Path) -> None:
 
 
 PARTS = [pytest.param(0, 100, CALLS, id="100")] + [
-    pytest.param(part, 600, (*CALLS * 4, *SLOW_CALLS), id=f"2400, part {part}", marks=pytest.mark.slow)
+    pytest.param(part, 500, (*CALLS * 4, *SLOW_CALLS), id=f"2000, part {part}", marks=pytest.mark.slow)
     for part in (1, 2, 3, 4)
 ]
 
