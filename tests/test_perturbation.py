@@ -22,7 +22,7 @@ from rx90b_flex.simulate import (
     straight_line,
 )
 from rx90b_flex.simulate.closed_loop import hermite
-from rx90b_flex.simulate.perturbation import Friction, _ports, perturb_lanes
+from rx90b_flex.simulate.perturbation import _ports, perturb_lanes
 
 ROBOT = rf.load_robot("rx90b_4dof")
 CONTROLLER = load_cs8()
@@ -38,30 +38,12 @@ def excited(count: int, seconds: float) -> list[Trajectory]:
     return [wave.with_feedforward(one, f"run_{i}").part(0.0, seconds) for i, one in enumerate(feedforward)]
 
 
-@pytest.mark.parametrize("friction", ["exact", "linear"])
-def test_the_line_agrees_with_the_nonlinear_simulation_within_5_percent_of_its_deviation(friction: Friction) -> None:
+def test_the_line_agrees_with_the_nonlinear_simulation_within_1_percent_of_its_deviation() -> None:
     line = straight_line(ROBOT)
     true = simulate(ROBOT, CONTROLLER, line).tip_deviation_mm
-    found = perturb_lanes(ROBOT, CONTROLLER, [line], friction=friction)[0].tip_deviation_mm
-    error, largest = np.linalg.norm(found - true, axis=1), np.linalg.norm(true, axis=1).max()
-    assert np.linalg.norm(found - true) < 0.05 * np.linalg.norm(true)
-    if friction == "exact":  # what is left is of second order in deformations of some mrad
-        assert error.max() < 0.01 * largest
-    else:
-        # a chord damps a vibration by friction's torque over the nominal rate, while dry friction does not damp a drive that slides:
-        # it says little for 0.1 s after the nominal rate of a joint was zero, at the start from rest and at the reversal
-        way = np.sign(line.velocity[:, :3])
-        still = (way == 0).any(axis=1)
-        still[1:] |= (np.diff(way, axis=0) != 0).any(axis=1)
-        calm = np.convolve(still, np.ones(25))[: len(still)] == 0
-        assert calm.mean() > 0.8
-        assert error[calm].max() < 0.05 * largest
-
-
-def test_the_nominal_motion_may_be_a_rigid_simulation() -> None:
-    line = straight_line(ROBOT).part(0.0, 0.4)
-    a, b = (perturb_lanes(ROBOT, CONTROLLER, [line], nominal=n)[0] for n in ("rigid", "reference"))
-    assert np.abs(a.tip_deviation_mm - b.tip_deviation_mm).max() < 0.01 * np.abs(a.tip_deviation_mm).max()
+    found = perturb_lanes(ROBOT, CONTROLLER, [line])[0].tip_deviation_mm
+    # what is left is of second order in deformations of some mrad
+    assert np.linalg.norm(found - true, axis=1).max() < 0.01 * np.linalg.norm(true, axis=1).max()
 
 
 def test_excitations_agree_with_the_nonlinear_simulation() -> None:
@@ -141,7 +123,7 @@ def test_an_effect_without_a_compiled_law_takes_part() -> None:
 
 
 def test_the_table_of_the_friction_is_the_friction() -> None:
-    ports, laws = _ports(ROBOT, True), ROBOT.plant.laws
+    ports, laws = _ports(ROBOT), ROBOT.plant.laws
     by_table = numba.njit(lambda table, rate: from_table(table, rate))
     by_laws = numba.njit(lambda laws, ports, p, rate: port_torque(laws, ports, p, 0.0, rate, 0.0))
     for p in np.flatnonzero(ports.tabulated):

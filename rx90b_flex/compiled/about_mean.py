@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90b_flex.compiled.compile import Array, Integers, entry, inlined
-from rx90b_flex.compiled.laws import Laws, ask, combine, scatter
+from rx90b_flex.compiled.laws import Laws, combine, scatter
 from rx90b_flex.compiled.linear import invert
 from rx90b_flex.compiled.scratch import Scratch, scratch_in
 from rx90b_flex.compiled.tree import Tree, inverse_dynamics
@@ -47,27 +47,6 @@ class Ports(NamedTuple):
     law: Integers
     tabulated: Integers  # (ports,) whether the torque depends on the rate alone and is read from the table
     table: Array  # (ports, 2 * CELLS, 4) cubics of the torque by |rate| less the cell's start; negative rates second
-
-
-@inlined
-def _add_linear_laws(
-    laws: Laws, x: Array, v: Array, before: Array, after: Array, damping: Array, stiffness: Array, force: Array
-) -> None:
-    """Add the laws' functions along the nominal motion: torque, slope by the angle, chord over the step by the rate."""
-    for m in range(len(laws.inertia)):
-        if laws.address[m] == 0:
-            continue
-        angle, rate = combine(laws, m, x), combine(laws, m, v)
-        torque, by_x, by_rate = ask(laws, m, angle, rate)
-        low, high = combine(laws, m, before), combine(laws, m, after)
-        if abs(high - low) > 1e-9:
-            by_rate = (ask(laws, m, angle, high)[0] - ask(laws, m, angle, low)[0]) / (high - low)
-        scatter(laws, m, torque, force)
-        for w in range(laws.place.shape[1]):
-            for u in range(laws.place.shape[1]):
-                weight = laws.weight[m, w] * laws.weight[m, u]
-                damping[laws.place[m, w], laws.place[m, u]] += weight * by_rate
-                stiffness[laws.place[m, w], laws.place[m, u]] += weight * by_x
 
 
 @inlined
@@ -146,7 +125,6 @@ def _make_step(
     at: int,
     work: Array,
     steps: Steps,
-    exact: bool,
 ) -> None:
     """Matrices of the step at a chunk's sample `at`."""
     row = at // up
@@ -160,8 +138,6 @@ def _make_step(
     for m in range(len(laws.inertia)):
         torque = laws.stiffness[m] * combine(laws, m, middle[0]) + laws.damping[m] * combine(laws, m, middle[1])
         scatter(laws, m, torque + laws.inertia[m] * combine(laws, m, middle[2]), force)
-    if not exact:
-        _add_linear_laws(laws, middle[0], middle[1], along.v[at], along.v[at + 1], damping, stiffness, force)
     for i in range(n):
         force[i] += along.other[at, i]
         for j in range(n):
@@ -183,7 +159,6 @@ def make_steps(
     up: int,
     along: Along,
     steps: Steps,
-    exact: bool,
 ) -> None:
     """Fill `steps` for all samples of a chunk, `up` of them between two nodes."""
     n = along.q.shape[1]
@@ -191,4 +166,4 @@ def make_steps(
     for at in range(len(along.middle)):
         for i in range(n):
             steps.q[at, i], steps.v[at, i] = along.q[at, i], along.v[at, i]
-        _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, steps, exact)
+        _make_step(tree, laws, ports, scratch, drive, h, up, along, at, work, steps)

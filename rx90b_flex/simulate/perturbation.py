@@ -13,8 +13,8 @@ All excitations of one nominal motion share M, D and K: the implicit midpoint ru
 
 is put into one matrix a step, and a step of all runs is one product of that matrix with the array of their states.
 
-Friction may stay as it is (``friction="exact"``): its torque depends on one rate a joint, so that the linear step leaves one scalar
-equation a joint and step, ``rate + c torque(rate) = b``. With ``friction="linear"`` its chord along the nominal motion is part of D.
+Friction stays as it is: its torque depends on one rate a joint, so that the linear step leaves one scalar equation a joint and step,
+``rate + c torque(rate) = b``.
 """
 
 from __future__ import annotations
@@ -33,15 +33,12 @@ from rx90b_flex.compiled.rate_table import CELLS, fill_tables
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals.recording import Role
 from rx90b_flex.simulate import closed_loop
-from rx90b_flex.simulate.closed_loop import Noise, Progress, Simulation, hermite, simulate
+from rx90b_flex.simulate.closed_loop import Noise, Progress, Simulation, hermite
 from rx90b_flex.simulate.cs8 import CS8, drive_places
 from rx90b_flex.simulate.trajectories import Trajectory
 
 Indices = NDArray[np.int64]
-Nominal = Literal["rigid", "reference"]
-Friction = Literal["exact", "linear"]
 Manipulator = Literal["moving", "frozen"]
 
 KNOWN_BYTES = 128e6  # of steps that are kept in case the motion repeats: 97 MB for 4.096 s of 16 coordinates
@@ -57,9 +54,6 @@ def perturb_lanes(
     noise: Noise | None = None,
     rng: np.random.Generator | None = None,
     raw: bool = False,
-    role: Role = "identification",
-    nominal: Nominal = "reference",
-    friction: Friction = "exact",
     manipulator: Manipulator = "moving",
     progress: Progress | None = None,
 ) -> list[Simulation]:
@@ -70,15 +64,10 @@ def perturb_lanes(
     robot : Robot
     controller : CS8
     trajectories : sequence of Trajectory
-        The excitations are the torques fed forward, and what the references differ by from their mean: at most `NEAR_RAD`.
-    noise, rng, raw, role, progress
+        The nominal motion is the mean of their references, which the rigid robot follows if its controller is ideal. The excitations
+        are the torques fed forward, and what the references differ by from that mean: at most `NEAR_RAD`.
+    noise, rng, raw, progress
         As in `simulate_lanes`.
-    nominal : str
-        ``reference``: the references themselves, which the rigid robot follows if its controller is ideal; ``rigid``: a simulation of
-        the rigid robot under this controller, without excitation, noise and quantisation. The difference is of second order.
-    friction : str
-        ``exact``: effects that are compiled laws of one rate or angle (friction, hardening) keep their nonlinearity;
-        ``linear``: all is linear in the perturbation, as in (3.90).
     manipulator : str
         ``moving``: mass, damping and stiffness matrices follow the nominal motion; ``frozen``: they stay those at rest in its mean
         pose, so that links and hinges are linear and time-invariant, as in section 6.6.6. Friction and springs with a law of
@@ -92,17 +81,14 @@ def perturb_lanes(
     Raises
     ------
     ValueError
-        Trajectories with different references, or that do not fit robot and controller; a nominal motion that ends early.
+        Trajectories with different references, or that do not fit robot and controller.
     """
     closed_loop._refuse(robot, controller, trajectories, noise, rng, 1)
     _refuse(robot, trajectories)
     own = controller.for_joints(robot.joints)
-    position, velocity = _nominal_motion(robot, own, mean_reference(trajectories), nominal)
-    job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, role)
+    job = closed_loop._Job(robot, (), own, tuple(trajectories), noise or Noise(), 1, raw, "identification")
     children = [] if rng is None else rng.spawn(len(trajectories))
-    return _PerturbationRunner(job, children, position, velocity, friction == "exact", manipulator == "frozen").run(
-        progress
-    )
+    return _PerturbationRunner(job, children, mean_reference(trajectories), manipulator == "frozen").run(progress)
 
 
 def _refuse(robot: Robot, trajectories: Sequence[Trajectory]) -> None:
@@ -129,24 +115,14 @@ def mean_reference(trajectories: Sequence[Trajectory]) -> Trajectory:
     return dataclasses.replace(first, position=position, velocity=velocity)
 
 
-def _nominal_motion(robot: Robot, controller: CS8, trajectory: Trajectory, nominal: Nominal) -> tuple[Array, Array]:
-    """Drive angles and speeds of the nominal motion at the references' rate, each (N, joints)."""
-    if nominal == "reference" or controller.log_rate_hz != controller.reference_rate_hz:
-        return trajectory.position, trajectory.velocity
-    run = simulate(robot.rigid(), controller.ideal(), trajectory.with_feedforward(None))
-    if run.ended is not None:
-        raise ValueError(f"nominal motion of {trajectory.name!r}: {run.ended}")
-    return run.q, run.v
-
-
 # ---- the system along the nominal motion ----------------------------------------------------------------------
 
 
-def _ports(robot: Robot, exact: bool) -> Ports:
-    """The ports of the laws that keep their nonlinearity; none unless `exact`."""
+def _ports(robot: Robot) -> Ports:
+    """The ports of the compiled laws of one rate or angle (friction, hardening), which keep their nonlinearity."""
     laws, n = robot.plant.laws, robot.model.nv
     found: dict[tuple[bytes, int], tuple[Array, list[int]]] = {}
-    for m in np.flatnonzero(laws.address) if exact else []:
+    for m in np.flatnonzero(laws.address):
         port = np.zeros(n)
         np.add.at(port, laws.place[m], laws.weight[m])
         # friction and springs apart, so that friction depends on the rate alone
@@ -167,14 +143,12 @@ def _ports(robot: Robot, exact: bool) -> Ports:
 class _Along:
     """M, D, K and the nominal motion, chunk by chunk."""
 
-    def __init__(
-        self, robot: Robot, position: Array, velocity: Array, rate_hz: float, up: int, frozen: bool = False
-    ) -> None:
-        self.pose = position.mean(axis=0) if frozen else None
-        self.robot, self.rate_hz, self.up = robot, rate_hz, up
-        self.position, self.velocity = position, velocity
+    def __init__(self, robot: Robot, nominal: Trajectory, up: int, frozen: bool) -> None:
+        self.robot, self.rate_hz, self.up = robot, nominal.rate_hz, up
+        self.position, self.velocity = nominal.position, nominal.velocity
+        self.pose = self.position.mean(axis=0) if frozen else None
         self.drives = drive_places(robot)
-        self.acceleration = np.gradient(velocity, 1.0 / rate_hz, axis=0)
+        self.acceleration = np.gradient(self.velocity, 1.0 / self.rate_hz, axis=0)
         laws, n = robot.plant.laws, robot.model.nv
         self.constant = [np.zeros((n, n)) for _ in range(3)]
         for m in range(len(laws.inertia)):
@@ -235,18 +209,11 @@ class _PerturbationRunner(closed_loop._Runner):
     """The nonlinear runner with its integrator replaced: inputs, noise, filter, log and results are the same."""
 
     def __init__(
-        self,
-        job: closed_loop._Job,
-        children: Sequence[np.random.Generator],
-        position: Array,
-        velocity: Array,
-        exact: bool,
-        frozen: bool = False,
+        self, job: closed_loop._Job, children: Sequence[np.random.Generator], nominal: Trajectory, frozen: bool
     ) -> None:
         super().__init__(job, children)
-        self.exact = exact
-        self.ports = _ports(job.robot, exact)
-        self.along = _Along(job.robot, position, velocity, job.trajectories[0].rate_hz, self.up, frozen)
+        self.ports = _ports(job.robot)
+        self.along = _Along(job.robot, nominal, self.up, frozen)
         q, v = self.along.at_samples(np.array([0]))
         angle = np.ascontiguousarray(self.lanes.q[:, self.loop.drive].T)
         y = np.concatenate([(self.lanes.v - v[0]).T, (self.lanes.q - q[0]).T, self.lanes.held])
@@ -275,9 +242,8 @@ class _PerturbationRunner(closed_loop._Runner):
         chunk = Along(along.nodes(np.append(rows, rows[-1] + 1)), q, v, middle, other)
         steps = _room(samples, q.shape[1], len(self.loop.drive), self.ports.vector.shape[1])
         make_steps(
-            plant.tree, plant.laws, self.ports, self.memory[0], self.loop.drive, self.loop.period, self.up, chunk, steps,
-            self.exact,
-        )  # fmt: skip
+            plant.tree, plant.laws, self.ports, self.memory[0], self.loop.drive, self.loop.period, self.up, chunk, steps
+        )
         # effects without a compiled law may depend on time
         if not plant.others and (len(self.known) + 1) * sum(x.nbytes for x in steps) < KNOWN_BYTES:
             self.known[key] = steps
@@ -291,7 +257,7 @@ class _PerturbationRunner(closed_loop._Runner):
 def steps_bytes(robot: Robot, controller: CS8, reference: Trajectory) -> float:
     """Bound of the memory of the steps along a nominal motion: those that are kept, and those of a chunk in work, bytes."""
     n, joints = robot.model.nv, len(robot.joints)
-    one = sum(x.nbytes for x in _room(1, n, joints, _ports(robot, True).vector.shape[1]))
+    one = sum(x.nbytes for x in _room(1, n, joints, _ports(robot).vector.shape[1]))
     chunk = one * closed_loop.CHUNK_S * controller.controller_rate_hz
     # chunks at the ends of a run differ from those inside, since the nominal acceleration does
     once = one * reference.duration_s * controller.controller_rate_hz + 2.0 * chunk
