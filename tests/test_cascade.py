@@ -11,7 +11,7 @@ import pytest
 from rx90b_flex.export import save_robot
 from rx90b_flex.robot import load_robot
 from rx90b_flex.simulate import design_cs8, load_cs8, save_cs8, simulate, square_wave
-from rx90b_flex.simulate.closed_loop import micro_interpolate
+from rx90b_flex.simulate.closed_loop import hermite
 from rx90b_flex.simulate.command import controller_of
 
 HEAD = "reference_rate_hz = 500.0\ncontroller_rate_hz = 4000.0\nlog_rate_hz = 500.0\nlog_cutoff_hz = 180.0\n"
@@ -35,7 +35,7 @@ def test_the_torque_is_what_two_loops_order(tmp_path: Path, numbers: dict[str, f
     run = simulate(robot, controller, reference, raw=True)
     assert run.ended is None and run.raw is not None
     rows = np.arange(len(reference.position))
-    position, speed = micro_interpolate(reference.position, reference.velocity, rows, 8, 500.0)
+    position, speed, _ = hermite(reference.position, reference.velocity, rows, np.arange(8) / 8, 500.0)
     acceleration = np.gradient(speed, 1.0 / 4000.0, axis=0)
     f, inertia = numbers.get("velocity_feedforward", 0.0), numbers.get("inertia_feedforward", 0.0)
     asked = LOOPS["position_loop"] * (position - run.raw.position) + f * speed - run.raw.velocity

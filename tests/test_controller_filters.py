@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sampled_loop import sampled_loop
 from scipy import signal
 
 from rx90b_flex.identify.frf_command import feedback_of
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.simulate import CS8, Trajectory, load_cs8, save_cs8, simulate_lanes
-from rx90b_flex.simulate.closed_loop import micro_interpolate
+from rx90b_flex.simulate.closed_loop import hermite
 from rx90b_flex.simulate.cs8 import drive_compliance
 from rx90b_flex.simulate.perturbation import perturb_lanes
 
@@ -82,7 +83,8 @@ def torque_filter() -> np.ndarray:
 def by_hand(trajectory: Trajectory, loops: str) -> tuple[np.ndarray, np.ndarray]:
     """Angles and torques of the wheel at the controller's instants, its loops written as their makers do."""
     rows = np.arange(len(trajectory.position))
-    position, rate = (x[:, 0] for x in micro_interpolate(trajectory.position, trajectory.velocity, rows, 8, 500.0))
+    parts = np.arange(8) / 8
+    position, rate, _ = (x[:, 0] for x in hermite(trajectory.position, trajectory.velocity, rows, parts, 500.0))
     fed = np.append(trajectory.torque[:, 0], trajectory.torque[-1, 0])
     angle, speed = trajectory.position[0, 0], trajectory.velocity[0, 0]
     seen, out = Chain(speed_filter(), speed), Chain(torque_filter(), 0.0)
@@ -146,7 +148,7 @@ def test_chains_at_their_frequencies(tmp_path: Path) -> None:
 def test_linear_responses_are_the_sampled_loops(wheel: Robot, tmp_path: Path, loops: str) -> None:
     controller = dataclasses.replace(controller_of(tmp_path, loops), current_bandwidth_hz=500.0)
     linear = wheel.linearize(np.zeros(1), np.zeros(1))
-    loop = controller.closed_loop(linear)
+    loop = sampled_loop(controller, linear)
     poles = np.linalg.eigvals(loop.A)
     assert np.abs(poles).max() < 1.0
     hz = np.array([3.0, 15.0, 30.0, 55.0, 100.0])

@@ -17,7 +17,6 @@ from rx90b_flex.simulate.cs8 import drive_places
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from designed_motion import figures
 from designed_motion.limits import Limits, capsules
 from designed_motion.prediction import CandidateMotion, PrecisionPrediction
 from designed_motion.regressor_slope import regressor_slope
@@ -364,19 +363,6 @@ def test_a_parameter_without_value_is_refused() -> None:
     ]
     with pytest.raises(ValueError, match=r"joint_1\.drive_inertia\.inertia has no value"):
         column_scale(robot().with_effects(effects))
-
-
-def test_figures_have_axes_with_units() -> None:
-    design = small()
-    drawn = [
-        figures.references(design),
-        figures.multisine_lines(design),
-        figures.singular_values(design, design.assess(section_422())),  # type: ignore[arg-type]
-        figures.search(design),
-    ]
-    for figure in drawn:
-        assert all(ax.get_ylabel() for ax in figure.axes)
-        assert figure.axes[-1].get_xlabel()
 
 
 def test_a_designed_excitation_is_conditioned_five_times_better_than_that_of_section_422() -> None:

@@ -11,6 +11,7 @@ import numba
 import numpy as np
 import pinocchio as pin
 import pytest
+from sampled_loop import sampled_loop
 from scipy import signal, special
 from scipy.integrate import solve_ivp
 
@@ -43,7 +44,7 @@ from rx90b_flex.simulate import (
     straight_line,
 )
 from rx90b_flex.simulate.campaign import section_662
-from rx90b_flex.simulate.closed_loop import micro_interpolate
+from rx90b_flex.simulate.closed_loop import hermite
 
 STRETCHED = (0.0, np.pi / 2, 0.0, 0.0)
 DRIVES = [0, 4, 8, 12]
@@ -222,7 +223,7 @@ def reference_tip(trajectory: Trajectory, controller: CS8) -> Array:
     q, v, torque = static_start(robot(), trajectory.position[0], trajectory.velocity[0])
     y, integral, current = np.r_[q, v], torque.copy(), torque.copy()
     rows = np.arange(len(trajectory.position))
-    r, w = micro_interpolate(trajectory.position, trajectory.velocity, rows, up, 250.0)
+    r, w, _ = hermite(trajectory.position, trajectory.velocity, rows, np.arange(up) / up, 250.0)
     states = []
     for k in range(len(r)):
         if k % up == 0:
@@ -449,7 +450,7 @@ def test_sensitivity_is_the_sampled_loops_response(bandwidth: float) -> None:
     q[DRIVES], v[DRIVES] = STRETCHED, 0.1
     linear = robot().linearize(q, v)
     controller = dataclasses.replace(load_cs8(), current_bandwidth_hz=bandwidth)
-    loop = controller.closed_loop(linear)
+    loop = sampled_loop(controller, linear)
     assert np.abs(np.linalg.eigvals(loop.A)).max() < 1.0
     hz = np.array([3.0, 8.0, 15.0, 30.0, 60.0, 100.0])
     z = np.exp(2j * np.pi * hz / controller.controller_rate_hz)

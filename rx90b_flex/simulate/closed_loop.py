@@ -365,23 +365,6 @@ def _reference_jump(trajectory: Trajectory, speed: Array) -> _Jump | None:
     return _Jump(sample, joint, float(rates[sample, joint]))
 
 
-def micro_interpolate(position: Array, velocity: Array, rows: Indices, up: int, rate_hz: float) -> tuple[Array, Array]:
-    """References between samples: the cubic that has position and velocity of both ends.
-
-    Parameters
-    ----------
-    position, velocity : array, shape (N, ...)
-    rows : intervals, each from its sample to the next; behind the last sample the reference goes on with its last
-        velocity. up : points an interval.
-
-    Returns
-    -------
-    position, velocity : array, shape (len(rows) * up, ...)
-    """
-    x, v, _ = hermite(position, velocity, rows, np.arange(up) / up, rate_hz)
-    return x, v
-
-
 def hermite(position: Array, velocity: Array, rows: Indices, part: Array, rate_hz: float) -> tuple[Array, Array, Array]:
     """Cubic through positions and velocities of samples, at parts of the intervals that begin at `rows`.
 
@@ -590,13 +573,13 @@ class _Runner:
     def _inputs(self, first: int, samples: int) -> Inputs:
         rows = np.arange(first // self.up, (first + samples) // self.up)
         rate = self.job.trajectories[0].rate_hz
-        references = micro_interpolate(self.position, self.velocity, rows, self.up, rate)
+        position, velocity, _ = hermite(self.position, self.velocity, rows, np.arange(self.up) / self.up, rate)
         ends = np.minimum(np.append(rows, rows[-1] + 1), len(self.position) - 1)
         torque = np.zeros((len(ends), *self.lanes.held.shape))
         for lane, forward in enumerate(self.forward):
             if forward is not None:
                 torque[..., lane] = forward[ends]
-        return Inputs(first, self.up, *references, torque, self._noise(samples))
+        return Inputs(first, self.up, position, velocity, torque, self._noise(samples))
 
     def _noise(self, samples: int) -> Array:
         """Of angles and speeds, (samples, 2, joints, lanes); one sample of zeros where there is none."""

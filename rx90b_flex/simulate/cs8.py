@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,6 @@ from rx90b_flex.files.toml import named_in, read_toml, toml_text
 from rx90b_flex.linearize import Linearization
 from rx90b_flex.robot import Robot, robots_folder
 from rx90b_flex.simulate.filters import Filter, read_filters, response_of, sections_of
-
-if TYPE_CHECKING:
-    import control
 
 ComplexArray = NDArray[np.complex128]
 
@@ -207,71 +204,6 @@ class CS8:
         hold = own._acting(s, np.exp(s * self.period))
         # what is fed forward passes the same hold as what is fed back
         return np.asarray(np.linalg.inv(np.eye(len(own.joints)) + loop) * hold[:, None, :])
-
-    def closed_loop(self, linearization: Linearization) -> control.StateSpace:
-        """The sampled closed loop about a point, from feed-forward torque to drive angle and drive torque.
-
-        States: coordinates, rates, filters, integrators, currents. Its poles tell whether the gains are stable there.
-        """
-        import control
-        from scipy import linalg
-
-        own = self.for_joints(linearization.joints)
-        n, m = len(linearization.coordinates), len(own.joints)
-        b = linearization.input_matrix
-        solved = np.linalg.solve(linearization.M, np.hstack([-linearization.K, -linearization.D, b]))
-        rates = np.block([[np.zeros((n, n)), np.eye(n), np.zeros((n, m))], [solved], [np.zeros((m, 2 * n + m))]])
-        step = linalg.expm(rates * self.period)
-        f, g = step[: 2 * n, : 2 * n], step[: 2 * n, 2 * n :]
-        pick, law = linalg.block_diag(b.T, b.T), own._sampled()
-        angle, nothing = np.hstack([b.T, np.zeros((m, n + len(law.A)))]), np.zeros((m, m))
-        seen, fed = slice(0, 2 * m), slice(2 * m, None)
-        torque = np.hstack([law.D[:, seen] @ pick, law.C])
-        a = np.block([[f, np.zeros((2 * n, len(law.A)))], [law.B[:, seen] @ pick, law.A]])
-        a[: 2 * n] += g @ torque
-        inputs, outputs = np.vstack([g @ law.D[:, fed], law.B[:, fed]]), np.vstack([angle, torque])
-        through = np.vstack([nothing, law.D[:, fed]])
-        names = [joint.name for joint in own.joints]
-        return control.ss(
-            a,
-            inputs,
-            outputs,
-            through,
-            self.period,
-            inputs=[f"{name}:feedforward" for name in names],
-            outputs=[f"{name}:{what}" for what in ("angle", "torque") for name in names],
-        )
-
-    def _sampled(self) -> control.StateSpace:
-        """From angles, speeds and torques fed forward, (3 joints,), to the torques that act until the next sample, (joints,)."""
-        import control
-
-        one, t, (mean, decay) = np.eye(len(self.joints)), self.period, self.current_loop
-        speed, torque = (control.append(*(_chain(own, t) for own in each)) for each in self.sections)
-        kp, kv, ki, kf = (
-            np.diag(self.column(f"{x}_gain")) for x in ("position", "velocity", "integral", "filtered_speed")
-        )
-
-        def plain(gain: Array) -> control.StateSpace:
-            return control.ss([], [], [], gain, t)
-
-        # of angle, speed, filtered speed and torque fed forward: what is asked for at once, and what is summed
-        asked = np.block([[-kp, 0.0 * one, -kv, one], [-ki, kf, -kf, 0.0 * one]])
-        copied = np.vstack([np.eye(3 * len(one))[: 2 * len(one)], np.eye(3 * len(one))[len(one) :]])
-        law = plain(asked) * control.append(plain(np.eye(2 * len(one))), speed, plain(one)) * plain(copied)
-        summed = control.append(plain(one), control.ss(one, t * one, one, t * one, t))
-        current = control.ss(decay * one, (1.0 - decay) * one, mean * one, (1.0 - mean) * one, t)
-        return current * torque * plain(np.hstack([one, one])) * summed * law
-
-
-def _chain(sections: Array, period: float) -> control.StateSpace:
-    """Second-order sections (n, 5), one after another."""
-    import control
-
-    out = control.ss([], [], [], [[1.0]], period)
-    for b0, b1, b2, a1, a2 in sections.tolist():
-        out = control.ss([[-a1, 1.0], [-a2, 0.0]], [[b1 - a1 * b0], [b2 - a2 * b0]], [[1.0, 0.0]], [[b0]], period) * out
-    return out
 
 
 def drive_compliance(linearization: Linearization, hz: Array) -> ComplexArray:
