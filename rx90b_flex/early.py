@@ -51,19 +51,6 @@ def campaign_path(source: str) -> Path | None:
     return path if is_one else None
 
 
-def check_robot(source: str | Path) -> None:
-    """Refuse a robot that cannot be read.
-
-    Raises
-    ------
-    ValueError
-        One line that names the file and what is wrong in it.
-    """
-    from rx90b_flex.robot import load_robot
-
-    load_robot(source)
-
-
 def check_jobs(jobs: int) -> None:
     """Refuse a number of processes that cannot be meant.
 

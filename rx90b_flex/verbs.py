@@ -409,14 +409,13 @@ def view(
     if isinstance(source, Robot):
         return modes_of(source, pose_deg, count, flexible, tip)
     if isinstance(source, str | os.PathLike) and (beside is None or isinstance(beside, str | os.PathLike)):
-        pose = None if pose_deg is None else ",".join(str(float(x)) for x in pose_deg)
         second = None if beside is None else str(beside)
         return view_of(
             str(source),
             second,
             recording=recording,
             magnify=magnify,
-            pose=pose,
+            pose=pose_deg,
             count=count,
             flexible=flexible,
             tip=tip,

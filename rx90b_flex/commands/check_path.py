@@ -97,16 +97,16 @@ def check_path_command(
 
 def _check_robot(path: str, speed_mm_s: float | None, robot: str | None) -> None:
     """Whether the robot is there that is asked for, or else that which the path file names."""
-    from rx90b_flex.early import check_robot
     from rx90b_flex.files.toml import named_in
     from rx90b_flex.path.seam import load_seam
+    from rx90b_flex.robot import load_robot
 
     named = load_seam(path, speed_mm_s).robot
     if robot:
-        check_robot(robot)
+        load_robot(robot)
     elif named:
         with named_in(Path(path), "robot"):
-            check_robot(named)
+            load_robot(named)
 
 
 def _write(result: PathCheck, found: MeasuredTip | None, out: Path, overwrite: bool) -> None:

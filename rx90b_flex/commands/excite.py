@@ -68,16 +68,15 @@ def excite_command(
 
     With --simulate, the logs as well, of the robot as its file declares it.
     """
-    from rx90b_flex.early import check_robot
     from rx90b_flex.signals.folders import CAMPAIGN, check_folder
 
     check_folder(out, CAMPAIGN, overwrite)
-    check_robot(robot)
     from rx90b_flex.files.keys import whole_names
     from rx90b_flex.robot import load_robot
-    from rx90b_flex.simulate.excite import ExciteRequest, excite_into
 
     loaded = load_robot(robot)
+    from rx90b_flex.simulate.excite import ExciteRequest, excite_into
+
     poses = tuple(tuple(loaded.pose_of(numbers("pose", x), f"pose {k}")) for k, x in enumerate(pose or [], start=1))
     request = ExciteRequest(
         robot, poses, whole_names(joints.split(","), loaded.joints) if joints else (), matrix,  # type: ignore[arg-type]

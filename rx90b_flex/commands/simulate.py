@@ -45,7 +45,7 @@ def simulate_command(
     Exit status: 0 the run is written, also one that ended early, which is said; 2 bad input, or a run that ended at once, with
     nothing written.
     """
-    from rx90b_flex.early import check_robot
+    from rx90b_flex.robot import load_robot
     from rx90b_flex.signals.folders import RUN, check_folder
 
     chosen = [*([str(trajectory)] if trajectory else []), *["line"] * line, *["excitation"] * excitation]
@@ -55,7 +55,7 @@ def simulate_command(
             f"{' and '.join(chosen)}: choose one of --trajectory, --line, --excitation, --square-wave, --harmonics"
         )
     check_folder(out, RUN, overwrite)
-    check_robot(robot)
+    load_robot(robot)  # what is wrong in it is said before the libraries of the work are loaded
     if trajectory is not None and not trajectory.is_file():
         raise ValueError(f"{trajectory}: no such trajectory file")
     from rx90b_flex.simulate.closed_loop import Noise

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rx90b_flex.commands.shared import progress, say
+from rx90b_flex.commands.shared import numbers, progress, say
 
 
 def view_command(
@@ -32,7 +32,8 @@ def view_command(
 
     In a browser, or (--out) as one HTML file that opens offline.
     """
-    from rx90b_flex.early import campaign_path, check_robot, read_campaign
+    from rx90b_flex.early import campaign_path, read_campaign
+    from rx90b_flex.robot import load_robot
     from rx90b_flex.signals.single import check_file
 
     if beside == "":
@@ -42,24 +43,18 @@ def view_command(
             check_file(out, given)
         campaign = campaign_path(given)
         if campaign is None:
-            check_robot(given)
+            load_robot(given)
         else:
             read_campaign(campaign)
     from rx90b_flex.view.command import serve_until_interrupted, view_of
 
     with progress() as tell:
         tell("reading", 0.1)
+        angles = None if pose is None else numbers("--pose", pose)
         made = view_of(
-            source,
-            beside,
-            recording=recording,
-            magnify=magnify,
-            modes=modes,
-            pose=pose,
-            count=count,
-            flexible=flexible,
-            tip=tip,
-        )
+            source, beside, recording=recording, magnify=magnify, modes=modes, pose=angles, count=count,
+            flexible=flexible, tip=tip,
+        )  # fmt: skip
     if out is not None:
         made.save_html(out)
     for line in (made.title, *made.notes):

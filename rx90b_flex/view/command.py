@@ -26,7 +26,7 @@ def view_of(
     recording: str | None = None,
     magnify: float = MAGNIFY,
     modes: bool = False,
-    pose: str | None = None,
+    pose: Sequence[float] | None = None,
     count: int = 6,
     flexible: bool = False,
     tip: str | None = None,
@@ -39,8 +39,8 @@ def view_of(
         As of `rx90b_flex.view`.
     modes : bool
         Whether mode shapes of a run's robot are wanted and not its motion.
-    pose : str, optional
-        Drive positions of the mode shapes, degrees (m where a joint slides), with commas between.
+    pose : sequence of float, optional
+        Drive positions of the mode shapes, degrees (m where a joint slides).
 
     Raises
     ------
@@ -54,7 +54,7 @@ def view_of(
         if beside is not None:
             raise ValueError("--beside and --modes: choose one")
         robot = load_robot(source if campaign is None else load_campaign(campaign).robot_source)
-        return modes_of(robot, _pose(pose), count, flexible, tip)
+        return modes_of(robot, pose, count, flexible, tip)
     if flexible:
         raise ValueError(
             "--flexible is of a robot's mode shapes; recordings (--recording, --beside) have their own robot"
@@ -151,10 +151,3 @@ def _named(campaign: Campaign, name: str) -> Recording:
     if name not in found:
         raise ValueError(f"{campaign.path}: no recording {name!r}; it has {', '.join(reversed(found))}")
     return found[name]
-
-
-def _pose(text: str | None) -> list[float] | None:
-    try:
-        return None if text is None else [float(x) for x in text.split(",")]
-    except ValueError:
-        raise ValueError(f"--pose is {text!r}; expected numbers with commas between, one a joint") from None
