@@ -15,11 +15,10 @@ from rx90b_flex.closing import LoopOptions, close_campaign, declared_robot
 from rx90b_flex.diagnose.refused import DATA_FAULT
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.effects import Effect
-from rx90b_flex.files.toml import named_beside, read_toml
 from rx90b_flex.fleet.second_fit import SecondFit, found_effects, second_fit
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
-from rx90b_flex.signals.folders import CLOSED_LOOP
+from rx90b_flex.signals.folders import CLOSED_LOOP, files_read
 
 REFUSED = "refused"  # in place of a verdict
 CONTENT = {"verdict", "robot", "before", "after", "effects", "data_faults"}  # of a result that is read
@@ -59,37 +58,14 @@ class Task:
 
     @property
     def digest(self) -> str:
-        """Of everything that decides its result, hexadecimal: options, campaign file, recordings and robot."""
+        """Of everything that decides its result, hexadecimal: options, campaign file, recordings, robot and controller."""
         state = hashlib.sha256(repr(self.options).encode())
-        for path in _files(self.campaign):
+        for path in files_read(self.campaign):
             state.update(b"\0" + path.name.encode() + b"\0")
             if path.is_file():
                 with path.open("rb") as file:
                     state.update(hashlib.file_digest(file, "sha256").digest())
         return state.hexdigest()
-
-
-def _files(campaign: Path) -> list[Path]:
-    """Files that a campaign is made of, as far as they can be told; what is wrong in them is said when they are read."""
-    out = [campaign]
-    tables = _toml(campaign)
-    recordings = tables.get("recording")
-    names = [r.get("file") for r in recordings if isinstance(r, dict)] if isinstance(recordings, list) else []
-    out += [campaign.parent / n for n in names if isinstance(n, str)]
-    robot = tables.get("robot")
-    source = named_beside(campaign, robot) if isinstance(robot, str) else None
-    if isinstance(source, Path):
-        out.append(source)
-        urdf = _toml(source).get("urdf") if source.suffix == ".toml" else None
-        out += [source.parent / urdf] if isinstance(urdf, str) else []
-    return out
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return read_toml(path, "file")
-    except ValueError:
-        return {}
 
 
 @dataclass(frozen=True)

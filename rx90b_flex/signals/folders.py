@@ -172,8 +172,9 @@ def files_read(source: Path) -> list[Path]:
     if source.is_dir():
         return [source / name for name in RUN.own(source)]
     out, stated = [source], _table(source)
-    recordings = stated.get("recording", [])
-    named = [stated.get("robot"), stated.get("urdf"), *(r.get("file") for r in recordings if isinstance(r, dict))]
+    listed = stated.get("recording")
+    recordings = [r for r in listed if isinstance(r, dict)] if isinstance(listed, list) else []
+    named = [stated.get("robot"), stated.get("urdf"), *(r.get("file") for r in recordings)]
     out += [source.parent / name for name in named if isinstance(name, str)]
     for robot in [p for p in out[1:] if p.suffix == ".toml"]:
         more = [_table(robot).get(key) for key in ("urdf", "controller")]
