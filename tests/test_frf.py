@@ -392,7 +392,12 @@ def test_bands_of_a_campaign_with_friction_and_noise_cover_the_mean_of_many(seed
     by_entry = np.mean(inside, axis=(0, 1))
     assert by_entry.min() > 0.88 and by_entry.max() < 0.995
     # the source's covariance takes experiments as independent: friction's distortion follows each joint's own motion, and is not
-    ratio = np.sqrt(np.einsum("faa->fa", each[0].equation_covariance).real).reshape(each[0].value.shape) / each[0].std()
+    inverse, total = np.linalg.pinv(each[0].torque), each[0].equation_total
+    spread = np.einsum(
+        "fek,fek->fk", inverse, inverse.conj()
+    ).real  # of one realisation's torques: of all nearly the same
+    variance = np.einsum("fjj->fj", total).real[:, :, None] * spread[:, None, :] / len(each[0].realisations)
+    ratio = np.sqrt(variance) / each[0].std()
     assert np.median(ratio[:, 0, 0]) < 1.0 < np.median(ratio[:, 1, 0])
     # friction's distortion is well above the noise, and the two estimates over single periods lie where the mean over periods does
     whole = estimate_frequency_response(runs, band_hz=(8.0, 80.0))

@@ -102,9 +102,6 @@ class MeasuredResponse(FrequencyResponse):
         Covariance of ``Y - P U`` from noise, of one experiment's mean over periods: ``B C_ZV B^H / periods`` in (6.33).
     equation_total : complex array, shape (F, n, n)
         The same with the nonlinear distortion.
-    equation_covariance : complex array, shape (F, n*n, n*n)
-        The source's total covariance, (6.33) on (6.31), for comparison. It takes errors of different experiments as independent; but
-        experiments that share a multisine share its distortion, so that it is several times too large off the diagonal.
     acceleration_distortion : array, shape (F, n)
         Root mean square of the line over that of noise and distortion of a realisation.
     spectra : Spectra
@@ -123,7 +120,6 @@ class MeasuredResponse(FrequencyResponse):
     acceleration: ComplexArray
     equation_noise: ComplexArray | None
     equation_total: ComplexArray
-    equation_covariance: ComplexArray
     acceleration_distortion: Array
     spectra: Spectra
     places: tuple[Place, ...]
@@ -394,7 +390,6 @@ def _estimate(
         acceleration=np.mean(mean_y @ inverse @ mean_u[0], axis=0),
         equation_noise=noise,
         equation_total=total,
-        equation_covariance=_kron(total, spread) / realisations,
         acceleration_distortion=_over(spectra.acceleration[spectra.excited], np.sqrt(np.einsum("fjj->fj", total).real)),
         spectra=spectra,
         places=places,

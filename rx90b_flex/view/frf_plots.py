@@ -28,12 +28,12 @@ Draw = Callable[[Axes, int, int], None]  # axes, row, column of an entry
 Comparison = tuple[Array, ComplexArray, str]  # hz, value (F, n, n), label
 
 
-def bode(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
+def bode(response: FrequencyResponse, others: Sequence[Comparison] = ()) -> Figure:
     """Magnitude of every entry, below it its phase in degrees, both as in `magnitude` and `phase`."""
     n = len(response.joints)
     figure = Figure(figsize=(CELL_IN[0] * n, 1.6 * CELL_IN[1] * n), layout="constrained")
     grid = figure.subplots(2 * n, n, squeeze=False, sharex=True, sharey=False, height_ratios=(2, 1) * n)
-    size, angle = _draw_magnitude(response, others, level), _draw_phase(response, others, level)
+    size, angle = _draw_magnitude(response, others), _draw_phase(response, others)
     for j in range(n):
         for k in range(n):
             above, below = grid[2 * j, k], grid[2 * j + 1, k]
@@ -46,30 +46,28 @@ def bode(response: FrequencyResponse, others: Sequence[Comparison] = (), level: 
     return figure
 
 
-def magnitude(
-    response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95, unit: str = UNIT
-) -> Figure:
+def magnitude(response: FrequencyResponse, others: Sequence[Comparison] = (), unit: str = UNIT) -> Figure:
     """Magnitude of every entry over frequency, with its band; models or other estimates beside it (figure 6.4).
+
+    The band is the circle about the entry in the complex plane that holds it with 95 %.
 
     Parameters
     ----------
     others : sequence of (hz, value, label)
-    level : float
-        Of the band: the circle about the entry in the complex plane.
     unit : str
         `response_unit` of the joints.
     """
-    return _entries(response.joints, _draw_magnitude(response, others, level), f"|P|, {unit}")
+    return _entries(response.joints, _draw_magnitude(response, others), f"|P|, {unit}")
 
 
-def _draw_magnitude(response: FrequencyResponse, others: Sequence[Comparison], level: float) -> Draw:
-    radius = confidence_radius(response, level)
+def _draw_magnitude(response: FrequencyResponse, others: Sequence[Comparison]) -> Draw:
+    radius = confidence_radius(response)
 
     def draw(ax: Axes, j: int, k: int) -> None:
         size = np.abs(response.value[:, j, k])
         # the band's lower edge where the circle holds zero: a tenth of the entry, so that the axis keeps its scale
         low = np.maximum(size - radius[:, j, k], 0.1 * size)
-        _band(ax, response.hz, low, size + radius[:, j, k], level)
+        _band(ax, response.hz, low, size + radius[:, j, k])
         ax.plot(response.hz, size, color=MEASURED, lw=0.9, label="estimate")
         for (hz, value, label), (colour, dash) in zip(others, _STYLES * len(others), strict=False):
             ax.plot(hz, np.abs(value[:, j, k]), color=colour, ls=dash, lw=1.0, label=label)
@@ -78,20 +76,20 @@ def _draw_magnitude(response: FrequencyResponse, others: Sequence[Comparison], l
     return draw
 
 
-def phase(response: FrequencyResponse, others: Sequence[Comparison] = (), level: float = 0.95) -> Figure:
+def phase(response: FrequencyResponse, others: Sequence[Comparison] = ()) -> Figure:
     """Phase of every entry over frequency, degrees, with its band; where the band's circle holds zero it is all angles."""
-    return _entries(response.joints, _draw_phase(response, others, level), "phase of P, °")
+    return _entries(response.joints, _draw_phase(response, others), "phase of P, °")
 
 
-def _draw_phase(response: FrequencyResponse, others: Sequence[Comparison], level: float) -> Draw:
-    radius = confidence_radius(response, level)
+def _draw_phase(response: FrequencyResponse, others: Sequence[Comparison]) -> Draw:
+    radius = confidence_radius(response)
 
     def draw(ax: Axes, j: int, k: int) -> None:
         value = response.value[:, j, k]
         angle = np.rad2deg(np.angle(value))
         share = np.clip(radius[:, j, k] / np.abs(value), 0.0, 1.0)
         half = np.where(share < 1.0, np.rad2deg(np.arcsin(share)), 180.0)
-        _band(ax, response.hz, angle - half, angle + half, level)
+        _band(ax, response.hz, angle - half, angle + half)
         ax.plot(response.hz, angle, ".", color=MEASURED, ms=2.5, label="estimate")
         for (hz, other, label), (colour, _) in zip(others, _STYLES * len(others), strict=False):
             # points, or every turn from 180 to -180 degrees would draw a line
@@ -102,12 +100,10 @@ def _draw_phase(response: FrequencyResponse, others: Sequence[Comparison], level
     return draw
 
 
-def difference(
-    response: FrequencyResponse, value: ComplexArray, label: str = "model", level: float = 0.95, unit: str = UNIT
-) -> Figure:
+def difference(response: FrequencyResponse, value: ComplexArray, label: str = "model", unit: str = UNIT) -> Figure:
     """Magnitude of what parts every entry from a model or another estimate at the same lines, with the estimate's own uncertainty.
 
-    If the model is right, `level` of the lines lie under the band's line.
+    If the model is right, 95 % of the lines lie under the band's line.
 
     Parameters
     ----------
@@ -115,14 +111,14 @@ def difference(
     """
     if np.shape(value) != response.value.shape:
         raise ValueError(f"value has shape {np.shape(value)}; expected {response.value.shape}, at the response's lines")
-    radius = confidence_radius(response, level)
+    radius = confidence_radius(response)
     apart = np.abs(response.value - value)
     below = np.mean(apart <= radius, axis=0)
 
     def draw(ax: Axes, j: int, k: int) -> None:
         ax.plot(response.hz, np.abs(response.value[:, j, k]), color=NOISE, lw=0.8, label="|P|")
         ax.plot(response.hz, apart[:, j, k], ".", color=MODEL, ms=3, label=f"|P − {label}|")
-        ax.plot(response.hz, radius[:, j, k], color=MEASURED, lw=0.9, label=f"{100 * level:g} % band")
+        ax.plot(response.hz, radius[:, j, k], color=MEASURED, lw=0.9, label="95 % band")
         _log(ax)
         ax.annotate(f"{100 * below[j, k]:.0f} % below", (0.97, 0.04), xycoords="axes fraction", ha="right", fontsize=7)
 
@@ -209,8 +205,8 @@ def _entries(joints: Sequence[str], draw: Draw, label: str) -> Figure:
     return figure
 
 
-def _band(ax: Axes, hz: Array, low: Array, high: Array, level: float) -> None:
-    ax.fill_between(hz, low, high, color=MEASURED, alpha=FILL, lw=0, label=f"{100 * level:g} % band")
+def _band(ax: Axes, hz: Array, low: Array, high: Array) -> None:
+    ax.fill_between(hz, low, high, color=MEASURED, alpha=FILL, lw=0, label="95 % band")
 
 
 def _label(ax: Axes, title: str, left: bool, label: str, bottom: bool = True) -> None:
