@@ -19,6 +19,7 @@ from rx90b_flex.pieces import AT_ONCE, in_pieces
 
 Array = NDArray[np.float64]
 
+ORDER = 4  # of one pass of the low-pass
 # The filter's response to an impulse counts as over when its slowest part has fallen to this.
 _IMPULSE_END = 1e-3
 RINGS = 5  # times the length of that response, after which nothing is left of an end
@@ -52,10 +53,10 @@ class _Butterworth:
     steady: Array  # the sections' state after an endless row of ones, (sections, 2)
 
 
-def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> Array:
-    """Zero-phase Butterworth low-pass: second-order sections, run forward and backward.
+def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float) -> Array:
+    """Zero-phase Butterworth low-pass of fourth order: second-order sections, run forward and backward.
 
-    Each pass has 1/√2 at the cutoff, so the result has 1/2 there: the gain is 1 / (1 + (f/cutoff)^(2·order)) far
+    Each pass has 1/√2 at the cutoff, so the result has 1/2 there: the gain is 1 / (1 + (f/cutoff)^8) far
     below Nyquist. The ends are continued by odd reflection (value and slope go on) over the length in which the
     filter's impulse response falls to 1/1000, each section starting in its steady state.
 
@@ -63,7 +64,6 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
     ----------
     x : (N, ...) samples.
     cutoff_hz : 0 < cutoff_hz < sample_rate_hz / 2.
-    order : order of one pass.
 
     Returns
     -------
@@ -72,10 +72,10 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
     Raises
     ------
     ValueError
-        Cutoff or order out of range, samples that are not finite, or fewer than `minimum_samples`.
+        Cutoff out of range, samples that are not finite, or fewer than `minimum_samples`.
     """
     samples = _samples(x)
-    filter_ = _butterworth(float(cutoff_hz), float(sample_rate_hz), int(order))
+    filter_ = _butterworth(float(cutoff_hz), float(sample_rate_hz))
     if len(samples) <= filter_.padding:
         raise ValueError(
             f"{len(samples)} samples are too few for a low-pass of {cutoff_hz:g} Hz at {sample_rate_hz:g} Hz: "
@@ -90,9 +90,9 @@ def lowpass(x: ArrayLike, cutoff_hz: float, sample_rate_hz: float, order: int = 
     return in_pieces(filtered, columns, beside, max(AT_ONCE, beside)).reshape(samples.shape)
 
 
-def minimum_samples(cutoff_hz: float, sample_rate_hz: float, order: int = 4) -> int:
+def minimum_samples(cutoff_hz: float, sample_rate_hz: float) -> int:
     """Shortest signal that `lowpass` takes: one sample more than the filter's impulse response is long."""
-    return _butterworth(float(cutoff_hz), float(sample_rate_hz), int(order)).padding + 1
+    return _butterworth(float(cutoff_hz), float(sample_rate_hz)).padding + 1
 
 
 def difference_weights(offsets: ArrayLike, derivative: int) -> Array:
@@ -271,7 +271,7 @@ def _polynomial(span: int, degree: int, ahead: int) -> Array:
 def decimation_factor(cutoff_hz: float, sample_rate_hz: float, margin: float = 4.0) -> int:
     """Largest whole factor that leaves the new Nyquist frequency at `margin` times the cutoff or above; at least 1.
 
-    With the default margin, what `lowpass` of order 4 leaves beyond the new Nyquist frequency is below 2e-5 of what was
+    With the default margin, what `lowpass` leaves beyond the new Nyquist frequency is below 2e-5 of what was
     there, so that `x[::factor]` of a filtered signal needs no further filter.
     """
     if not cutoff_hz > 0.0 or not margin >= 1.0:
@@ -330,7 +330,7 @@ def resample(x: ArrayLike, rate_from: float, rate_to: float) -> Array:
     return np.asarray(resampled[first : first + math.ceil(count * up / down)])
 
 
-def noise_cutoff_hz(position: ArrayLike, sample_rate_hz: float, order: int = 4) -> float | None:
+def noise_cutoff_hz(position: ArrayLike, sample_rate_hz: float) -> float | None:
     """Cutoff of `lowpass` that best serves the acceleration, from the measured positions alone.
 
     The noise is taken as white, its floor the median of the position spectrum between 0.5 and 0.9 of Nyquist. Where
@@ -385,7 +385,7 @@ def noise_cutoff_hz(position: ArrayLike, sample_rate_hz: float, order: int = 4) 
     candidates = np.geomspace(hz[0], 0.45 * rate, 400)
     # bilinear transform: the digital Butterworth's gain goes by tan(π f / rate)
     warped = np.tan(np.pi * hz / rate) / np.tan(np.pi * candidates[:, None] / rate)
-    gain = 1.0 / (1.0 + warped ** (2 * order))
+    gain = 1.0 / (1.0 + warped ** (2 * ORDER))
     lost = ((1.0 - gain) ** 2 * weight.T) @ (excess / signal_power)
     passed = (gain**2 * weight.T) @ np.tile(floor / signal_power, (len(hz), 1))
     return float(candidates[np.argmin(np.sum(lost + passed, axis=1))])
@@ -424,21 +424,19 @@ def periods(x: ArrayLike, period_samples: int) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def _butterworth(cutoff_hz: float, sample_rate_hz: float, order: int) -> _Butterworth:
+def _butterworth(cutoff_hz: float, sample_rate_hz: float) -> _Butterworth:
     _rate(sample_rate_hz)
     if not 0.0 < cutoff_hz < 0.5 * sample_rate_hz:
         raise ValueError(
             f"cutoff {cutoff_hz:g} Hz: must lie between 0 and half the sample rate, {0.5 * sample_rate_hz:g} Hz"
         )
-    if order < 1:
-        raise ValueError(f"order {order} of the low-pass: 1 or more is expected")
-    sections = signal.butter(order, cutoff_hz, fs=sample_rate_hz, output="sos")
-    _, poles, _ = signal.butter(order, cutoff_hz, fs=sample_rate_hz, output="zpk")
+    sections = signal.butter(ORDER, cutoff_hz, fs=sample_rate_hz, output="sos")
+    _, poles, _ = signal.butter(ORDER, cutoff_hz, fs=sample_rate_hz, output="zpk")
     slowest = float(np.max(np.abs(poles)))
     # a pole at zero dies in one sample; never fewer than the samples the sections hold
     length = math.ceil(math.log(_IMPULSE_END) / math.log(slowest)) if slowest > 0.0 else 1
     steady = signal.sosfilt_zi(sections)
-    return _Butterworth(np.asarray(sections), max(length, 3 * (order + 1)), steady)
+    return _Butterworth(np.asarray(sections), max(length, 3 * (ORDER + 1)), steady)
 
 
 def _rate(sample_rate_hz: float) -> float:
