@@ -14,9 +14,8 @@ import pinocchio as pin
 
 from rx90b_flex.effects.motion import Array, Motion
 
-LEAST_PART = (
-    1e-3  # of what bodies would weigh if all were positive, that they weigh together where nothing is put on them
-)
+# Of what bodies would weigh if all were positive, that they weigh together where nothing is put on them.
+LEAST_PART = 1e-3
 
 
 def of_torques(model: pin.Model, motion: Motion) -> tuple[Array, Array, Array]:

@@ -15,9 +15,8 @@ from rx90b_flex.simulate.cs8 import CS8
 
 RADIUS = 0.1  # m, of the capsules; choice: covers forearm and upper arm of the RX90B
 CLEARANCE = 0.02  # m, choice
-USED = (
-    0.95  # choice: part of speed and torque limits that a design may use; noise, vibration and tracking need the rest
-)
+# Choice: part of speed and torque limits that a design may use; noise, vibration and tracking need the rest.
+USED = 0.95
 FLOOR_SIZE = 20.0  # m
 PROBES = 300  # random poses that tell which shapes always overlap
 

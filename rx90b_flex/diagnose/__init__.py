@@ -1,7 +1,5 @@
 """Closing the loop: what measured data still holds, which effect explains it, and what is left."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from rx90b_flex.on_demand import names_of

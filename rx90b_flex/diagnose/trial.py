@@ -21,9 +21,8 @@ JUST_AS_GOOD = 0.99  # and with this part of it, even if they can: the rest is n
 LEAVES_AS_LITTLE = 1.2  # unless it leaves so many times the squared error: that may be all that a strong effect leaves
 CARRIED = 0.2  # of its gain an effect keeps where whole recordings are left out, or it is no name for what is missing
 FAINTEST = 1.0e-3  # of a joint's torque: no motor's or sensor's torque signal is linear beyond that
-PHASE_CARRIED = (
-    0.7  # of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less
-)
+# Of a line by the clock: phases that differ by more than twenty degrees from recording to recording keep less.
+PHASE_CARRIED = 0.7
 
 
 class Trial(ABC):

@@ -1,3 +1,1 @@
 """Many robots of one make: the loop closed on each, what they have in common, and which of them stands out."""
-
-from __future__ import annotations

@@ -33,9 +33,8 @@ from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording
 
-ALIKE = (
-    0.05  # of its logarithm, by which the shape of an effect that may stand twice in one place differs between robots
-)
+# Of its logarithm, by which the shape of an effect that may stand twice in one place differs between robots.
+ALIKE = 0.05
 LINK = "link"  # stands for the type where a parameter is a link's
 
 

@@ -15,9 +15,8 @@ LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's 
 INTERVAL = 0.95  # whose limits 1.96 standard deviations are
 TOGETHER = 2  # columns that are transformed at once: of a long log all would take room
 SPECTRA_BYTES = 5e7  # of transformed columns at a time; the others are transformed once more
-ROUNDS = (
-    3  # of a spectrum with what the fit absorbed put back: what is missing after each is missed by the next as well
-)
+# Of a spectrum with what the fit absorbed put back: what is missing after each is missed by the next as well.
+ROUNDS = 3
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,8 @@ from rx90b_flex.identify.least_squares import CORRELATION_S
 from rx90b_flex.identify.linear_fit import LinearFit, weighted_mean
 from rx90b_flex.signals import Recording, decimation_factor, lowpass, motion
 
-SLOWEST = (
-    0.03  # of the fastest velocity; below, dry friction may have any value and the torque through the gear is not known
-)
+# Of the fastest velocity; below, dry friction may have any value and the torque through the gear is not known.
+SLOWEST = 0.03
 ALIKE_S = 0.5  # over which errors of a model are alike
 SLOW_FRICTION = 0.1  # of the fastest velocity, below which friction near rest is one of its own
 REVERSAL_PERIODS = 0.5  # of the low-pass, around a reversal, in which the sign of the velocity is smeared
@@ -29,9 +28,8 @@ FEWEST_CYCLES = 3.0  # of a periodic position error over the range of angles; sl
 MOST_ORDERS = 6  # periodic position errors of one encoder pair in one recording
 ORDER_SIGNIFICANCE = 1.0e-3  # of a periodic position error, corrected for all orders
 RING_ERROR = 2.0e-4  # rad, of a ring's errors once and twice a turn: one of 0.1 m radius that sits 0.02 mm off its axis
-WEAKEST = (
-    4.0  # standard deviations by which the model's torque must stand out beside friction, inertia and position errors
-)
+# Standard deviations by which the model's torque must stand out beside friction, inertia and position errors.
+WEAKEST = 4.0
 LAWFUL = 3.0  # standard deviations above zero at which an inertia needs no help to be positive
 ROUNDS = 5  # of reading the second encoder earlier by what the fit before found
 BLOCKS = 8  # to hold out in turn, at the least

@@ -31,9 +31,8 @@ EXCITED = 1e-3  # a line is excited where its feed-forward exceeds this part of 
 USED = 1e-4  # a joint is excited where its feed-forward exceeds this part of the largest joint's
 SAME = 0.99  # correlation over lines from which two feed-forward spectra are the same multisine's
 OPPOSITE = 1e-2  # relative: how near a feed-forward must come to the negative of another
-WORST_CONDITION = (
-    1e3  # of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular
-)
+# Of the feed-forwards or torques of a line's experiments, rows scaled, beyond which they are singular.
+WORST_CONDITION = 1e3
 CLEAR = 4.0  # standard deviations by which the weakest combination of torques must stand out of the noise
 NEIGHBOURS = 2  # lines on either side that count for a covariance
 OWN = 3.0  # an accelerometer's line whose variance exceeds its neighbours' mean by this keeps its own

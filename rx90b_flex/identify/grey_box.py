@@ -26,9 +26,8 @@ from rx90b_flex.identify.grey_problem import COARSE, GreyProblem, grey_problem
 from rx90b_flex.robot import Robot
 from rx90b_flex.showing import Showing
 
-UNDETERMINED = (
-    0.5  # relative standard deviation from the data alone beyond which a direction or parameter is called undetermined
-)
+# Relative standard deviation from the data alone beyond which a direction or parameter is called undetermined.
+UNDETERMINED = 0.5
 VAGUE = 0.1  # the same, beyond which a direction is worth naming
 SPREAD = 0.4  # standard deviation of drawn starts, of the logarithms
 NAMED = 0.4  # entries of a direction that are named, over its largest

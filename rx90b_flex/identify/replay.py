@@ -48,9 +48,8 @@ REPLAY_ERROR = 0.1
 # vibrates); with Stribeck velocities or powers 30 % off on that campaign.
 FORM_ERROR = 2.0
 SETTLED = 0.1  # of its standard deviation: where no drive or flexibility parameter changes by more, rounds end
-HELD_HZ = (
-    5.0  # bandwidth of what leads a robot that logged torques drive: below the first lines, and settled within a period
-)
+# Bandwidth of what leads a robot that logged torques drive: below the first lines, and settled within a period.
+HELD_HZ = 5.0
 EVERY = slice(None)  # realisation
 FINER = 4  # points of such a torque a sample of the log: straight lines between samples would lose a third at the upper lines
 AMPLE = 10.0  # torque limit over the largest torque in such a replay

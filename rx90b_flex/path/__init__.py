@@ -1,7 +1,5 @@
 """A Cartesian path with a speed: can the robot follow it, how far does its tip stray, why, and how to correct it."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from rx90b_flex.on_demand import names_of

@@ -23,9 +23,8 @@ HOLD_S = 0.5  # choice: at rest before and after the path, so that a correction 
 REACHED = 1e-10  # m, or rad times the arm's length
 STEPS = 60  # Newton steps from a first guess
 TURN = 0.3  # rad; longest Newton step of a joint
-SINGULAR = (
-    0.02  # choice: smallest over largest singular value of the tip's Jacobian; below it a joint turns 50 times as much
-)
+# Choice: smallest over largest singular value of the tip's Jacobian; below it a joint turns 50 times as much.
+SINGULAR = 0.02
 JUMP = 0.2  # rad; between two samples: another way to reach the point
 GUESSES = (-0.6, -0.2, 0.2, 0.6)  # of half a joint's range; first guesses of the first three joints
 COARSE = 2e-3  # m along the path, between the samples at which ways to go are compared

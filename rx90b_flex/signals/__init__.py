@@ -1,7 +1,5 @@
 """From files to sampled signals: campaign files and recordings, and filters on uniform samples."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from rx90b_flex.on_demand import names_of

@@ -1,7 +1,5 @@
 """The robot under its controller: trajectories, the CS8, closed-loop simulation."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from rx90b_flex.on_demand import names_of

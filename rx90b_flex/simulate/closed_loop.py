@@ -48,9 +48,8 @@ Progress = Callable[[float], None]
 
 CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long; it bounds memory
 TOLERANCE = 3e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
-SHRINKS = (
-    1e-2  # a step of a static start's Newton iteration that is this much smaller than the last keeps its stiffness
-)
+# A step of a static start's Newton iteration that is this much smaller than the last keeps its stiffness.
+SHRINKS = 1e-2
 SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controller's supervision stops the robot
 
 

@@ -123,9 +123,8 @@ LINE_LENGTH = 1.7  # m
 LINE_TIME = 2.0  # s
 LINE_DISTANCE = 0.35  # m, from joint 1's axis
 LINE_HEIGHT = 0.35  # m, above the floor
-LINE_RAMP = (
-    0.5  # s of constant acceleration at either end; it starts with a jump in acceleration, which shakes the robot
-)
+# s of constant acceleration at either end; it starts with a jump in acceleration, which shakes the robot.
+LINE_RAMP = 0.5
 
 
 def line_profile(time: Array, length: float, duration: float, ramp: float) -> tuple[Array, Array]:

@@ -1,7 +1,5 @@
 """Figures, reports and moving pictures of results; nothing here works out a result."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from rx90b_flex.on_demand import names_of
