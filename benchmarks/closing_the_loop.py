@@ -17,7 +17,6 @@ Finished runs are kept in the file, whole lines, and not run again.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import os
 import sys
@@ -35,11 +34,11 @@ from hidden_effects.counting import (
     DEVIATIONS,
     INTERVAL,
     NEAR_FLOOR,
-    STRENGTHS,
     Case,
     added,
     among,
     continued,
+    counted,
     deviations,
     finished,
     hidden_table,
@@ -47,6 +46,8 @@ from hidden_effects.counting import (
     rate,
     right,
     right_in_effect,
+    show,
+    study_parser,
 )
 from hidden_effects.friction import FORMS, TANH
 from hidden_effects.kinds import ELSEWHERE, KINDS, OUTSIDE
@@ -59,7 +60,6 @@ Array = np.ndarray
 STUDIES = ("hidden", "nothing", "pair", "outside")
 HIDDEN_RUNS, NOTHING_RUNS, PAIR_RUNS, OUTSIDE_RUNS = 600, 60, 50, 30  # the second a form
 STEP_RAD = 1e-4
-ROUNDS = len(ROBOTS) * len(FORMS)  # after so many, every type has been on every arm with every form
 
 
 # ---- one run ---------------------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ def noise_on_validation(scene: Scene) -> Array:
 
 
 def hidden_cases(types: Sequence[str], forms: Sequence[str], strengths: Sequence[float], seed: int) -> Iterator[Case]:
-    """Without end: every round hides every type once, and after `ROUNDS` each has met every arm and form."""
+    """Without end: every round hides every type once, after as many as arms times forms each has met all."""
     for k in itertools.count():
         for i, name in enumerate(types):
             yield Case(
@@ -244,10 +244,7 @@ def nothing_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         clean = [r for r in these if not added(r)]
         stated = [[r for r in these if r["period_stated"] is x] for x in (True, False)]
         split = " | ".join(f"{sum(not added(r) for r in part)}/{len(part)}" for part in stated)
-        named: dict[str, int] = {}
-        for text in (f["type"] for r in these for f in r["found"]):
-            named[text] = named.get(text, 0) + 1
-        what = ", ".join(f"{text} ({n})" for text, n in sorted(named.items(), key=lambda item: -item[1]))
+        what = counted(f["type"] for r in these for f in r["found"])
         bare = rate(sum(not r["found"] for r in these), len(these))
         lines.append(f"| {form} | {bare} | {rate(len(clean), len(these))} | {split} | {what} |")
     return lines
@@ -315,19 +312,13 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="file of results, one JSON line a run; it is continued")
-    parser.add_argument("--table", type=Path, help="file for the table, Markdown")
-    parser.add_argument("--studies", nargs="+", default=["hidden", "nothing"], choices=list(STUDIES))
-    parser.add_argument("--types", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser = study_parser(__doc__, STUDIES, KINDS)
+    parser.set_defaults(studies=["hidden", "nothing"])
     parser.add_argument("--forms", nargs="+", default=list(FORMS), choices=list(FORMS))
-    parser.add_argument("--strengths", nargs="+", type=float, default=list(STRENGTHS))
     parser.add_argument("--hidden-runs", type=int, default=HIDDEN_RUNS)
     parser.add_argument("--nothing-runs", type=int, default=NOTHING_RUNS, help="for each form")
     parser.add_argument("--seed", type=int, default=0, help="of the first round")
     parser.add_argument("--part", default="0/1", help="i/n: every n-th run from the i-th on, i from 0")
-    parser.add_argument("--limit", type=int, default=10**9, help="runs at most, this time")
-    parser.add_argument("--jobs", type=int, default=2)
     o = parser.parse_args()
     part, parts = (int(x) for x in o.part.split("/"))
     makers = {
@@ -341,10 +332,7 @@ def main() -> None:
         every, wanted = makers[study]
         mine = wanted // parts + (part < wanted % parts)
         left -= completed(o.out, part_of(every, part, parts), mine, left, o.jobs)
-    text = table(finished(o.out))
-    print(text)
-    if o.table:
-        o.table.write_text(text)
+    show(table(finished(o.out)), o.table)
 
 
 if __name__ == "__main__":

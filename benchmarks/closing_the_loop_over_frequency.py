@@ -31,7 +31,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
-from hidden_effects.counting import DEVIATIONS, NEAR_FLOOR, Case, command, hidden_table, left_out, rate
+from hidden_effects.counting import (
+    DEVIATIONS,
+    NEAR_FLOOR,
+    Case,
+    continued,
+    hidden_table,
+    left_out,
+    rate,
+    show,
+    study_parser,
+)
 from modal_generator import Truth, carrying, heavier, measured_response, truth_of, without_springs
 
 import rx90b_flex as rf
@@ -578,5 +588,13 @@ def cases(studies: Sequence[str], types: Sequence[str], strengths: Sequence[floa
             yield from (Case("hidden", name, strength, seed) for name in types)
 
 
+def main() -> None:
+    parser = study_parser(__doc__, ("hidden", "outside", "nothing"), KINDS)
+    parser.add_argument("--seeds", type=int, default=5)
+    o = parser.parse_args()
+    every = cases(o.studies, o.types, o.strengths, o.seeds)
+    show(table(continued(o.out, every, run_case, o.limit, o.jobs)), o.table)
+
+
 if __name__ == "__main__":
-    command(__doc__, ("hidden", "outside", "nothing"), tuple(KINDS), cases, run_case, table)
+    main()

@@ -13,11 +13,11 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from grey_box import BAND_HZ, campaign_of
 
 import rx90b_flex as rf
 from rx90b_flex.identify.frequency_response import FrequencyResponse
@@ -26,13 +26,10 @@ from rx90b_flex.identify.inverse_eigenvalue import identify_drives
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.identify.validation import validate
 from rx90b_flex.linearize import Linearization
-from rx90b_flex.signals import load_campaign
-from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from test_inverse_eigenvalue import truncated_drive_parameters
 
-BAND_HZ = (8.0, 80.0)
 SOURCE_WORST_HZ = 1.54  # table 6.1
 INERTIA, STIFFNESS = (3.10, 1.31, 0.79), (2.80e5, 2.70e5, 1.00e5)
 
@@ -56,18 +53,6 @@ def made_response(line: Linearization) -> FrequencyResponse:
     return FrequencyResponse(hz, value + error, covariance, line.joints, np.array([0.0, np.pi / 2, 0.0]))
 
 
-def campaign_response(folder: Path, seed: int, method: Literal["nonlinear", "perturbation"]) -> FrequencyResponse:
-    """Of a campaign, made where it is not there."""
-    path = folder / f"{method}_{seed}"
-    if not (path / "campaign.toml").exists():
-        noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
-        result = run_campaign(
-            section_662(rf.load_robot("rx90b_3dof"), load_cs8(), noise=noise, seed=seed, method=method), path
-        )
-        assert not result.failed, result.failed[0]
-    return estimate_frequency_response(load_campaign(path / "campaign.toml"), band_hz=BAND_HZ)
-
-
 def main() -> None:
     """Fit and compare, seed by seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -82,7 +67,8 @@ def main() -> None:
         return
     for seed in arguments.seeds:
         print(f"\n==== seed {seed}")
-        show(campaign_response(arguments.folder, seed, arguments.method), line, arguments.modes)
+        campaign = campaign_of(arguments.folder, seed, arguments.method)
+        show(estimate_frequency_response(campaign, band_hz=BAND_HZ), line, arguments.modes)
 
 
 def show(response: FrequencyResponse, line: Linearization, modes: list[int]) -> None:

@@ -6,7 +6,8 @@ import argparse
 import itertools
 import json
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,14 +136,13 @@ def rate(good: int, total: int) -> str:
 
 def mistakes(rows: Sequence[Row]) -> str:
     """What was named where it should not have been, most frequent first."""
-    count: dict[str, int] = {}
-    for row in rows:
-        if not right(row):
-            text = (
-                " + ".join(f["type"] for f in row["found"] if not any(same(h, f) for h in row["hidden"])) or "nothing"
-            )
-            count[text] = count.get(text, 0) + 1
-    return ", ".join(f"{text} ({n})" for text, n in sorted(count.items(), key=lambda item: -item[1])[:3])
+    wrong = [[f["type"] for f in r["found"] if not any(same(h, f) for h in r["hidden"])] for r in rows if not right(r)]
+    return counted((" + ".join(types) or "nothing" for types in wrong), 3)
+
+
+def counted(names: Iterable[str], most: int | None = None) -> str:
+    """Names with how often each stands there, most frequent first."""
+    return ", ".join(f"{name} ({n})" for name, n in Counter(names).most_common(most))
 
 
 def hidden_table(rows: Sequence[Row]) -> list[str]:
@@ -168,10 +168,7 @@ def hidden_table(rows: Sequence[Row]) -> list[str]:
 
 def left_out(rows: Sequence[Row]) -> list[str]:
     """What could not be hidden, a sentence each."""
-    skipped: dict[str, int] = {}
-    for r in rows:
-        if "skipped" in r:
-            skipped[r["skipped"]] = skipped.get(r["skipped"], 0) + 1
+    skipped = Counter(r["skipped"] for r in rows if "skipped" in r)
     return [f"Left out {n} times: {text}." for text, n in skipped.items()]
 
 
@@ -207,28 +204,21 @@ def continued(
     return rows
 
 
-def command(
-    doc: str | None,
-    studies: Sequence[str],
-    types: Sequence[str],
-    cases: Callable[[Sequence[str], Sequence[str], Sequence[float], int], Iterator[Case]],
-    run: Callable[[Case], dict[str, Any]],
-    table: Callable[[Sequence[Row]], str],
-) -> None:
-    """A study as a command: its runs, kept and continued in a file, and its table."""
+def study_parser(doc: str | None, studies: Sequence[str], types: Iterable[str]) -> argparse.ArgumentParser:
+    """What every study of hidden effects is asked."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="file of results, one JSON line a run; it is continued")
     parser.add_argument("--table", type=Path, help="file for the table, Markdown")
     parser.add_argument("--studies", nargs="+", default=list(studies), choices=list(studies))
     parser.add_argument("--types", nargs="+", default=list(types), choices=list(types))
     parser.add_argument("--strengths", nargs="+", type=float, default=list(STRENGTHS))
-    parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--limit", type=int, default=10**9, help="runs at most, this time")
     parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    every = cases(options.studies, options.types, options.strengths, options.seeds)
-    rows = continued(options.out, every, run, options.limit, options.jobs)
-    text = table(rows)
-    print(text)
-    if options.table:
-        options.table.write_text(text)
+    return parser
+
+
+def show(table: str, file: Path | None) -> None:
+    """Print a study's table, and write it where a file is given."""
+    print(table)
+    if file:
+        file.write_text(table)
