@@ -254,9 +254,7 @@ def added_bending(scene: Scene, joint: str, rng: np.random.Generator) -> Hidden:
         (joint,),
         lambda size: {"stiffness": typical / size},
         lambda p: replace(
-            plain,
-            bending=(*plain.bending, joint),
-            stiffness=plain.stiffness | dict.fromkeys(hinges, p["stiffness"]),
+            plain, bending=(*plain.bending, joint), stiffness=plain.stiffness | dict.fromkeys(hinges, p["stiffness"])
         ),
         most=3.0,
     )
@@ -465,11 +463,7 @@ class Drawn:
 
     def close(self) -> ResponseLoop:
         return close_response(
-            self.responses[:FITTED],
-            self.robot,
-            held_out=self.responses[FITTED:],
-            band_hz=BAND_HZ,
-            model_error=EXACT,
+            self.responses[:FITTED], self.robot, held_out=self.responses[FITTED:], band_hz=BAND_HZ, model_error=EXACT
         )
 
 

@@ -17,14 +17,7 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from all_coordinates import (
-    CoordinatesFit,
-    Equations,
-    FullLog,
-    indirect_inference,
-    logs_everything,
-    reweighted,
-)
+from all_coordinates import CoordinatesFit, Equations, FullLog, indirect_inference, logs_everything, reweighted
 from designed_motion.limits import Limits
 from designed_motion.search import Design, design_excitation, periodic_derivative, simulated_margins
 

@@ -64,11 +64,7 @@ def main() -> None:
     spread = {"resonances_std_hz": [SPREAD_HZ] * 9, "antiresonances_std_hz": [SPREAD_HZ] * 9}
     for j, (zeros, (inertia, stiffness)) in enumerate(zip(source.MEASURED_ZEROS, TABLE_6_5, strict=True)):
         found = drive_parameters(
-            source.MEASURED,
-            zeros,
-            drive_inertia=inertia,
-            inertia_std=0.01 / np.sqrt(12.0),
-            **spread,
+            source.MEASURED, zeros, drive_inertia=inertia, inertia_std=0.01 / np.sqrt(12.0), **spread
         )
         print(line(f"joint {j + 1} stiffness", stiffness, found.stiffness / 1e5, found.stiffness_std / 1e5))
 

@@ -38,11 +38,7 @@ class _Commands(typer.core.TyperGroup):
 
 
 app = typer.Typer(
-    name="rx90b-flex",
-    cls=_Commands,
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
+    name="rx90b-flex", cls=_Commands, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
 )
 
 

@@ -74,12 +74,7 @@ def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float]
 
     robot = declared_robot(read, options.basics)
     result = close_loop(
-        read,
-        robot=robot,
-        seed=options.seed,
-        progress=tell,
-        despite_faults=options.despite_faults,
-        jobs=options.jobs,
+        read, robot=robot, seed=options.seed, progress=tell, despite_faults=options.despite_faults, jobs=options.jobs
     )
     told("simulating the closed loop and writing the report", 1.0)
     return Closed(result, motion_errors(result))

@@ -11,9 +11,7 @@ from rx90b_flex.commands.shared import Out, Overwrite, fitted_into
 
 
 def camera_command(
-    markers: Annotated[Path, typer.Argument(help="File of markers (TOML).")],
-    out: Out,
-    overwrite: Overwrite = False,
+    markers: Annotated[Path, typer.Argument(help="File of markers (TOML).")], out: Out, overwrite: Overwrite = False
 ) -> None:
     """Find joint stiffnesses from markers before a camera.
 

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 # options that take several lines
 PathSource = Annotated[
-    str,
-    typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square."),
+    str, typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square.")
 ]
 RobotOfPath = Annotated[
     str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")

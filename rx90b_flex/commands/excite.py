@@ -34,8 +34,7 @@ SpeedPeak = Annotated[
     ),
 ]
 Poses = Annotated[
-    list[str] | None,
-    typer.Option(help="Degrees (m where a joint slides), one a joint: 0,90,0; repeat for more poses."),
+    list[str] | None, typer.Option(help="Degrees (m where a joint slides), one a joint: 0,90,0; repeat for more poses.")
 ]
 RateHz = Annotated[float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")]
 

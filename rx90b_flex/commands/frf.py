@@ -28,8 +28,7 @@ HingeStd = Annotated[
     float, typer.Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")
 ]
 References = Annotated[
-    Path | None,
-    typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign."),
+    Path | None, typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign.")
 ]
 Modes = Annotated[
     str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")

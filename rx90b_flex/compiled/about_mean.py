@@ -150,15 +150,7 @@ def _make_step(
 
 @entry
 def make_steps(
-    tree: Tree,
-    laws: Laws,
-    ports: Ports,
-    memory: Array,
-    drive: Integers,
-    h: float,
-    up: int,
-    along: Along,
-    steps: Steps,
+    tree: Tree, laws: Laws, ports: Ports, memory: Array, drive: Integers, h: float, up: int, along: Along, steps: Steps
 ) -> None:
     """Fill `steps` for all samples of a chunk, `up` of them between two nodes."""
     n = along.q.shape[1]

@@ -58,15 +58,7 @@ def _store(
 
 @inlined
 def _step(
-    tree: Tree,
-    laws: Laws,
-    s: Scratch,
-    wide: Wide | None,
-    room: Array,
-    state: Array,
-    lost: Array,
-    bend: Array,
-    h: float,
+    tree: Tree, laws: Laws, s: Scratch, wide: Wide | None, room: Array, state: Array, lost: Array, bend: Array, h: float
 ) -> None:
     """A step of one lane or eight: coordinates, rates and torques in `state` (3, n), of numbers or vectors.
 
@@ -103,14 +95,7 @@ def _new_pack(n: int, like: Array) -> _Pack:
 
 @inlined
 def _control_lanes(
-    between: Wide | None,
-    loop: Loop,
-    lanes: Lanes,
-    inputs: Inputs,
-    logs: Logs,
-    k: int,
-    torque: Array,
-    running: Integers,
+    between: Wide | None, loop: Loop, lanes: Lanes, inputs: Inputs, logs: Logs, k: int, torque: Array, running: Integers
 ) -> int:
     """A sample of the lanes' controllers; `torque` (lanes, n) receives what the motors give. How many `running` ones there are."""
     count = 0

@@ -13,10 +13,7 @@ TIMES = 4.0  # mean squared error there over that elsewhere, at the least
 
 
 def beyond_fitted(
-    joints: Sequence[str],
-    fitted: dict[str, Array],
-    held_out: dict[str, Array],
-    left: Array,
+    joints: Sequence[str], fitted: dict[str, Array], held_out: dict[str, Array], left: Array
 ) -> tuple[str, ...]:
     """Cautions about joints whose error is one of extrapolation, one a joint.
 

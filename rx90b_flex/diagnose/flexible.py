@@ -17,14 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rx90b_flex.diagnose.likelihood import (
-    RIVAL,
-    Change,
-    FoundChange,
-    LikelihoodResidual,
-    LikelihoodTrial,
-    SearchResult,
-)
+from rx90b_flex.diagnose.likelihood import RIVAL, Change, FoundChange, LikelihoodResidual, LikelihoodTrial, SearchResult
 from rx90b_flex.effects import Effect, RestSites, RestSizes, catalogue, close_match
 from rx90b_flex.effects.at_rest import ShownAtRest, undeclared_at_rest
 from rx90b_flex.effects.friction import friction_port

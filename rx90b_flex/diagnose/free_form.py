@@ -65,10 +65,7 @@ class Families:
 
 
 def best_form(
-    families: Families,
-    signals: tuple[Array, Array] | None,
-    residual: Array,
-    layouts: Sequence[Indices],
+    families: Families, signals: tuple[Array, Array] | None, residual: Array, layouts: Sequence[Indices]
 ) -> FreeForm:
     """The free form with the smallest error on parts held out; the one that says zero where none has a gain.
 

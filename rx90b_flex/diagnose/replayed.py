@@ -17,9 +17,7 @@ ROLES: tuple[Role, Role] = ("validation", "identification")
 
 
 def replay_errors(
-    robot: str | os.PathLike[str] | Robot,
-    campaign: str | os.PathLike[str] | Campaign,
-    role: Role = "validation",
+    robot: str | os.PathLike[str] | Robot, campaign: str | os.PathLike[str] | Campaign, role: Role = "validation"
 ) -> Errors:
     """Torque errors of a robot with the values that it has, nothing identified, on the recordings of one role.
 

@@ -16,13 +16,7 @@ from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.law_effect import LawEffect, SumOfLaws
 from rx90b_flex.effects.motion import Array, Coordinates, JointMotion, Motion
 from rx90b_flex.effects.parameters import FRICTION, choice, linear, shape
-from rx90b_flex.effects.reversal import (
-    DryFriction,
-    Resolution,
-    log_speed,
-    turnover_range,
-    turnover_shape,
-)
+from rx90b_flex.effects.reversal import DryFriction, Resolution, log_speed, turnover_range, turnover_shape
 from rx90b_flex.effects.stand_in import OfUsualShape
 
 FADED = 0.5  # of a joint's speed within which a friction fades at the most: one that fades more slowly is a curve over all speeds

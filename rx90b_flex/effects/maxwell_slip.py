@@ -145,12 +145,7 @@ class MaxwellSlipFriction(ManyCoefficients, RememberingLaw, breaks_away=True, re
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OneMore(
-    StandIn,
-    MaxwellSlipFriction,
-    replaces=("maxwell_slip_friction",),
-    needs=("maxwell_slip_friction",),
-):
+class _OneMore(StandIn, MaxwellSlipFriction, replaces=("maxwell_slip_friction",), needs=("maxwell_slip_friction",)):
     """One element more than are looked for at first."""
 
     in_files: ClassVar[type[Effect]] = MaxwellSlipFriction

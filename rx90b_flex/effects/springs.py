@@ -63,9 +63,7 @@ class JointSpring(
         stiffness, preload = (float(x) for x in values)
         rest = preload / stiffness if stiffness != 0 else 0.0  # without stiffness any angle is one of rest
         return dataclasses.replace(
-            self,
-            stiffness=None if np.isnan(stiffness) else stiffness,
-            rest_angle=None if np.isnan(rest) else rest,
+            self, stiffness=None if np.isnan(stiffness) else stiffness, rest_angle=None if np.isnan(rest) else rest
         )
 
     def unit_laws(self, motion: Motion) -> tuple[Law, ...]:

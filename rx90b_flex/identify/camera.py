@@ -549,12 +549,7 @@ def _placed_with_markers(
 
 
 def _settled_base(
-    turns: Array,
-    places: Array,
-    measured: Array,
-    weight: Array,
-    start: tuple[Array, Array, Array],
-    with_markers: bool,
+    turns: Array, places: Array, measured: Array, weight: Array, start: tuple[Array, Array, Array], with_markers: bool
 ) -> tuple[Array, Array, Array, Array]:
     """Rotation, markers and translation by Gauss-Newton, and a root R of the covariance, R R^T, of turn, translation and markers.
 
@@ -587,11 +582,7 @@ def _settled_base(
 
 
 def calibrate_base(
-    link_rotation: Array,
-    link_position: Array,
-    measured: Array,
-    std: Array | float,
-    markers: Array | None = None,
+    link_rotation: Array, link_position: Array, measured: Array, std: Array | float, markers: Array | None = None
 ) -> BaseCalibration:
     """The base in the camera's frame, from markers on one link in several poses of a known kinematic model.
 
@@ -629,11 +620,5 @@ def calibrate_base(
     left = weight * (measured - points @ rotation.T - translation)
     std_of = np.sqrt((root**2).sum(axis=1))
     return BaseCalibration(
-        rotation,
-        translation,
-        at,
-        std_of[:3],
-        std_of[3:6],
-        float((left**2).sum()),
-        measured.size - len(root),
+        rotation, translation, at, std_of[:3], std_of[3:6], float((left**2).sum()), measured.size - len(root)
     )

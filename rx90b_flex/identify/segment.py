@@ -16,14 +16,7 @@ from rx90b_flex.effects.motion import Array, Held, Indices, Mask
 from rx90b_flex.identify.carried import carried_parameters
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.robot import Robot
-from rx90b_flex.signals import (
-    Recording,
-    decimation_factor,
-    filters,
-    lowpass,
-    motion,
-    noise_cutoff_hz,
-)
+from rx90b_flex.signals import Recording, decimation_factor, filters, lowpass, motion, noise_cutoff_hz
 from rx90b_flex.signals.sticking import held_part
 
 # Positions are differentiated with a cutoff this much above the one that errors are counted after, so that the
@@ -233,11 +226,7 @@ class Segment:
 
 
 def prepare(
-    robot: Robot,
-    recording: Recording,
-    cutoff_hz: float | None,
-    thin: bool = True,
-    sticking: Sequence[Held] = (),
+    robot: Robot, recording: Recording, cutoff_hz: float | None, thin: bool = True, sticking: Sequence[Held] = ()
 ) -> Segment:
     """Differentiate, low-pass and thin out one recording.
 

@@ -56,11 +56,7 @@ def nearest(hz: Array, std: Array, others: Sequence[Values]) -> NDArray[np.intp]
 
 
 def spread(
-    value: Array,
-    std: Array,
-    others: Sequence[Values],
-    weights: Sequence[float],
-    places: NDArray[np.intp] | None = None,
+    value: Array, std: Array, others: Sequence[Values], weights: Sequence[float], places: NDArray[np.intp] | None = None
 ) -> Array:
     """Standard deviations of a model's values, with what other models say of them, shape (m,).
 

@@ -268,10 +268,7 @@ def _layouts(
 
 
 def _whole_fits(
-    problem: _Likelihood,
-    layouts: dict[int, TermLayout],
-    start: TransferFunctions | None,
-    start_hz: Sequence[float],
+    problem: _Likelihood, layouts: dict[int, TermLayout], start: TransferFunctions | None, start_hz: Sequence[float]
 ) -> list[_Climb]:
     """Fits with all terms by number of modes, until two more do not lower the criterion."""
     sets: tuple[PoleSet, ...] = ()

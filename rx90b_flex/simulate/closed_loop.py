@@ -204,15 +204,7 @@ def simulate(
 ) -> Simulation:
     """One run of a robot under its controller: `simulate_lanes` with one lane."""
     (run,) = simulate_lanes(
-        robot,
-        controller,
-        [trajectory],
-        noise=noise,
-        rng=rng,
-        substeps=substeps,
-        raw=raw,
-        role=role,
-        progress=progress,
+        robot, controller, [trajectory], noise=noise, rng=rng, substeps=substeps, raw=raw, role=role, progress=progress
     )
     return run
 

@@ -260,11 +260,7 @@ def mean_rigid_inertia(robot: Robot, poses: int = 32) -> Array:
 
 
 def design_cs8(
-    robot: Robot,
-    pose: Array | None = None,
-    bandwidth_hz: float = 5.0,
-    damping: float = 0.8,
-    integral_hz: float = 0.5,
+    robot: Robot, pose: Array | None = None, bandwidth_hz: float = 5.0, damping: float = 0.8, integral_hz: float = 0.5
 ) -> CS8:
     """A controller for any robot: gains from `design_gains` on its rigid inertia, limits from its URDF.
 

@@ -19,15 +19,7 @@ import numpy as np
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.excitation import (
-    crest_factor,
-    hadamard,
-    identity,
-    lines_in_band,
-    minus_below_first,
-    scaled,
-    whitening,
-)
+from rx90b_flex.excitation import crest_factor, hadamard, identity, lines_in_band, minus_below_first, scaled, whitening
 from rx90b_flex.export import save_robot
 from rx90b_flex.flexify import UNLIMITED
 from rx90b_flex.robot import Robot, load_robot
@@ -47,11 +39,7 @@ from rx90b_flex.simulate.cs8 import CS8, design_cs8, load_cs8, own_controller, s
 from rx90b_flex.simulate.trajectories import PERIOD_S, SQUARE_SPEED, Trajectory, horizontal, square_wave
 
 Matrix = Literal["ones", "hadamard", "identity"]
-MATRICES: dict[Matrix, Callable[[int], Array]] = {
-    "ones": minus_below_first,
-    "hadamard": hadamard,
-    "identity": identity,
-}
+MATRICES: dict[Matrix, Callable[[int], Array]] = {"ones": minus_below_first, "hadamard": hadamard, "identity": identity}
 SHARE = 0.1  # of a joint's torque limit, where no peak is given: the source's 45 N m on the RX90B's first joints
 NOISE = Noise(torque=0.1, position=1e-6, velocity=1e-4)  # of a simulated log
 LONGEST_PERIOD_S = 600.0  # lines 1/300 Hz apart: finer than any resonance is wide

@@ -8,16 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rx90b_flex.effects import Effect, close_match
-from rx90b_flex.files.extensions import (
-    ESTIMATORS,
-    Brought,
-    brought,
-    concrete,
-    import_all,
-    own,
-    subclasses,
-    wrong_class,
-)
+from rx90b_flex.files.extensions import ESTIMATORS, Brought, brought, concrete, import_all, own, subclasses, wrong_class
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression
 

@@ -82,9 +82,7 @@ def _with_torque(regression: Regression, torque: Array) -> Regression:
         regression,
         segments=tuple(
             dataclasses.replace(
-                s,
-                torque=s.torque + change[at, :joints],
-                sensed=None if s.sensed is None else s.sensed + of_sensors[at],
+                s, torque=s.torque + change[at, :joints], sensed=None if s.sensed is None else s.sensed + of_sensors[at]
             )
             for s, at in zip(regression.segments, regression.spans, strict=True)
         ),
