@@ -83,9 +83,8 @@ def run_case(case: Case) -> dict[str, Any]:
     made = clock.process_time()
     scene, joints = drawn.scene, drawn.scene.joints
     result = rf.close_loop(drawn.campaign, robot=drawn.robot)
-    if (
-        result.before is None or result.after is None
-    ):  # a saturation that runs away, say, leaves samples that no drive gives
+    if result.before is None or result.after is None:
+        # a saturation that runs away, say, leaves samples that no drive gives
         return vars(case) | {"skipped": "; ".join(f.message for f in result.data_faults)}
     floor = noise_on_validation(scene)
     before, after = (np.array(r.validation.torque_rms) / floor for r in (result.before, result.after))

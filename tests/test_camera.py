@@ -261,8 +261,7 @@ def test_the_base_is_found_within_its_standard_deviations(robot: Robot) -> None:
     np.testing.assert_allclose(found.markers, TRIANGLE, atol=1e-3)
 
 
-def test_moving_joint_1_alone_leaves_the_base_open_unless_the_markers_are_known(robot: Robot) -> None:
-    rng = np.random.default_rng(5)
+def test_moving_joint_1_alone_leaves_the_base_open(robot: Robot) -> None:
     camera = Camera.looking((3.0, 2.5, 1.0), (0.2, 0.2, 0.8))
     rotation, position = tip_poses(
         robot, np.column_stack([np.linspace(-0.7, 0.7, 12), np.tile([0.5, 0.8, 0.0], (12, 1))])
@@ -270,10 +269,6 @@ def test_moving_joint_1_alone_leaves_the_base_open_unless_the_markers_are_known(
     exact = camera.see(np.einsum("nij,mj->nmi", rotation, TRIANGLE) + position[:, None])
     with pytest.raises(ValueError, match="one axis only"):
         calibrate_base(rotation, position, exact, STD)
-    found = calibrate_base(rotation, position, exact + STD * rng.standard_normal(exact.shape), STD, markers=TRIANGLE)
-    error = Rotation.from_matrix(found.rotation @ camera.rotation).as_rotvec()
-    assert (np.abs(error) < 4 * found.rotation_std).all()
-    assert found.rotation_std.max() < 3e-4
 
 
 # ---- motion ---------------------------------------------------------------------------------------------------

@@ -231,8 +231,7 @@ def _leave_out_neighbours(robot: Robot, geometry: pin.GeometryModel, clearance: 
     unbounded = Limits(robot.joints, nothing, nothing, nothing, nothing, nothing, geometry, 0.0)
     touching = (unbounded.distances(tree, poses) <= clearance).mean(axis=0) > 0.5
     names = [shape.name for shape in geometry.geometryObjects]
-    pairs = [
-        pin.CollisionPair(p.first, p.second) for p in geometry.collisionPairs
-    ]  # own copies: removal shifts the list
+    # own copies: removal shifts the list
+    pairs = [pin.CollisionPair(p.first, p.second) for p in geometry.collisionPairs]
     for pair in [p for p, out in zip(pairs, touching, strict=True) if out and names[p.second] != "floor"]:
         geometry.removeCollisionPair(pair)

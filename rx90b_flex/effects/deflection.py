@@ -272,9 +272,8 @@ def _together(load: Array, at_angle: Array, at_rate: Array, by_a: Array, step: f
     put before it, and hinges are damped well until two swings into it.
     """
     stiffness, mass = (0.5 * (x + x.T) for x in (at_angle.mean(axis=0), by_a.mean(axis=0)))
-    stands, swings = (
-        np.isfinite(x).all() and np.linalg.eigvalsh(x)[0] > 0 for x in (stiffness, mass)
-    )  # fitted links need not
+    # fitted links need not
+    stands, swings = (np.isfinite(x).all() and np.linalg.eigvalsh(x)[0] > 0 for x in (stiffness, mass))
     if not stands:
         return np.zeros_like(load)  # values from which a fit turns back
     if step == 0.0 or len(load) < 2 * CUBIC or not swings:

@@ -18,10 +18,8 @@ Mask = NDArray[np.bool_]
 Found = TypeVar("Found")
 STICKS = ("turn", "pause")  # where a drive sticks: as it turns, or on its way
 Held = tuple[str, str]  # a joint, and one of these
-MOST_LATEST, LATEST_BYTES = (
-    4,
-    2e6,
-)  # numbers for which a joint's motion keeps what follows from them, of a long one fewer
+# numbers for which a joint's motion keeps what follows from them, of a long one fewer
+MOST_LATEST, LATEST_BYTES = 4, 2e6
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,8 @@ def _near_median(values: Array, stds: Array) -> Mask:
     for _ in range(ROUNDS):
         off = (values - mean) ** 2
         between = _median_variance(off, stds)
-        mean = _weighted_median(values, 1.0 / np.maximum(stds**2 + between, 1e-300))
+        weights = 1.0 / np.maximum(stds**2 + between, 1e-300)
+        mean = float(np.quantile(values, 0.5, method="inverted_cdf", weights=weights))
     deviation = np.abs(values - mean) / np.sqrt(np.maximum(stds**2 + between, 1e-300))
     out = np.ones(len(values), dtype=bool)
     farthest = np.argsort(-deviation, kind="stable")[: len(values) // 3]
@@ -215,12 +216,6 @@ def _median_variance(off: Array, stds: Array) -> float:
     if excess(0.0) <= 0.0 or high == 0.0:
         return 0.0
     return float(optimize.brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-12))
-
-
-def _weighted_median(values: Array, weights: Array) -> float:
-    order = np.argsort(values, kind="stable")
-    share = np.cumsum(weights[order]) / weights.sum()
-    return float(values[order[np.searchsorted(share, 0.5)]])
 
 
 @dataclass(frozen=True)

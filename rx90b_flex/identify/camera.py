@@ -509,8 +509,8 @@ class BaseCalibration:
     translation : array, shape (3,), m
     markers : array, shape (m, 3), m
         In the frame of the link that carries them.
-    rotation_std, translation_std : array, shape (3,)
-        About and along the camera's axes, rad and m, for the noise alone: errors of the kinematic model come on top.
+    rotation_std : array, shape (3,), rad
+        About the camera's axes, for the noise alone: errors of the kinematic model come on top.
     chi2, degrees_of_freedom : float, int
     """
 
@@ -518,7 +518,6 @@ class BaseCalibration:
     translation: Array
     markers: Array
     rotation_std: Array
-    translation_std: Array
     chi2: float
     degrees_of_freedom: int
 
@@ -533,8 +532,7 @@ def _placed_with_markers(
     in_camera = Rotation.from_matrix(seen).as_rotvec()
     if np.linalg.matrix_rank(in_base, tol=1e-3) < 2:
         raise ValueError(
-            "the link turns about one axis only, which leaves the base's turn about it open;"
-            " move a second joint or give the markers"
+            "the link turns about one axis only, which leaves the base's turn about it open; move a second joint"
         )
     rotation = Rotation.align_vectors(in_camera, in_base)[0].as_matrix()
     # measured = rotation link_rotation marker + (rotation link_position + translation): linear in the rest
@@ -549,14 +547,11 @@ def _placed_with_markers(
 
 
 def _settled_base(
-    turns: Array, places: Array, measured: Array, weight: Array, start: tuple[Array, Array, Array], with_markers: bool
+    turns: Array, places: Array, measured: Array, weight: Array, start: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
-    """Rotation, markers and translation by Gauss-Newton, and a root R of the covariance, R R^T, of turn, translation and markers.
-
-    Markers move only `with_markers`.
-    """
+    """Rotation, markers and translation by Gauss-Newton, and a root R of the covariance, R R^T, of turn, translation and markers."""
     rotation, at, translation = start
-    count = measured.shape[1] if with_markers else 0
+    count = measured.shape[1]
     for _ in range(STEPS):
         points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
         arms = points @ rotation.T
@@ -571,8 +566,7 @@ def _settled_base(
         step = vt.T @ ((u.T @ (weight * missing).ravel()) / s)
         rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
         translation = translation + step[3:6]
-        if with_markers:
-            at = at + step[6:].reshape(count, 3)
+        at = at + step[6:].reshape(count, 3)
         if np.abs(step).max() < 1e-12:
             return rotation, at, translation, vt.T / s
     raise ValueError(
@@ -581,14 +575,13 @@ def _settled_base(
     )
 
 
-def calibrate_base(
-    link_rotation: Array, link_position: Array, measured: Array, std: Array | float, markers: Array | None = None
-) -> BaseCalibration:
+def calibrate_base(link_rotation: Array, link_position: Array, measured: Array, std: Array | float) -> BaseCalibration:
     """The base in the camera's frame, from markers on one link in several poses of a known kinematic model.
 
     ``measured = rotation (link_rotation @ marker + link_position) + translation``. The turns of the link in the
     camera's frame are those of the model in the base's frame, carried over: that starts the rotation; the rest is
-    linear, then Gauss-Newton with all weights.
+    linear, then Gauss-Newton with all weights. The markers' places on the link are estimated too, so that it has to turn about
+    more than one axis: moving joint 1 alone leaves the turn about it open.
 
     Parameters
     ----------
@@ -596,9 +589,6 @@ def calibrate_base(
         Of the link in the base's frame, by the kinematic model.
     measured : array, shape (N, m, 3), m
     std : float or array that broadcasts to (N, m, 3), m
-    markers : array, shape (m, 3), m, optional
-        Where they are known in the link's frame. Otherwise they are estimated, and the link has to turn about more
-        than one axis: moving joint 1 alone leaves the turn about it open.
 
     Raises
     ------
@@ -608,17 +598,15 @@ def calibrate_base(
     turns, places = np.asarray(link_rotation, dtype=float), np.asarray(link_position, dtype=float)
     measured = np.asarray(measured, dtype=float)
     weight = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), measured.shape)
-    if markers is None:
-        start = _placed_with_markers(turns, places, measured, std)
-    else:
-        known = np.asarray(markers, dtype=float)
-        points = np.einsum("nij,mj->nmi", turns, known) + places[:, None]
-        fit = fit_rigid_body(points.reshape(-1, 3), measured.reshape(1, -1, 3), 1.0)
-        start = fit.rotation[0], known, fit.translation[0]
-    rotation, at, translation, root = _settled_base(turns, places, measured, weight, start, markers is None)
+    start = _placed_with_markers(turns, places, measured, std)
+    rotation, at, translation, root = _settled_base(turns, places, measured, weight, start)
     points = np.einsum("nij,mj->nmi", turns, at) + places[:, None]
     left = weight * (measured - points @ rotation.T - translation)
-    std_of = np.sqrt((root**2).sum(axis=1))
     return BaseCalibration(
-        rotation, translation, at, std_of[:3], std_of[3:6], float((left**2).sum()), measured.size - len(root)
+        rotation,
+        translation,
+        at,
+        np.sqrt((root[:3] ** 2).sum(axis=1)),
+        float((left**2).sum()),
+        measured.size - len(root),
     )

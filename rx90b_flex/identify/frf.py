@@ -611,10 +611,10 @@ def estimate_accelerations(
     groups = _complete(_experiments(recordings, _long_enough(recordings, response.places, []), []), response.joints, [])
     period = recordings[0].period_samples or 1
     lines = np.round(response.hz * period / recordings[0].sample_rate_hz).astype(int)
-    used, shown = (
+    used, shown = (  # (R, F, n or rows, E)
         np.moveaxis(_spectrum_of(recordings, groups, name, which).mean(axis=2)[:, :, lines], 1, 3)
         for name, which in (("torque", columns), ("acceleration", list(range(rows))))
-    )  # (R, F, n or rows, E)
+    )
     single = shown @ np.linalg.pinv(used)
     realisations, count, inputs = len(single), len(lines), len(columns)
     if realisations < 2:

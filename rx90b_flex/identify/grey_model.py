@@ -105,9 +105,8 @@ class GreyPose:
     D: Array
     K: Array
     drives: Array  # (n, joints), B
-    sensors: (
-        tuple[Array, Array] | None
-    )  # rows of accelerometers, each (3 * sensors, n): by acceleration, and by gravity of the angle
+    # rows of accelerometers, each (3 * sensors, n): by acceleration, and by gravity of the angle
+    sensors: tuple[Array, Array] | None
 
     def response(self, hz: Array, p: Array) -> ComplexArray:
         """P, and below it the accelerometers' responses, shape (F, joints + 3 * sensors, joints)."""

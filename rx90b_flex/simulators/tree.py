@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.flexify import CONTINUOUS_LIMIT, UNLIMITED, coordinate_name, read_xml
@@ -126,11 +127,7 @@ def _below(limit: float | None) -> float | None:
 
 def rotation_quaternion(rotation: Array) -> Array:
     """Quaternion (4,), scalar first and not negative, of a rotation (3, 3)."""
-    import pinocchio as pin
-
-    x, y, z, w = pin.Quaternion(np.ascontiguousarray(rotation)).normalized().coeffs()
-    quaternion = np.array([w, x, y, z])
-    return quaternion if w >= 0 else -quaternion
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True))
 
 
 def numbers(values: Any) -> str:

@@ -29,7 +29,8 @@ SHOWN = 8  # refused changes; the best
 def write_flexible_report(loop: FlexibleLoop, path: Path) -> None:
     """Write the report; it appears whole or not at all."""
     sections = [_found(loop), _sure(loop), _data(loop), _alternatives(loop), _refused(loop), _how(loop)]
-    write_page(path, f"{loop.source.name}: what its {loop.kind} say", _lead(loop), sections)
+    lead = [VERDICTS[loop.verdict], *(f"Found: {f.words}." for f in loop.found), headline(loop)]
+    write_page(path, f"{loop.source.name}: what its {loop.kind} say", lead, sections)
 
 
 @singledispatch
@@ -68,10 +69,6 @@ def _(loop: ResponseLoop) -> str:
 
 def _share(value: float) -> str:
     return percent(value) if np.isfinite(value) else "no pair"
-
-
-def _lead(loop: FlexibleLoop) -> list[str]:
-    return [VERDICTS[loop.verdict], *(f"Found: {f.words}." for f in loop.found), headline(loop)]
 
 
 def _found(loop: FlexibleLoop) -> Section:

@@ -127,8 +127,7 @@ def difference(response: FrequencyResponse, value: ComplexArray, label: str = "m
 
 def signal_to_noise(response: MeasuredResponse) -> Figure:
     """Every entry's magnitude over its standard deviation, dB: of noise alone, and of noise and distortion together."""
-    noise = None if response.noise_covariance is None else _std(response.noise_covariance, response.value.shape)
-    total = response.std()
+    noise, total = response.noise_std(), response.std()
 
     def draw(ax: Axes, j: int, k: int) -> None:
         size = np.abs(response.value[:, j, k])
@@ -223,10 +222,6 @@ def _log(ax: Axes) -> None:
     """Decades alone: ticks between them in nine axes take most of a figure's time."""
     ax.set_yscale("log")
     ax.yaxis.set_minor_locator(NullLocator())
-
-
-def _std(covariance: ComplexArray, shape: tuple[int, ...]) -> Array:
-    return np.asarray(np.sqrt(np.einsum("faa->fa", covariance).real).reshape(shape))
 
 
 def _db(ratio: Array) -> Array:

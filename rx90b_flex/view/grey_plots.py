@@ -53,13 +53,9 @@ def residuals(grey: GreyBox, response: int = 0) -> Figure:
     ax.axhline(1.0, color=BOUND, lw=0.8)
     ax.axhline(1.0 + 1.645 / np.sqrt(entries), color=BOUND, lw=0.8, ls="--", label="95 % of right models below")
     ax.set_ylim(0.0, max(3.0, 1.1 * float(np.percentile(size, 98))))
-    _axes(ax, "frequency, Hz", "squared residual over its variance, -")
-    return figure
-
-
-def _axes(ax, x: str, y: str) -> None:  # type: ignore[no-untyped-def]
-    ax.set_xlabel(x, fontsize=8)
-    ax.set_ylabel(y, fontsize=8)
+    ax.set_xlabel("frequency, Hz", fontsize=8)
+    ax.set_ylabel("squared residual over its variance, -", fontsize=8)
     ax.tick_params(labelsize=7)
     ax.grid(color="#e4e4e4", lw=0.5)
     ax.legend(fontsize=6.5, frameon=False)
+    return figure

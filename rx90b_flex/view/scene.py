@@ -124,9 +124,8 @@ def _mesh_path(name: str) -> Path | None:
 def _sticks(robot: Robot) -> tuple[Shape, ...]:
     """A ball at every joint and a stick to each joint behind it, and to the tip."""
     tree = robot.tree
-    bodies = {
-        f.parentJoint: f.name for f in reversed(list(tree.frames)) if f.type == pin.FrameType.BODY
-    }  # the first of each
+    # the first of each
+    bodies = {f.parentJoint: f.name for f in reversed(list(tree.frames)) if f.type == pin.FrameType.BODY}
     names = {j: bodies.get(j, "universe") for j in range(tree.njoints)}
     ends = [(int(tree.parents[j]), tree.jointPlacements[j].translation) for j in range(1, tree.njoints)]
     tip = tree.frames[tree.getFrameId(robot.tip_frame)]

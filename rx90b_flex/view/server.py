@@ -25,12 +25,8 @@ def start_server() -> tuple[subprocess.Popen[bytes], str]:
     """
     with tempfile.TemporaryFile() as words:
         process = subprocess.Popen(
-            [
-                sys.executable,
-                "-P",
-                "-u",
-                __file__,
-            ],  # -P: meshcat is the library, not the file of that name beside this one
+            # -P: meshcat is the library, not the file of that name beside this one
+            [sys.executable, "-P", "-u", __file__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,
