@@ -17,8 +17,9 @@ from pathlib import Path
 import joblib
 
 import rx90b_flex as rf
-from rx90b_flex.simulate import Noise, load_cs8
+from rx90b_flex.simulate import load_cs8
 from rx90b_flex.simulate.campaign import CampaignPlan, run_campaign, section_662
+from rx90b_flex.simulate.excite import NOISE
 
 
 def measure(plan: CampaignPlan, jobs: int) -> tuple[float, float]:
@@ -47,12 +48,11 @@ def main() -> None:
     arguments.add_argument("--crest", choices=("random", "clipping", "lp"), default="lp", help="of the multisine")
     options = arguments.parse_args()
 
-    noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
     robot = rf.load_robot(options.robot)
     methods = ("perturbation", "nonlinear") if options.method == "both" else (options.method,)
     for method in methods:
         sizes = {"periods": options.periods, "realisations": max(1, options.runs // 6)}
-        same = {"noise": noise, "method": method, "crest": options.crest}
+        same = {"noise": NOISE, "method": method, "crest": options.crest}
         plan = section_662(robot, load_cs8(), **same, **sizes)
         short = section_662(robot, load_cs8(), **same, periods=1, realisations=1)
         measure(short, options.jobs)

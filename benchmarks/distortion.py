@@ -30,7 +30,8 @@ from rx90b_flex.excitation import identity, minus_below_first
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import load_campaign
-from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+from rx90b_flex.simulate import load_cs8, run_campaign, section_662
+from rx90b_flex.simulate.excite import NOISE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 BAND_HZ = (2.5, 78.5)  # the source's lines: 2k + 1 cycles in 4.096 s, k = 5 to 160
 SPLIT_HZ = 40.0  # below it, the source finds, friction distorts most
 SPEED = 0.11  # rad/s, section 6.6.2
-NOISE = Noise(torque=0.1, position=1e-6, velocity=1e-4)
 
 
 @dataclass(frozen=True)

@@ -169,12 +169,11 @@ def carrying_joint(logs: Logs, rng: np.random.Generator) -> int:
     return int(rng.integers(1, 4))
 
 
-def exchange(i: int, j: int) -> Callable[[Array], Array]:
-    def change(x: Array) -> Array:
-        x[:, [i, j]] = x[:, [j, i]]
-        return x
-
-    return change
+def exchanged(logs: Logs, signal: str, i: int, j: int) -> tuple[Logs, Expected]:
+    order = np.arange(len(logs.joints))
+    order[[i, j]] = j, i
+    changed = replace(logs, **{signal: each(getattr(logs, signal), lambda x: x[:, order])})
+    return changed, Expected("swapped_columns", (logs.joints[i], logs.joints[j]))
 
 
 def times(k: int | slice, factor: float) -> Callable[[Array], Array]:
@@ -188,28 +187,18 @@ def times(k: int | slice, factor: float) -> Callable[[Array], Array]:
 @fault
 def torques_exchanged(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     k = some_joint(logs, rng, last=1)
-    return (
-        replace(logs, torque=each(logs.torque, exchange(k, k + 1))),
-        Expected("swapped_columns", logs.joints[k : k + 2]),
-    )
+    return exchanged(logs, "torque", k, k + 1)
 
 
 @fault
 def far_torques_exchanged(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
-    i, j = 0, some_joint(logs, rng, first=2)
-    return (
-        replace(logs, torque=each(logs.torque, exchange(i, j))),
-        Expected("swapped_columns", (logs.joints[i], logs.joints[j])),
-    )
+    return exchanged(logs, "torque", 0, some_joint(logs, rng, first=2))
 
 
 @fault
 def positions_exchanged(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     k = some_joint(logs, rng, last=1)
-    return (
-        replace(logs, position=each(logs.position, exchange(k, k + 1))),
-        Expected("swapped_columns", logs.joints[k : k + 2]),
-    )
+    return exchanged(logs, "position", k, k + 1)
 
 
 @fault
@@ -322,13 +311,9 @@ def torque_clipped(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected
 @fault
 def encoder_stands(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     k = some_joint(logs, rng)
-    still = logs.position[0][0, k]
-
-    def stand(x: Array) -> Array:
-        x[:, k] = still
-        return x
-
-    return replace(logs, position=each(logs.position, stand)), Expected("stuck", (logs.joints[k],))
+    own, still = np.arange(len(logs.joints)) == k, logs.position[0][0, k]
+    stood = each(logs.position, lambda x: np.where(own, still, x))
+    return replace(logs, position=stood), Expected("stuck", (logs.joints[k],))
 
 
 @fault
@@ -358,15 +343,8 @@ def random_torques(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected
 @fault
 def zero_off(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     k = carrying_joint(logs, rng)
-    off = float(rng.choice([-np.pi / 2, np.pi / 2]))
-    return replace(logs, position=each(logs.position, lambda x: _plus(x, k, off))), Expected(
-        "kinematics", (logs.joints[k],)
-    )
-
-
-def _plus(x: Array, k: int, off: float) -> Array:
-    x[:, k] += off
-    return x
+    off = float(rng.choice([-np.pi / 2, np.pi / 2])) * (np.arange(len(logs.joints)) == k)
+    return replace(logs, position=each(logs.position, lambda x: x + off)), Expected("kinematics", (logs.joints[k],))
 
 
 @fault

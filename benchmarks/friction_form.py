@@ -24,7 +24,8 @@ from rx90b_flex.identify.grey_model import declared_parameters
 from rx90b_flex.identify.replay import Replay, grey_box_by_replay
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import load_campaign
-from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+from rx90b_flex.simulate import load_cs8, run_campaign, section_662
+from rx90b_flex.simulate.excite import NOISE
 
 CASES = {  # effect and the factors of its shape
     "form right": ("stribeck_friction", (1.0, 1.0)),
@@ -65,11 +66,9 @@ def main() -> None:
     for case in options.cases:
         path = options.folder / f"{options.seed}_{case.replace(' ', '_')}"
         if not (path / "campaign.toml").exists():
-            noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
             real = reshaped(true, *CASES[case])
-            run_campaign(
-                section_662(real, controller, noise=noise, periods=3, seed=options.seed, method="perturbation"), path
-            )
+            sizes = {"periods": 3, "seed": options.seed}
+            run_campaign(section_662(real, controller, noise=NOISE, method="perturbation", **sizes), path)
         runs = load_campaign(path / "campaign.toml").identification
         measured = estimate_frequency_response(runs, band_hz=BAND_HZ)
         data = PoseResponse.of(measured, mean_motion(runs, declared.joints), feedback_of(controller, measured.joints))

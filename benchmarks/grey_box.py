@@ -30,7 +30,8 @@ from rx90b_flex.identify.transfer_function import fit_transfer_functions
 from rx90b_flex.identify.validation import validate
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign
-from rx90b_flex.simulate import Noise, load_cs8, run_campaign, section_662
+from rx90b_flex.simulate import load_cs8, run_campaign, section_662
+from rx90b_flex.simulate.excite import NOISE
 
 Result = TypeVar("Result")
 KINDS = ("drive_inertia", "drive_stiffness", "joint_stiffness")
@@ -56,8 +57,7 @@ def campaign_of(folder: Path, seed: int, method: str) -> Campaign:
     """The 96 runs of section 6.6.2 with noise, made where they are not there."""
     path = folder / f"{method}_{seed}"
     if not (path / "campaign.toml").exists():
-        noise = Noise(torque=0.1, position=1e-6, velocity=1e-4)
-        plan = section_662(load_robot("rx90b_3dof"), load_cs8(), noise=noise, seed=seed, method=method)
+        plan = section_662(load_robot("rx90b_3dof"), load_cs8(), noise=NOISE, seed=seed, method=method)
         result, seconds = timed(lambda: run_campaign(plan, path))
         assert not result.failed, result.failed[0]
         print(f"simulated 96 runs in {seconds:.0f} s")
