@@ -356,7 +356,7 @@ def grey_box_by_replay(
     tell = progress or (lambda text, part: None)
     at = _poses_replayed(replay, first, jobs)
     joints = at.measured[0].joints
-    declared = [e for e in robot.effects if _is_friction(e, joints)]
+    declared = _frictions(robot, joints)
     friction = _known_friction(declared)
     std, grey, fit = np.zeros_like(friction), first, partial(grey_box, robot, options=_options(first, at.replays))
     by_friction: list[ComplexArray] | None = None
@@ -675,6 +675,10 @@ class Less:
 def _neighbours(measured: MeasuredResponse) -> int:
     """Lines on either side over which the measured covariance was averaged."""
     return round((measured.degrees_of_freedom / (len(measured.realisations) - 1) - 1) / 2)
+
+
+def _frictions(robot: Robot, joints: Sequence[str]) -> list[Effect]:
+    return [e for e in robot.effects if _is_friction(e, joints)]
 
 
 def _is_friction(effect: Effect, joints: Sequence[str]) -> bool:
