@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from itertools import pairwise
 from typing import Literal
 
@@ -12,11 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from two_drives import HZ, MASS, STIFFNESS, noisy, truth
 
-import rx90b_flex as rf
 from rx90b_flex import drive_parameters
 from rx90b_flex.identify.inverse_eigenvalue import (
     DriveParameters,
-    drive_damping,
     identify_drives,
 )
 from rx90b_flex.identify.transfer_function import fit_transfer_functions
@@ -230,32 +227,6 @@ def test_eigenvector_entries_are_those_of_the_chain() -> None:
     # (5.53), the source's sum, is the trace form
     source = 0.7**2 * ((found[1:] * 2 * np.pi * free) ** 2).sum()
     assert source == pytest.approx(drive_parameters(free, locked, drive_inertia=0.7).stiffness, rel=1e-9)
-
-
-@pytest.mark.parametrize("side", ["joint", "motor"])
-@pytest.mark.parametrize("drive", [0, 1, 2])
-def test_damping_of_a_drive_follows_from_the_real_parts_under_friction(drive: int, side: str) -> None:
-    declared = rf.load_robot("rx90b_3dof")
-    effects = [dataclasses.replace(e, side=side) if e.traits.is_friction else e for e in declared.effects]
-    robot = declared.with_effects(effects)
-    drives = [robot.coordinates.index(f"{j}:drive") for j in robot.joints]
-    q, v = np.zeros(12), np.zeros(12)
-    q[drives[1]], v[drives] = np.pi / 2, 0.11
-    line = robot.linearize(q, v)
-    free = np.delete(np.arange(12), drives[drive])
-
-    def poles(at: np.ndarray) -> np.ndarray:
-        m, d, k = (x[np.ix_(at, at)] for x in (line.M, line.D, line.K))
-        n = len(at)
-        return np.linalg.eigvals(
-            np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(m, k), -np.linalg.solve(m, d)]])
-        )
-
-    found = drive_damping(poles(np.arange(12)), poles(free), INERTIAS[drive])
-    # what the coordinates' velocities add to the drive's own row is C0, absent at the drives in joint angles
-    # friction on the motor stands in that row as well, and cannot be told from the drive's damping
-    slope = line.F0[drives[drive], drives[drive]] if side == "motor" else 0.0
-    assert found == pytest.approx(50.0 + slope, rel=1e-6)
 
 
 def test_drives_and_rigid_mass_from_a_fit_lie_within_their_standard_deviations() -> None:

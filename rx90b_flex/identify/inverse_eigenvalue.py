@@ -93,17 +93,6 @@ def _drive(given: float, w: Array, mu: Array, rigid: bool) -> tuple[Array, Array
     return np.array([inertia, inertia * difference]), np.stack([of_inertia, of_stiffness])
 
 
-def drive_damping(poles: ArrayLike, zeros: ArrayLike, drive_inertia: float) -> float:
-    """Damping of one drive's flexibility from the real parts of its poles and zeros, N m s/rad.
-
-    The traces that give the stiffness give it too: ``d = J (sum Re(z) - sum Re(p))`` over all poles p of the system and all
-    zeros z of its drive point, real ones and both of each pair counted, rad/s. It is exact, for damping of any kind, because friction
-    acts behind the flexibility, on the joint angle, and not on the drive's own row of the damping matrix. Friction on the motor
-    does stand in that row: its slope then comes on top.
-    """
-    return float(drive_inertia * (np.real(np.asarray(zeros)).sum() - np.real(np.asarray(poles)).sum()))
-
-
 @dataclass(frozen=True, eq=False)
 class DriveIdentification:
     """What the motor signals say of the drives (section 5.8), from one fit.
