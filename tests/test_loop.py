@@ -68,8 +68,8 @@ class Names(Residual[Model, Tried]):
     ) -> Addition[Tried] | None:
         return None
 
-    def without(self, model: Model, trial: Tried) -> tuple[Model, list[Tried]]:
-        return model - {trial.label}, []
+    def without(self, standing: Standing[Model, Tried], step: Addition[Tried]) -> tuple[Model, list[Tried]]:
+        return standing.model - {step.trial.label}, []
 
     def instead(self, model: Model, step: Addition[Tried]) -> tuple[Tried, Model] | None:
         return None
@@ -185,8 +185,8 @@ class Leaning(Names):
     ) -> Addition[Tried] | None:
         return next((s for s in standing.steps if s.trial.label == "a" and "c" in standing.model), None)
 
-    def without(self, model: Model, trial: Tried) -> tuple[Model, list[Tried]]:
-        return model - {trial.label, "b"}, []
+    def without(self, standing: Standing[Model, Tried], step: Addition[Tried]) -> tuple[Model, list[Tried]]:
+        return standing.model - {step.trial.label, "b"}, []
 
 
 def test_what_goes_with_something_needless_is_no_addition_any_more():

@@ -38,7 +38,7 @@ from rx90b_flex.diagnose.torque import (
     TorqueData,
     TorqueModel,
     TorqueResidual,
-    find_each,
+    find_added,
     predict,
 )
 from rx90b_flex.diagnose.trial import TorqueTrial
@@ -525,7 +525,7 @@ class _Ended:
         search, words = Search(free, self.residual.sites), []
         if less < LINKS_OFF * left:
             words.append(f"they would leave {less:.2%} of the torque held out instead of {left:.2%}")
-        added = find_each(TorqueModel(free, data), [step.trial.effect for step in self.standing.steps])
+        added = find_added(TorqueModel(free, data), self.standing.steps)
         spare = [e.label for e in added if not search.without(e).accepted]
         if spare:
             words.append(f"{', '.join(spare)} would not be needed")
@@ -556,7 +556,7 @@ class _Ended:
         model = self.standing.model
         out = []
         steps = self.standing.steps
-        for step, effect in zip(steps, find_each(model, [s.trial.effect for s in steps]), strict=True):
+        for step, effect in zip(steps, find_added(model, steps), strict=True):
             out.append(
                 FoundEffect(
                     effect,

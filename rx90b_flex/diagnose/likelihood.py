@@ -445,8 +445,10 @@ class LikelihoodResidual(Residual["LikelihoodFit", "LikelihoodTrial"]):
         least = max(range(len(worths)), key=lambda i: worths[i].p_value)
         return None if worths[least].accepted else standing.steps[least]
 
-    def without(self, model: LikelihoodFit, trial: LikelihoodTrial) -> tuple[LikelihoodFit, list[LikelihoodTrial]]:
-        return self._less(model, trial.change), []
+    def without(
+        self, standing: Standing[LikelihoodFit, LikelihoodTrial], step: Addition[LikelihoodTrial]
+    ) -> tuple[LikelihoodFit, list[LikelihoodTrial]]:
+        return self._less(standing.model, step.trial.change), []
 
     def instead(
         self, model: LikelihoodFit, step: Addition[LikelihoodTrial]

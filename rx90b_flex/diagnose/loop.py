@@ -174,8 +174,8 @@ class Residual(ABC, Generic[ModelT, TrialT]):
         """
 
     @abstractmethod
-    def without(self, model: ModelT, trial: TrialT) -> tuple[ModelT, list[TrialT]]:
-        """The model without what a trial added, and the trials of what that stood in for, where it is a finding by itself."""
+    def without(self, standing: Standing[ModelT, TrialT], step: Addition[TrialT]) -> tuple[ModelT, list[TrialT]]:
+        """The model without an addition, and the trials of what that stood in for, where it is a finding by itself."""
 
     def burden(self, standing: Standing[ModelT, TrialT]) -> tuple[Addition[TrialT], TrialT] | None:
         """The addition that does most harm to data that were not fitted, and its trial, which says so; None where none does."""
@@ -396,7 +396,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
     def _less(self, standing: Standing[ModelT, TrialT], step: Addition[TrialT]) -> Standing[ModelT, TrialT]:
         """Without an addition, what that stood in for back in its place."""
         self.tell(f"taking out {step.trial.label}", _done(standing))
-        model, back = self.residual.without(standing.model, step.trial)
+        model, back = self.residual.without(standing, step)
         at = standing.steps.index(step)
         restored = [dataclasses.replace(step, trial=t) for t in back]
         others = [*standing.steps[:at], *restored, *standing.steps[at + 1 :]]

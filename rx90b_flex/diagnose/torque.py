@@ -272,7 +272,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """The first addition with a name that is not possible, or of which a model tells no value, or quite another one, or hardly
         another torque than that of what it stands in for, and without which it fits as well.
         """
-        for step, named in zip(steps, find_each(model, [s.trial.effect for s in steps]), strict=True):
+        for step, named in zip(steps, find_added(model, steps), strict=True):
             if named.traits.last_resort:
                 continue
             if not _physical(named):
@@ -418,7 +418,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return self._not_missed(standing.model, steps[:older])
         search = self.search(standing.model)
 
-        added_ones = find_each(standing.model, [s.trial.effect for s in steps])
+        added_ones = find_added(standing.model, steps)
 
         def worth(i: int) -> TorqueTrial:
             return search.without(added_ones[i])
@@ -438,12 +438,14 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 return step
         return None
 
-    def without(self, model: TorqueModel, trial: TorqueTrial) -> tuple[TorqueModel, list[TorqueTrial]]:
+    def without(
+        self, standing: Standing[TorqueModel, TorqueTrial], step: Addition[TorqueTrial]
+    ) -> tuple[TorqueModel, list[TorqueTrial]]:
         for known, taken_out, less in self._lesser:
-            if known is model and taken_out is trial:
+            if known is standing.model and taken_out is step.trial:
                 self._lesser.clear()
                 return less
-        return self._less(model, find(model, trial.effect))
+        return self._less(standing.model, find_added(standing.model, standing.steps)[standing.steps.index(step)])
 
     def _less(self, model: TorqueModel, effect: Effect) -> tuple[TorqueModel, list[TorqueTrial]]:
         search = self.search(model)
@@ -485,7 +487,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 continue
             if any(step.trial is t for t in harmless):
                 continue
-            model, back = self.without(standing.model, step.trial)
+            model, back = self.without(standing, step)
             found = self.data.rise(model, standing.model)
             if found is None:
                 self._harmless.append(step.trial)
@@ -514,7 +516,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         each = np.log(np.maximum([e.torque_rms for e in known], 1e-300)).sum(axis=1)
         if now <= declared or (now <= WORSE_HELD_OUT * declared and each[1] < each[0]):
             return None
-        lesser = [(standing.model, s.trial, self.without(standing.model, s.trial)) for s in standing.steps]
+        lesser = [(standing.model, s.trial, self.without(standing, s)) for s in standing.steps]
         errors = [model.errors.validation.relative_error for _, _, (model, _) in lesser]
         best = int(np.argmin(errors))
         self._lesser[:] = [lesser[best]]
@@ -682,6 +684,11 @@ def _unknown(model: Identification, effect: Effect) -> str:
 def find(model: TorqueModel, like: Effect) -> Effect:
     """The identified form of an effect that was added: same type and place, nearest shape."""
     return find_each(model, [like])[0]
+
+
+def find_added(model: TorqueModel, steps: Sequence[Addition[TorqueTrial]]) -> list[Effect]:
+    """The same of additions, each its own."""
+    return find_each(model, [s.trial.effect for s in steps])
 
 
 def find_each(model: TorqueModel, likes: Sequence[Effect]) -> list[Effect]:
