@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.view.report import report_html
 
 ZEROS = (0.7, -0.4)  # N m, of the sensors
 ROTOR = (0.35, 0.12)  # kg m^2
@@ -57,6 +58,13 @@ def found(result: rf.ClosedLoop) -> list[str]:
 def estimates(result: rf.ClosedLoop, label: str) -> dict[str, tuple[float | None, float | None]]:
     place = [e.label for e in result.model.effects].index(label)
     return {e.name: (e.value, e.std) for e in result.model.estimates(place)}
+
+
+def test_a_report_is_written_where_sensors_were_fitted_too(tmp_path: Path) -> None:
+    told = rf.close_loop(campaign(tmp_path))
+    assert isinstance(told, rf.ClosedLoop)
+    assert told.model.regression.torque.shape[1] == 4
+    assert "What to measure next" in report_html(told)
 
 
 @pytest.mark.parametrize("sensors", [pytest.param("both", marks=pytest.mark.slow), "first joint"])

@@ -146,15 +146,18 @@ def _carries_over(result: ClosedLoop) -> Iterator[Advice]:
     fitted = np.array(result.after.identification.torque_rms)
     # rests are told apart by a rule of their own
     held_out = np.minimum(result.after.validation.torque_rms, standstill(result).moving_rms)
-    torque_fitted = rms([result.model.regression.torque])
+    torque_fitted = rms(
+        [result.model.regression.torque[:, : len(result.joints)]]
+    )  # beyond them: sensors behind the gears
     torque_held_out = rms([p.torque for p in result.predictions])
     # a joint that works harder errs more, and one that works less errs more for its torque: only both together tell
     worse = (held_out > CARRIES_OVER * fitted) & (held_out * torque_fitted > CARRIES_OVER * fitted * torque_held_out)
     if result.noise_floor is not None:
         worse &= held_out > NEAR_FLOOR * np.array(result.noise_floor)
     if worse.any():
+        units = result.source.units_of(result.joints)
         numbers = [
-            f"{result.joints[i]} ({fitted[i]:.3g} N m where fitted, {held_out[i]:.3g} N m moving where not)"
+            f"{result.joints[i]} ({fitted[i]:.3g} {units[i].force} where fitted, {held_out[i]:.3g} {units[i].force} moving where not)"
             for i in np.flatnonzero(worse)
         ]
         yield Advice(
@@ -176,7 +179,8 @@ def _coverage(result: ClosedLoop) -> Iterator[Advice]:
         speed = float(np.abs(fitted[f"{joint} velocity"]).max())
         top = max(float(np.abs(p.velocity[:, column]).max()) for p in result.predictions)
         if top > FASTER * speed:
-            faster.append(f"{joint} ({top:.2g} instead of {speed:.2g} rad/s)")
+            (unit,) = result.source.units_of([joint])
+            faster.append(f"{joint} ({top:.2g} instead of {speed:.2g} {unit.speed})")
     if outside or faster:
         parts = [f"goes where the fit never was at {joined(outside)}"] if outside else []
         parts += [f"is faster than the fit ever saw at {joined(faster)}"] if faster else []
