@@ -24,6 +24,7 @@ from rx90b_flex.robot import Robot
 SLOWEST = 0.05  # of the joint's largest speed: below it friction turns over, which a simulator does in its own way
 SPEED = 1.0  # rad/s, the largest speed of a joint whose URDF states none
 SPEEDS = 60  # at which friction is compared
+CREEP = 1e-3  # of that speed, down to which friction may still grow as it falls
 EXACT = 1e-2  # of friction's largest torque: closer is no loss worth a line
 ANGLES = (0.0, 0.7, -1.3)  # rad, at which a law is asked whether it depends on the angle
 
@@ -370,13 +371,19 @@ def _rub(
     v = np.linspace(SLOWEST * fastest, fastest, SPEEDS)
     torque = sum(np.array([law(x) for x in v]) for _, law in gathered.rubbing)
     (level, slope), _ = nnls(np.stack([np.ones_like(v), v], axis=1), np.maximum(torque, 0.0))
-    off = float(np.abs(torque - level - slope * v).max())
-    if off <= EXACT * np.abs(torque).max():
+    off, largest, slowest = float(np.abs(torque - level - slope * v).max()), float(np.abs(torque).max()), v[0]
+    # what is slower turns over there, but does not grow
+    slow = np.geomspace(CREEP, 1.0, SPEEDS) * v[0]
+    grown = float((sum(np.array([law(x) for x in slow]) for _, law in gathered.rubbing) - level - slope * slow).max())
+    if grown > off:
+        off, largest, slowest = grown, max(largest, level + grown), slow[0]
+    if off <= EXACT * largest:
         return float(slope), float(level), []
     labels = " + ".join(dict.fromkeys(effect.label for effect, _ in gathered.rubbing))
+    (unit,) = robot.units_of([weights[0][0].rsplit(":", 1)[0]])
     why = (
-        f"written as dry friction of {level:.4g} N m and damping of {slope:.4g} N m s/rad: off by up to {off:.3g} of "
-        f"{np.abs(torque).max():.3g} N m between {v[0]:.2g} and {v[-1]:.2g} rad/s"
+        f"written as dry friction of {level:.4g} {unit.force} and damping of {slope:.4g} {unit.of('N m s/rad')}: off by up to "
+        f"{off:.3g} of {largest:.3g} {unit.force} between {slowest:.2g} and {v[-1]:.2g} {unit.speed}"
     )
     return float(slope), float(level), [Lost(labels, why)]
 
