@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,8 +12,6 @@ if TYPE_CHECKING:
     from rx90b_flex.diagnose.close import ClosedLoop
     from rx90b_flex.diagnose.motion import MotionErrors
     from rx90b_flex.diagnose.refused import RefusedLoop
-    from rx90b_flex.robot import Robot
-    from rx90b_flex.signals import Campaign
 
 
 @dataclass(frozen=True)
@@ -45,18 +42,6 @@ class Closed:
         write_result(self.result, out, report, self.motion, overwrite)
 
 
-def declared_robot(campaign: Campaign, basics: bool, robot: Robot | str | os.PathLike[str] | None = None) -> Robot:
-    """The campaign's robot, or another one; with `basics`, what every drive has is declared on all of the campaign's joints."""
-    from rx90b_flex.diagnose.basics import with_basics
-    from rx90b_flex.robot import load_robot
-
-    declared = load_robot(campaign.robot_source if robot is None else robot)
-    if not basics:
-        return declared
-    joints = [j for j in campaign.joints if j in declared.joints]
-    return with_basics(declared, joints, campaign.torque_side == "behind_gear")
-
-
 def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float], None] | None = None) -> Closed:
     """Close the loop on a campaign file and simulate the result.
 
@@ -72,9 +57,13 @@ def close_campaign(path: Path, options: LoopOptions, tell: Callable[[str, float]
     from rx90b_flex.diagnose.close import close_loop
     from rx90b_flex.diagnose.motion import motion_errors
 
-    robot = declared_robot(read, options.basics)
     result = close_loop(
-        read, robot=robot, seed=options.seed, progress=tell, despite_faults=options.despite_faults, jobs=options.jobs
+        read,
+        basics=options.basics,
+        seed=options.seed,
+        progress=tell,
+        despite_faults=options.despite_faults,
+        jobs=options.jobs,
     )
     told("simulating the closed loop and writing the report", 1.0)
     return Closed(result, motion_errors(result))

@@ -68,7 +68,7 @@ def identify(
     >>> list(found.to_pandas().columns)
     ['parameter', 'value', 'std', 'unit']
     """
-    from rx90b_flex.closing import declared_robot
+    from rx90b_flex.diagnose.basics import declared_robot
     from rx90b_flex.identify.command import identify_campaign
     from rx90b_flex.signals import Campaign, load_campaign
 
@@ -96,7 +96,7 @@ def simulate(
     motion : Trajectory, path or str
         ``line``, ``excitation``, ``square-wave`` or ``harmonics``; or a table of a trajectory (CSV).
     controller : path, optional
-        Controller file; the CS8's where the robot has its joints, else gains designed for the robot.
+        Controller file; the one that the robot's file states, else gains designed for the robot, where not given.
     periods : int
         Of an excitation that repeats.
     seed : int

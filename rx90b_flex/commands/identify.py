@@ -46,7 +46,7 @@ def identify_command(
     with progress() as tell:
         tell("reading", 0.0)
         read = read_campaign(campaign)
-        from rx90b_flex.closing import declared_robot
+        from rx90b_flex.diagnose.basics import declared_robot
         from rx90b_flex.diagnose.check import check
         from rx90b_flex.identify.command import identify_campaign, write_identified
         from rx90b_flex.view.check_report import basics_words, write_check_report

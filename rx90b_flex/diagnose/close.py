@@ -7,7 +7,7 @@ import gc
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.diagnose.alternatives import Alternative
+from rx90b_flex.diagnose.basics import declared_robot
 from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
@@ -53,7 +54,7 @@ from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import USUAL
 from rx90b_flex.identify.torque_scale import resolved
 from rx90b_flex.identify.torque_sensors import calibrated
-from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
 if TYPE_CHECKING:
@@ -89,9 +90,34 @@ class FoundEffect:
     parameters: tuple[Estimate, ...]
     before: Errors
     after: Errors
-    rivals: tuple[TorqueTrial, ...]
-    trial: TorqueTrial
-    alternatives: tuple[Alternative, ...] = ()
+    rivals: tuple[TorqueTrial, ...] = field(repr=False)
+    trial: TorqueTrial = field(repr=False)
+    alternatives: tuple[Alternative, ...] = field(default=(), repr=False)
+
+    @property
+    def type(self) -> str:
+        """Its type, as in a robot file."""
+        return self.effect.type_name()
+
+    @property
+    def joint(self) -> str | None:
+        """Where it acts; None where that is not one joint."""
+        return self.joints[0] if len(self.joints) == 1 else None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Where it acts."""
+        return self.effect.joints
+
+    @property
+    def validation_relative_error_before(self) -> float:
+        """The number of that name in ``closed_loop.json``."""
+        return self.before.relative_error
+
+    @property
+    def validation_relative_error_after(self) -> float:
+        """The number of that name in ``closed_loop.json``."""
+        return self.after.relative_error
 
     @property
     def p_value(self) -> float:
@@ -181,7 +207,7 @@ class ClosedLoop(OfCampaign):
     effects : tuple of FoundEffect
         In the order in which they were added.
     verdict : str
-        ``nothing_missing``, ``explained``, ``partly_explained``, ``unexplained``.
+        ``nothing_missing``, ``explained``, ``partly_explained``, ``unexplained``; `RefusedLoop` has ``data_fault``.
     unexplained : Unexplained
     model : Identification
         The final model on the identification data.
@@ -253,7 +279,8 @@ class ClosedLoop(OfCampaign):
 def close_loop(
     source: str | os.PathLike[str] | Campaign,
     *,
-    robot: Robot | None = None,
+    robot: Robot | str | os.PathLike[str] | None = None,
+    basics: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
     despite_faults: bool = False,
@@ -270,8 +297,10 @@ def close_loop(
     ----------
     source : path or Campaign
         Campaign file.
-    robot : Robot, optional
+    robot : Robot, or what `load_robot` takes, optional
         In place of the one that the campaign names.
+    basics : bool
+        Whether drive inertia, dry and viscous friction and an offset are declared on every joint of the campaign that lacks them.
     seed : int
         Of the permutation test for what remains.
     progress : callable, optional
@@ -306,7 +335,9 @@ def close_loop(
         _imports_set_aside(),
         told_of_compiling(lambda: tell("compiling, once on this machine", 0.0)),
     ):
-        closed = _closed(source, robot, seed, tell, despite_faults, jobs)
+        campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
+        _check_torques(campaign)
+        closed = _closed(campaign, declared_robot(campaign, basics, robot), seed, tell, despite_faults, jobs)
         return closed if isinstance(closed, RefusedLoop) else _with_second_encoders(closed)
 
 
@@ -378,22 +409,19 @@ def _rising(tell: Progress) -> Progress:
 
 
 def _closed(
-    source: str | os.PathLike[str] | Campaign,
-    robot: Robot | None,
+    campaign: Campaign,
+    declared: Robot,
     seed: int,
     tell: Progress,
     despite_faults: bool,
     jobs: int | None,
 ) -> ClosedLoop | RefusedLoop:
-    campaign = source if isinstance(source, Campaign) else load_campaign(Path(source))
-    _check_torques(campaign)
     tell("reading", 0.0)
-    declared_robot = load_robot(campaign.robot_source) if robot is None else robot
     with named_in(campaign.path, "joints"):
-        declared_robot.restricted(campaign.joints)
-    campaign, constants = resolved(campaign, declared_robot)
+        declared.restricted(campaign.joints)
+    campaign, constants = resolved(campaign, declared)
     campaign, scaled = calibrated(campaign)
-    data = TorqueData.of(declared_robot, campaign)
+    data = TorqueData.of(declared, campaign)
     if len(data.regression.blocks()) < FEWEST_BLOCKS:
         seconds = sum(r.duration_s for r in campaign.identification)
         raise ValueError(
@@ -401,17 +429,22 @@ def _closed(
             f"{FEWEST_BLOCKS} s or more are needed, for parts of them are held out"
         )
     tell("looking at the data", 0.02)
-    checked = check(campaign, robot=declared_robot)
+    checked = check(campaign, robot=declared)
     if not (checked.usable or despite_faults):
-        return RefusedLoop(checked, declared_robot, campaign)
+        return RefusedLoop(checked, declared, campaign)
     tell("identifying the declared model", 0.05)
-    sites = Sites(declared_robot.rigid().restricted(campaign.joints).joints, declared_robot.tip_frame)
+    sites = Sites(declared.rigid().restricted(campaign.joints).joints, declared.tip_frame)
     gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" and f.usable for j in f.joints)
-    fitted = declared_robot.inertial_parameters == "fitted"
+    fitted = declared.inertial_parameters == "fitted"
     residual = TorqueResidual(data, campaign, sites, fitted, gains, worth_while(jobs, data.regression.torque.size))
     loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))
-    ended = _Ended(declared_robot, residual, loop.run(), loop.declared)
-    return ended.result(seed, checked, (*(c.message for c in constants), *scaled, *loop.stopped(ended.standing)), tell)
+    ended = _Ended(declared, residual, loop.run(), loop.declared)
+    return ended.result(
+        seed,
+        checked,
+        (*(c.message for c in constants if c.source != "stated"), *scaled, *loop.stopped(ended.standing)),
+        tell,
+    )
 
 
 @dataclass(frozen=True, eq=False)

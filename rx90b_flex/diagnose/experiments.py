@@ -12,7 +12,7 @@ from rx90b_flex.effects.motion import Array, Motion
 SECONDS, RATE_HZ = 20.0, 50.0  # of an experiment
 TIME = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
 SLOW, MEDIUM = 0.03, 0.3  # of the fastest speed in the data
-SMALL_RAD = 0.01
+SMALL = 0.01  # rad or m
 LATER_S = 300.0  # between the parts of the experiment that repeats
 WIDER = 1.3  # range of a joint over the data's, from which it is worth asking for
 
@@ -30,6 +30,7 @@ class _Moves:
         self.rest = np.asarray(np.median(places, axis=0))
         self.low, self.high = float(places[:, self.column].min()), float(places[:, self.column].max())
         self.fastest = float(np.abs(rates[:, self.column]).max())
+        (self.unit,) = search.regression.robot.units_of([joint])
 
     def motion(self, x: Array, others: Array | None = None, at: Array = TIME) -> Motion:
         """Of the joint's angle as a function of time; the others as given, (N, n), or at rest."""
@@ -58,33 +59,34 @@ def experiments(search: Search, joint: str) -> Iterator[tuple[str, Motion]]:
     moves, segments = _Moves(search, joint), search.regression.segments
     slow, medium = SLOW * moves.fastest, MEDIUM * moves.fastest
     yield (
-        f"Turn {joint} slowly, at {slow:.2g} rad/s, to and fro with the other joints at rest",
+        f"{moves.unit.move.capitalize()} {joint} slowly, at {slow:.2g} {moves.unit.speed}, to and fro with the other joints at rest",
         moves.motion(moves.to_and_fro(slow)),
     )
     part = len(TIME) // 5
     steps = [moves.to_and_fro(s)[:part] for s in np.geomspace(slow, moves.fastest, 5)]
     yield (
-        f"Run {joint} to and fro at five constant speeds from {slow:.2g} to {moves.fastest:.2g} rad/s, the other joints at rest",
+        f"Run {joint} to and fro at five constant speeds from {slow:.2g} to {moves.fastest:.2g} {moves.unit.speed}, the other "
+        "joints at rest",
         moves.motion(np.concatenate(steps)),
     )
     yield (
-        f"Let {joint} swing by {SMALL_RAD:g} rad twice a second, the other joints at rest: all of it is reversal",
-        moves.motion(moves.rest[moves.column] + SMALL_RAD * np.sin(4 * np.pi * TIME)),
+        f"Let {joint} swing by {SMALL:g} {moves.unit.position} twice a second, the other joints at rest: all of it is reversal",
+        moves.motion(moves.rest[moves.column] + SMALL * np.sin(4 * np.pi * TIME)),
     )
     size = min(0.5 * (moves.high - moves.low), medium / (2 * np.pi * 0.2))
     hz = np.repeat([0.2, 0.5, 1.0, 2.0], len(TIME) // 4)
     swing = (moves.low + moves.high) / 2 + size * 0.2 / hz * np.sin(2 * np.pi * hz * TIME[: len(hz)])
     yield (
-        f"Swing {joint} at 0.2, 0.5, 1 and 2 Hz with the same largest speed, {2 * np.pi * 0.2 * size:.2g} rad/s, the other "
-        "joints at rest: speed stays, acceleration changes",
+        f"Swing {joint} at 0.2, 0.5, 1 and 2 Hz with the same largest speed, {2 * np.pi * 0.2 * size:.2g} {moves.unit.speed}, "
+        "the other joints at rest: speed stays, acceleration changes",
         moves.motion(swing, at=TIME[: len(hz)]),
     )
     load = np.concatenate([np.abs(s.motion.on_tree.load()[:, moves.column]) for s in segments])
     placed = np.concatenate([s.motion.q for s in segments])
     poses = np.where((TIME < SECONDS / 2)[:, None], placed[load.argmin()], placed[load.argmax()])
     yield (
-        f"Run {joint} to and fro at {medium:.2g} rad/s twice, once with the other joints where it carries the least and once "
-        "where it carries the most: speed stays, load changes",
+        f"Run {joint} to and fro at {medium:.2g} {moves.unit.speed} twice, once with the other joints where it carries the "
+        "least and once where it carries the most: speed stays, load changes",
         moves.motion(moves.to_and_fro(medium), poses),
     )
     yield (
@@ -105,8 +107,9 @@ def _wider(moves: _Moves, medium: float) -> Iterator[tuple[str, Motion]]:
     middle, reach, limit = (bottom + top) / 2, 0.45 * (top - bottom), 0.5 * fastest
     # there and back once, unless the joint is not that fast
     speed = max(medium, min(4 * reach / SECONDS, limit if limit > 0 else np.inf))
+    unit = moves.unit
     yield (
-        f"Turn {moves.joint} at {speed:.2g} rad/s through more of its range than so far, {middle - reach:.2f} to "
-        f"{middle + reach:.2f} rad if nothing is in the way, the other joints at rest",
+        f"{unit.move.capitalize()} {moves.joint} at {speed:.2g} {unit.speed} through more of its range than so far, "
+        f"{middle - reach:.2f} to {middle + reach:.2f} {unit.position} if nothing is in the way, the other joints at rest",
         moves.motion(moves.to_and_fro(speed, middle - reach, middle + reach)),
     )

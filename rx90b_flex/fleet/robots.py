@@ -11,7 +11,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from rx90b_flex.closing import LoopOptions, close_campaign, declared_robot
+from rx90b_flex.closing import LoopOptions, close_campaign
+from rx90b_flex.diagnose.basics import declared_robot
 from rx90b_flex.diagnose.refused import DATA_FAULT
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.effects import Effect
