@@ -66,7 +66,7 @@ class Modes(Showing):
         return -self.poles.real / np.where(size > 0, size, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Linearization:
     """Small motions about (q, v, a): ``M d(a) + D d(v) + K d(q) = B d(drive torque)`` (equation 3.90).
 
@@ -108,6 +108,9 @@ class Linearization:
     spring: Terms
     friction: Terms
     G0: Array
+
+    def __repr__(self) -> str:
+        return f"<Linearization: {len(self.coordinates)} coordinates, {len(self.joints)} joints>"
 
     @cached_property
     def total(self) -> Terms:

@@ -120,7 +120,7 @@ def test_values_that_are_told_are_possible_and_a_wrong_sign_is_named_as_the_caus
         assert named[name] is not None and named[name] >= 0.0
         assert name in found.consistency.wrong_sign
     lead = " ".join(headline(found))
-    assert "wrong sign of a torque or position column is the likely cause" in lead
+    assert "column has the wrong sign" in lead
     assert "shoulder.coulomb_friction.torque" in lead
     (tmp_path / "out").mkdir()
     write_identified(found, tmp_path / "out")

@@ -40,7 +40,10 @@ def check_path_command(
     tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
     robot: RobotOfPath = None,
     speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
-    controller: Annotated[Path | None, typer.Option(help="Controller file (TOML); the CS8's otherwise.")] = None,
+    controller: Annotated[
+        Path | None,
+        typer.Option(help="Controller file (TOML); the robot file's, or gains designed for the robot, otherwise."),
+    ] = None,
     correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
     contributions: Contributions = True,
     measured: MeasuredFile = None,

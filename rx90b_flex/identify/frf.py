@@ -84,7 +84,7 @@ class Spectra:
         return _over(self.acceleration[self.excited], self.acceleration_noise[self.excited])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MeasuredResponse(FrequencyResponse):
     """A nonparametric estimate and what it was made of. F lines, n joints, R realisations, E experiments.
 

@@ -30,7 +30,7 @@ class TorqueConstant:
     Attributes
     ----------
     joint : str
-    value : N m/A; None where nothing known fixes the scale.
+    value : N m/A (N/A where the joint slides); None where nothing known fixes the scale.
     std : its standard deviation; zero for one that was stated.
     source : "stated", "torque sensor", "model" or "not determined".
     message : in a sentence.
@@ -60,14 +60,17 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
     if stated is None:
         return campaign, ()
     found: dict[str, TorqueConstant] = {}
+    units = dict(zip(campaign.joints, (f"{u.force}/A" for u in robot.units_of(campaign.joints)), strict=True))
     sensed = sensors_to_use(campaign)
     for joint, value in zip(campaign.joints, stated, strict=True):
         if value is not None:
             found[joint] = TorqueConstant(
-                joint, value, 0.0, "stated", f"Torque constant of {joint}: {value:g} N m/A, as stated."
+                joint, value, 0.0, "stated", f"Torque constant of {joint}: {value:g} {units[joint]}, as stated."
             )
         elif joint in sensed and (told := sensor_gain(campaign.identification, joint)) is not None:
-            words = f"Torque constant of {joint}: {told[0]:.4g} ± {told[1]:.2g} N m/A, told by its torque sensor."
+            words = (
+                f"Torque constant of {joint}: {told[0]:.4g} ± {told[1]:.2g} {units[joint]}, told by its torque sensor."
+            )
             found[joint] = TorqueConstant(joint, *told, "torque sensor", words)
     known = _scaled(campaign, {j: c.value for j, c in found.items() if c.source == "torque sensor" and c.value})
     scales = {j: c.value for j, c in found.items() if c.value is not None}
@@ -75,8 +78,9 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
     if missing:
         for constant, scale in _from_model(known, robot, missing):
             found[constant.joint], scales[constant.joint] = constant, scale
-    units = {j: scales[j] for j in missing}
-    done = dataclasses.replace(_scaled(known, units), torque_constants=tuple(scales[j] for j in campaign.joints))
+    done = dataclasses.replace(
+        _scaled(known, {j: scales[j] for j in missing}), torque_constants=tuple(scales[j] for j in campaign.joints)
+    )
     return done, tuple(found[j] for j in campaign.joints)
 
 
@@ -102,11 +106,12 @@ def _from_model(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> list
     sure = solution.determined[-len(joints) :] & (np.abs(gains) > 0.0)
     std = np.sqrt(np.maximum(np.diag(fit.covariance(solution, columns, rest))[-len(joints) :], 0.0))
     out = []
-    for joint, gain, spread, known in zip(joints, gains, std, sure, strict=True):
+    units = [f"{u.force}/A" for u in robot.units_of(joints)]
+    for joint, gain, spread, known, unit in zip(joints, gains, std, sure, units, strict=True):
         value = 1.0 / gain
         if known and abs(gain) > 2.0 * spread:
             error = float(spread / gain**2)
-            words = f"Torque constant of {joint}: {value:.4g} ± {error:.2g} N m/A, told by what is known of the load."
+            words = f"Torque constant of {joint}: {value:.4g} ± {error:.2g} {unit}, told by what is known of the load."
             out.append((TorqueConstant(joint, float(value), error, "model", words), float(value)))
             continue
         words = (

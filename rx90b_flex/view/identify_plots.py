@@ -13,15 +13,17 @@ from rx90b_flex.view.axes import AFTER, FLOOR, MEASURED, new_figure
 WIDTH = 6.4  # inches
 
 
-def torque_fit(time: Array, measured: Array, predicted: Array, joint: str, model: str = "identified model") -> Figure:
-    """Torque of one joint, measured and predicted, and below it what is left; each (N,), s and N m."""
+def torque_fit(
+    time: Array, measured: Array, predicted: Array, joint: str, unit: str, model: str = "identified model"
+) -> Figure:
+    """Torque of one joint, measured and predicted, and below it what is left; each (N,), s and `unit`."""
     figure, (above, below) = new_figure(3.2, rows=2, width=WIDTH, heights=(2, 1), sharex=True)
     above.plot(time, measured, color=MEASURED, linewidth=1.8, label="measured")
     above.plot(time, predicted, color=AFTER, linewidth=0.8, label=model)
     below.plot(time, measured - predicted, color=AFTER, linewidth=0.8, label="error")
     below.axhline(0.0, color=FLOOR, linewidth=0.6)
-    above.set_ylabel(f"{joint}\ntorque, N m")
-    below.set(xlabel="time, s", ylabel="error, N m")
+    above.set_ylabel(f"{joint}\ntorque, {unit}")
+    below.set(xlabel="time, s", ylabel=f"error, {unit}")
     above.legend(frameon=False, fontsize=8, ncols=2)
     figure.align_ylabels((above, below))
     return figure

@@ -45,8 +45,9 @@ def bound_words(result: Identified) -> list[str]:
         out.append(f"Held at their physical bounds: {', '.join(consistency.held)}.")
     if consistency.wrong_sign:
         out.append(
-            f"Fitted far below zero, which nothing can have: {', '.join(consistency.wrong_sign)}. A wrong sign of a torque or "
-            "position column is the likely cause, for some joints or for all."
+            f"Fitted far below zero, which nothing can have: {', '.join(consistency.wrong_sign)}. Either a torque or position "
+            "column has the wrong sign, which check looks for, or the model lacks an effect there, such as friction that falls with "
+            "speed, which close-loop looks for."
         )
     return out
 
@@ -74,11 +75,12 @@ def _errors(result: Identified) -> Section:
         roles.append(("validation", result.validation))
     joints = result.campaign.joints
     rows = [(role, f"{100 * e.relative_error:.4g}", *(f"{x:.4g}" for x in e.torque_rms)) for role, e in roles]
-    head = ("recordings", "relative error, %", *(f"{j}, N m" for j in joints))
+    units = [u.force for u in result.source.units_of(joints)]
+    head = ("recordings", "relative error, %", *(f"{j}, {u}" for j, u in zip(joints, units, strict=True)))
     first = result.predictions[0]
     images = (
         image(
-            torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint),
+            torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint, units[i]),
             f"Torque of {joint}, measured and predicted",
             f"{joint}: recording {first.recording.name} ({first.recording.role})",
             zoom=True,

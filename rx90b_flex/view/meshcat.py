@@ -13,7 +13,7 @@ import json
 import os
 import webbrowser
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -160,8 +160,8 @@ class View:
 
     title: str
     notes: tuple[str, ...]
-    commands: tuple[_ViewerCommand, ...]
-    legend: bytes | None = None
+    commands: tuple[_ViewerCommand, ...] = field(repr=False)  # megabytes
+    legend: bytes | None = field(default=None, repr=False)
 
     def html(self) -> str:
         """The scene as one HTML page that asks for nothing from outside: robot, controls, legend."""

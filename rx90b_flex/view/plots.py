@@ -118,11 +118,11 @@ def residual_in_time(result: ClosedLoop, joint: str) -> Figure:
     errors = [(p.torque - x)[_inside(result, p), column] for p in result.predictions for x in (p.before, p.after)]
     limit = 1.08 * max(float(np.abs(e).max()) for e in errors) or 1.0
     for ax, label in zip(axes[1:], ("error before", "error after"), strict=True):
-        ax.set(ylim=(-limit, limit), ylabel=f"{label},\nN m")
+        ax.set(ylim=(-limit, limit), ylabel=f"{label},\n{_force(result, joint)}")
         if result.noise_floor is not None:
             for sign in (-1, 1):
                 ax.axhline(sign * result.noise_floor[column], color=FLOOR, linewidth=0.7, linestyle="--")
-    axes[0].set_ylabel("torque,\nN m")
+    axes[0].set_ylabel(f"torque,\n{_force(result, joint)}")
     axes[-1].set_xlabel("time, s" if len(pieces) == 1 else "time, s (recordings end to end)")
     figure.align_ylabels(axes)
     return figure
@@ -145,7 +145,7 @@ def residual_in_frequency(result: ClosedLoop, joint: str) -> Figure:
     if top > 0:
         ax.set_yscale("log")
         ax.set_ylim(top / 10**DECADES, 2 * top)
-    _spectral(ax, result)
+    _spectral(ax, result, joint)
     return figure
 
 
@@ -199,7 +199,8 @@ def remaining_dependence(result: ClosedLoop, dependence: Dependence) -> Figure |
     ax.fill_between(x, *binned.band, color=AFTER, alpha=0.25, linewidth=0, label="± 1 std")
     ax.plot(x, binned.mean, color=AFTER, marker="o", markersize=3, linewidth=1.2, label="mean")
     cycle = f"part of a cycle, {_plain(dependence.signal)} (cycles a turn)"
-    ax.set(xlabel=_with_unit(_plain(dependence.signal)) if order is None else cycle, ylabel="error left, N m")
+    over = _with_unit(result, dependence.joint, dependence.signal) if order is None else cycle
+    ax.set(xlabel=over, ylabel=f"error left, {_force(result, dependence.joint)}")
     legend(ax)
     return figure
 
@@ -216,12 +217,12 @@ def remaining_bands(result: ClosedLoop, joint: str) -> Figure:
     for i, band in enumerate(b for b in result.unexplained.bands if b.joint == joint):
         ax.axvspan(band.low_hz, band.high_hz, color=BEFORE, alpha=0.18, linewidth=0, label=None if i else "repeats")
     ax.set_ylim(0, None)
-    _spectral(ax, result)
+    _spectral(ax, result, joint)
     return figure
 
 
-def _spectral(ax: Axes, result: ClosedLoop) -> None:
-    ax.set(xlim=(0, _highest_hz(result)), xlabel="frequency, Hz", ylabel="amplitude, N m")
+def _spectral(ax: Axes, result: ClosedLoop, joint: str) -> None:
+    ax.set(xlim=(0, _highest_hz(result)), xlabel="frequency, Hz", ylabel=f"amplitude, {_force(result, joint)}")
     legend(ax)
 
 
@@ -241,7 +242,8 @@ def _rests(result: ClosedLoop, column: int) -> Figure:
             ax.axvline(at, color=MEASURED, linewidth=0.6, linestyle=":")
             at += len(segment) / segment.rate_hz
     ax.axhline(0.0, color="#555555", linewidth=0.6)
-    ax.set(xlabel="time, s (recordings end to end; shaded: at rest)", ylabel="error left, N m")
+    ylabel = f"error left, {_force(result, result.joints[column])}"
+    ax.set(xlabel="time, s (recordings end to end; shaded: at rest)", ylabel=ylabel)
     return figure
 
 
@@ -320,7 +322,8 @@ def _residual_against(result: ClosedLoop, joint: str, kind: str) -> Figure:
         x, line = curve.centre, f"{mark}{style}"
         ax.fill_between(x, *curve.band, color=colour, alpha=0.16, linewidth=0)
         ax.plot(x, curve.mean, line, color=colour, markersize=3, linewidth=1.1, label=label)
-    ax.set(ylim=(-limit, limit), xlabel=f"joint {_with_unit(kind)}", ylabel="error, N m")
+    xlabel = f"joint {_with_unit(result, joint, kind)}"
+    ax.set(ylim=(-limit, limit), xlabel=xlabel, ylabel=f"error, {_force(result, joint)}")
     legend(ax)
     return figure
 
@@ -380,9 +383,16 @@ def _percent(part: Sequence[float], whole: Array) -> Array:
     return 100 * np.divide(part, whole, out=np.zeros(len(whole)), where=whole > 0)
 
 
-def _with_unit(signal: str) -> str:
-    unit = UNITS.get(signal.rsplit(" ", 1)[-1])
-    return f"{signal}, {unit}" if unit else signal
+def _force(result: ClosedLoop, joint: str) -> str:
+    return result.source.units_of([joint])[0].force
+
+
+def _with_unit(result: ClosedLoop, joint: str, signal: str) -> str:
+    """A signal's name and unit; of the joint that it names, or of the one given."""
+    named, _, kind = signal.rpartition(" ")
+    unit = UNITS.get(kind)
+    (of,) = result.source.units_of([named if named in result.joints else joint])
+    return _plain(f"{signal}, {of.of(unit)}" if unit else signal)
 
 
 def _plain(text: str) -> str:

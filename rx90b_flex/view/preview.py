@@ -32,8 +32,11 @@ def preview(source: str | os.PathLike[str] | Campaign) -> dict[str, Figure]:
     rows = np.array([robot.layout.index(j) for j in campaign.joints])
     modelled = segment.brought(force[:, rows])
     part = slice(None, None, max(1, len(modelled) // MOST_SAMPLES))
+    units = [u.force for u in robot.units_of(campaign.joints)]
     return {
-        joint: torque_fit(segment.time[part], segment.torque[part, k], modelled[part, k], joint, "declared model")
+        joint: torque_fit(
+            segment.time[part], segment.torque[part, k], modelled[part, k], joint, units[k], "declared model"
+        )
         for k, joint in enumerate(campaign.joints)
     }
 

@@ -186,7 +186,9 @@ def _(result: Identified) -> Appearance:
         first = result.predictions[0]
         left = first.measured - first.predicted
         k = int(np.argmax(np.sqrt(np.mean(left**2, axis=0)) / np.std(first.measured, axis=0).clip(1e-12)))
-        return torque_fit(first.recording.time, first.measured[:, k], first.predicted[:, k], first.recording.joints[k])
+        joint = first.recording.joints[k]
+        unit = result.source.units_of([joint])[0].force
+        return torque_fit(first.recording.time, first.measured[:, k], first.predicted[:, k], joint, unit)
 
     return Appearance(
         f"{result.source.name}: torque error fitted {100 * result.identification.relative_error:.3g} %{held}",
