@@ -108,9 +108,11 @@ def import_into(
 
     def fill(at: Path) -> None:
         name = _write_basics(loaded, imported.recordings[0].joints, at) if basics else written
-        load_campaign(
-            write_campaign(at, name, imported.recordings, cutoff_hz=cutoff, file_format=file_format)  # type: ignore[arg-type]
-        )
+        made = write_campaign(at, name, imported.recordings, cutoff_hz=cutoff, file_format=file_format)  # type: ignore[arg-type]
+        try:
+            load_campaign(made)
+        except ValueError as error:  # it will not lie where it was made
+            raise ValueError(str(error).replace(str(at), str(folder))) from error
 
     fill_folder(folder, fill, CAMPAIGN, overwrite)
     return imported

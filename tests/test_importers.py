@@ -234,6 +234,15 @@ def test_a_joint_that_slides_is_in_metres_where_the_others_are_in_degrees(tmp_pa
     assert whole(imported, "position") == pytest.approx(Q, abs=1e-9)
 
 
+@pytest.mark.parametrize("degrees", [None, True])
+def test_a_joint_that_slides_may_be_in_millimetres(tmp_path: Path, degrees: bool | None) -> None:
+    path = tmp_path / "run.csv"
+    names = ["time", "q1_mm", "q2_deg", "q3_deg", *numbered("tau")]
+    table(names, TIME, np.column_stack([1e3 * Q[:, 0], np.rad2deg(Q[:, 1:])]), TAU).to_csv(path, index=False)
+    imported = import_logs([path], replace(AXES, prismatic=(True, False, False)), ReadingOptions(degrees=degrees))
+    assert whole(imported, "position") == pytest.approx(Q, abs=1e-9)
+
+
 @pytest.mark.parametrize("cell", ["19,439.7", "194 N m"])
 def test_a_torque_that_is_no_number_is_no_joint_without_torques(tmp_path: Path, cell: str) -> None:
     data = table(["time", *numbered("q", "tau")], TIME, Q, TAU)

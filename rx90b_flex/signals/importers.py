@@ -472,14 +472,13 @@ class _Import:
         for signal, columns in signals.items():
             in_degrees = bool(degrees) and "torque" not in signal
             assumed = [DEGREE if in_degrees and self.axes.turns(c.joint) else 1.0 for c in columns]
-            # an option overrules what names say
-            overruled = self.options.degrees is not None and "torque" not in signal
-            scales = np.array(
-                [a if c.scale is None or overruled else c.scale for a, c in zip(assumed, columns, strict=True)]
-            )
+            # an option overrules what names of angles say
+            overrules = self.options.degrees is not None and "torque" not in signal
+            named = [c.scale is not None and not (overrules and self.axes.turns(c.joint)) for c in columns]
+            scales = np.array([c.scale if said else a for a, c, said in zip(assumed, columns, named, strict=True)])
             values[signal] = values[signal] * scales
-            told = [c.name for c in columns if c.scale not in (None, 1.0)]
-            if told and not overruled:
+            told = [c.name for c, said in zip(columns, named, strict=True) if said and c.scale != 1.0]
+            if told:
                 self.found.add(f"{signal}: brought to SI from the unit of {', '.join(told)}")
             if signal == "motor_position":
                 first = float(scales[0])
