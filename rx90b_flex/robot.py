@@ -357,11 +357,12 @@ class Robot:
         return float(energy + sum(effect.potential(motion)[0] for effect in self.forces))
 
     def mass_matrix(self, q: Array) -> Array:
-        """Mass matrix of links and drives, shape (n, n), kg m^2."""
-        q = np.asarray(q, dtype=float)
-        mass = pin.crba(self.model, self._data, q)
+        """Mass matrix of links and drives at q, shape (n,): shape (n, n), kg m^2."""
+        motion = self.motion(q, *np.zeros((2, self.model.nv)))
+        if len(motion) != 1:
+            raise ValueError(f"q holds {len(motion)} samples; expected one, of shape ({self.model.nv},)")
+        mass = pin.crba(self.model, self._data, motion.q[0])
         mass = np.triu(mass) + np.triu(mass, 1).T
-        motion = self.motion(q, np.zeros_like(q), np.zeros_like(q))
         for effect in self.forces:
             if effect.traits.adds_inertia:
                 mass = mass + effect.derivatives(motion)[2][0]

@@ -85,6 +85,12 @@ def test_friction_that_only_grows_far_below_a_joints_speed_is_lost_in_a_urdf(tmp
     assert "stribeck_friction" in lost.what and "N between" in lost.why and "m/s" in lost.why
 
 
+@pytest.mark.parametrize("shape", [(3,), (5, 12)])
+def test_a_mass_matrix_is_of_one_pose_with_all_coordinates(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"^q h.* expected .*\(12,\)[^\n]*$"):
+        rf.load_robot("rx90b_3dof").mass_matrix(np.zeros(shape))
+
+
 def test_a_view_and_a_linearisation_print_as_one_line() -> None:
     robot = rf.load_robot("rx90b_3dof")
     assert len(repr(rf.view(robot, count=1))) < 400

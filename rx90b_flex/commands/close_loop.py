@@ -45,6 +45,8 @@ def close_loop_command(
     Tries every effect of the catalogue on every joint of CAMPAIGN's robot, and keeps those that predict data they were not fitted to.
     With several campaigns, one a robot of one make: a folder a robot; fleet.html, fleet.csv, fleet.json say what they have in common
     and which robot stands out. The same command again goes on where it was stopped.
+
+    Exit status: 0 done, 1 the data cannot be used (of several campaigns: one was left out), 2 bad input, with nothing written.
     """
     if model_error is not None and not model_error > 0.0:
         raise ValueError(f"model_error is {model_error:g}; expected more than 0")

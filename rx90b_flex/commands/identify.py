@@ -34,6 +34,8 @@ def identify_command(
     """Fit the declared robot's parameters to a campaign.
 
     Parameters with standard deviations, robot file and URDF, predictions, report.
+
+    Exit status: 0 done, 1 the data cannot be used (the folder then holds what `check` writes), 2 bad input, with nothing written.
     """
     from rx90b_flex.early import read_campaign
     from rx90b_flex.signals.folders import CHECKED, IDENTIFIED, check_folder, files_read, fill_folder

@@ -14,7 +14,7 @@ WIDTH = 6.4  # inches
 
 
 def torque_fit(
-    time: Array, measured: Array, predicted: Array, joint: str, unit: str, model: str = "identified model"
+    time: Array, measured: Array, predicted: Array, joint: str, model: str = "identified model", unit: str = "N m"
 ) -> Figure:
     """Torque of one joint, measured and predicted, and below it what is left; each (N,), s and `unit`."""
     figure, (above, below) = new_figure(3.2, rows=2, width=WIDTH, heights=(2, 1), sharex=True)
