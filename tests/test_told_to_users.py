@@ -9,6 +9,7 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex.view import plots
+from rx90b_flex.view.preview import preview
 
 MASS, DRY, VISCOUS, MORE, FADES = 8.0, 20.0, 40.0, 15.0, 0.02  # kg, N, N s/m; N and m/s of Stribeck friction
 CAMPAIGN = """robot = "axis.urdf"
@@ -65,6 +66,15 @@ def test_figures_of_a_joint_that_slides_are_in_metres_and_newtons(closed: rf.Clo
     assert over.get_xlabel().endswith("velocity, m/s") and over.get_ylabel() == "error, N"
     assert plots.residual_in_frequency(closed, "axis").axes[0].get_ylabel() == "amplitude, N"
     assert plots.residual_in_time(closed, "axis").axes[0].get_ylabel().endswith("N")
+
+
+def test_a_fit_of_a_joint_that_slides_is_drawn_in_newtons(campaign: Path) -> None:
+    fitted = rf.identify(campaign, basics=True).plot().figure
+    drawn = preview(campaign)["axis"]
+    for figure, model in ((fitted, "identified model"), (drawn, "declared model")):
+        above, below = figure.axes
+        assert above.get_ylabel() == "axis\ntorque, N" and below.get_ylabel() == "error, N"
+        assert [t.get_text() for t in above.get_legend().get_texts()] == ["measured", model]
 
 
 def test_a_torque_constant_that_was_stated_is_no_caution(closed: rf.ClosedLoop) -> None:

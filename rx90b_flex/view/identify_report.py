@@ -80,7 +80,7 @@ def _errors(result: Identified) -> Section:
     first = result.predictions[0]
     images = (
         image(
-            torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint, units[i]),
+            torque_fit(first.recording.time, first.measured[:, i], first.predicted[:, i], joint, unit=units[i]),
             f"Torque of {joint}, measured and predicted",
             f"{joint}: recording {first.recording.name} ({first.recording.role})",
             zoom=True,

@@ -35,7 +35,7 @@ def preview(source: str | os.PathLike[str] | Campaign) -> dict[str, Figure]:
     units = [u.force for u in robot.units_of(campaign.joints)]
     return {
         joint: torque_fit(
-            segment.time[part], segment.torque[part, k], modelled[part, k], joint, units[k], "declared model"
+            segment.time[part], segment.torque[part, k], modelled[part, k], joint, "declared model", units[k]
         )
         for k, joint in enumerate(campaign.joints)
     }

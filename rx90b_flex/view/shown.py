@@ -188,7 +188,7 @@ def _(result: Identified) -> Appearance:
         k = int(np.argmax(np.sqrt(np.mean(left**2, axis=0)) / np.std(first.measured, axis=0).clip(1e-12)))
         joint = first.recording.joints[k]
         unit = result.source.units_of([joint])[0].force
-        return torque_fit(first.recording.time, first.measured[:, k], first.predicted[:, k], joint, unit)
+        return torque_fit(first.recording.time, first.measured[:, k], first.predicted[:, k], joint, unit=unit)
 
     return Appearance(
         f"{result.source.name}: torque error fitted {100 * result.identification.relative_error:.3g} %{held}",
