@@ -18,6 +18,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex import tree_derivatives
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
+from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.elements import PointMass
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
@@ -746,4 +747,28 @@ def _read_effects(tables: Any, path: Path, joints: Sequence[str], frames: Sequen
         for needed in effect.traits.needs:
             if not any(e.type_name() == needed and e.place == effect.place for e in effects):
                 raise ValueError(f"{path}: effect {i}: {effect.label} needs a {needed} in the same place")
-    return effects
+    return _with_shared(effects, path)
+
+
+def _with_shared(effects: Sequence[Effect], path: Path) -> list[Effect]:
+    """Effects with what a joint has one value of (a turn-over), stated in any of them."""
+    values: dict[tuple[str, ...], float] = {}
+    for i, effect in enumerate(effects, start=1):
+        for key, x in zip(shared_shapes(effect), effect.shape, strict=True):
+            if (
+                key is not None
+                and not np.isnan(x)
+                and not np.isclose(x, values.setdefault(key, float(x)), rtol=1e-9, atol=0.0)
+            ):
+                raise ValueError(
+                    f"{path}: effect {i}: {effect.label} has {key[1]} = {x:g}, another effect there {values[key]:g}; one value "
+                    f"for all of {key[0]} is expected"
+                )
+    out = []
+    for effect in effects:
+        named = zip(shared_shapes(effect), effect.shape_parameters.values(), strict=True)
+        stated = {
+            p.attribute: values[key] for key, p in named if key in values and getattr(effect, p.attribute) is None
+        }
+        out.append(dataclasses.replace(effect, **stated))
+    return out

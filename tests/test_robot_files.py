@@ -88,6 +88,20 @@ def test_a_value_that_is_left_out_is_not_a_number_until_identified(folder):
         robot.inverse_dynamics(*np.zeros((3, 2)))
 
 
+def test_dry_frictions_of_a_joint_have_the_turnover_that_one_of_them_states(folder):
+    fading = COULOMB.replace("coulomb", "stribeck")
+    robot = rf.load_robot(written(folder, f"{HEAD}{COULOMB}turnover = 0.01\n{fading}"))
+    assert [e.turnover for e in robot.effects] == [0.01, 0.01]
+    line = refusal(written(folder, f"{HEAD}{COULOMB}turnover = 0.01\n{fading}turnover = 0.02\n"))
+    assert "effect 2: elbow.stribeck_friction has turnover = 0.02, another effect there 0.01" in line
+
+
+def test_values_that_do_not_go_together_are_refused_with_file_and_effect(folder):
+    pairs = "torques = [1.0, 2.0]\nstiffnesses = [100.0]\n"
+    line = refusal(written(folder, HEAD + COULOMB.replace("coulomb_friction", "maxwell_slip_friction") + pairs))
+    assert "robot.toml: effect 1" in line and "2 torques and 1 stiffnesses" in line
+
+
 def test_a_plain_urdf_is_a_robot_without_effects(folder):
     robot = rf.load_robot(folder / "two_joints.urdf")
     assert (robot.name, robot.effects, robot.tip_frame) == ("two_joints", (), "lower")

@@ -36,7 +36,9 @@ SHOWN = """Made from the effect itself, on an arm that moves by a sum of harmoni
 joint's torque, less what constant, Coulomb and viscous friction can imitate of that, over time and over what it depends on most.
 Its size is arbitrary, and spikes may leave the frame. An effect that adds coordinates and shows in no torque over time is drawn in
 the frequency response of a drive."""
-EXAMPLE = "In a robot file (the numbers only show the form; a value that is left out is identified):"
+EXAMPLE = (
+    "In a robot file (the numbers only show the form; what is left out is identified, but for what is never estimated):"
+)
 ANYWHERE = Sites(("joint_1", "joint_2"), "tool0")
 KEYS = {
     "joint": 'joint = "joint_2"',

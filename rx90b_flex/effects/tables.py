@@ -88,7 +88,10 @@ def effect_from_table(
             if table[name] not in words:
                 raise ValueError(f"{where}: {name} is {table[name]!r}; {close_match(str(table[name]), words)}")
             values[name] = table[name]
-    return cls(**values)
+    try:
+        return cls(**values)
+    except ValueError as error:  # values that do not go together
+        raise ValueError(f"{where}: {error}") from error
 
 
 def _read_place(key: str, found: Any, where: str, joints: Sequence[str], frames: Sequence[str]) -> dict[str, Any]:
