@@ -8,25 +8,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rx90b_flex.diagnose.faults.carried import carried_motors
 from rx90b_flex.diagnose.faults.gains import torque_gains
 from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
 from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rates import sample_rates
-from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE, RigidFit
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, IMPOSSIBLE, RigidFit
 from rx90b_flex.diagnose.faults.shifts import shifted
 from rx90b_flex.diagnose.faults.signs import reversed_axes, reversed_positions, reversed_torques
 from rx90b_flex.diagnose.faults.swapped import swapped
 from rx90b_flex.diagnose.faults.units import other_units, outside
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 
 # in the order in which one is believed where several do equally well
 KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
     reversed_torques, swapped, other_units, shifted, reversed_positions, reversed_in_one, torque_gains, scaled_in_one, other_loads,
-    zeros, reversed_axes, axes, lengths, sample_rates, mountings,
+    zeros, reversed_axes, carried_motors, axes, lengths, sample_rates, mountings,
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
-ON_POSES = (reversed_positions, zeros, reversed_axes, axes, mountings)
+ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, axes, mountings)
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
@@ -113,11 +114,18 @@ class _Bases:
             _students_t(folds),
         )
 
-    def links_instead(self, hypothesis: Hypothesis) -> bool:
-        """Whether links that the robot file calls known would explain without the fault what it explains, if they were free."""
+    def links_instead(self, hypothesis: Hypothesis, gaining: Mask) -> bool:
+        """Whether links that the robot file calls known would explain without the fault what it explains, if they were free.
+
+        Where the fault brings the `gaining` joints to a small error that free links do not fall below, it is believed.
+        """
         if self.look.reading.robot.inertial_parameters != "known":
             return False
-        return self.look.fit_of_free_links().score - self.look.fit_of_free_links(hypothesis.reading).score < MODEST
+        free, after = self.look.fit_of_free_links(), self.look.fit(hypothesis.reading)
+        better = np.log((after.error + FLOOR) / (free.error + FLOOR))[gaining].sum() > MODEST
+        if not (better or (after.error[gaining] > SMALL).any()):
+            return False
+        return free.score - self.look.fit_of_free_links(hypothesis.reading).score < MODEST
 
 
 def _best(look: Look) -> Found | None:
@@ -179,11 +187,12 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
         return False
     on_pose = KINDS[rank] in ON_POSES
     before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
-    gaining = after[after < GAINING * before]
+    gains = after < GAINING * before
+    gaining = after[gains]
     own = [bases.look.sample.joints.index(j) for j in hypothesis.joints]
     if own and np.median(after[own]) > hypothesis.far:
         return False
-    if (gaining > SMALL).any() and bases.links_instead(hypothesis):
+    if bases.links_instead(hypothesis, gains):
         return False
     if gain.fitted >= MODEST and not (gaining > SMALL).any():
         return True

@@ -136,6 +136,8 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
         more.append(np.einsum("rjp,rp->rj", links, sample.by_rows(stated))[:, :, None])
     if any(reading.other_load):
         more.append(links[:, :, -LINK:] * sample.by_rows(reading.other_load)[:, None, None])
+    if reading.carried:
+        links, *more = (np.einsum("kj,rjp->rkp", reading.torques_to_motors, x) for x in (links, *more))
     return np.concatenate([links, own, *more], axis=2)
 
 
@@ -186,12 +188,14 @@ def _inertia(sample: Sample, reading: Reading, count: int, links: int) -> Array:
     rows = np.array([robot.layout.index(joint) for joint in sample.joints])
     rest = np.zeros((n + 1, *q.shape))
     push = rest.copy()  # none, then of each joint in turn
-    push[np.arange(1, n + 1), :, rows] = 1.0
+    to_joints, to_motors = reading.to_joints, reading.torques_to_motors
+    for k in range(n):
+        push[k + 1][:, rows] = to_joints[:, k]
     poses = [x.reshape(-1, q.shape[1]) for x in (np.broadcast_to(q, rest.shape), rest, push)]
     gravity, *pushed = robot.link_regressor(robot.motion(*poses)).reshape(n + 1, *q.shape, links)
     out = np.zeros((n, count))
-    for k, (i, columns) in enumerate(zip(rows, pushed, strict=True)):
-        out[k, :links] = (columns - gravity)[:, i].mean(axis=0)
+    for k, columns in enumerate(pushed):
+        out[k, :links] = to_motors[k] @ (columns - gravity)[:, rows].mean(axis=0)
         out[k, links + PER_JOINT * k] = 1.0
     return out
 

@@ -52,6 +52,9 @@ class Reading:
         True over stated sample rate.
     gravity : tuple of 3 float
         Direction in the base frame.
+    carried : tuple of (int, int, float, bool)
+        Joints (a, b), a factor, and whether torques are the motors': what is b's angle above is that of its motor, which also turns
+        with a, factor times.
     """
 
     robot: Robot
@@ -67,6 +70,23 @@ class Reading:
     other_load: tuple[bool, ...]
     rate: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    carried: tuple[tuple[int, int, float, bool], ...] = ()
+
+    @property
+    def to_joints(self) -> Array:
+        """Joint angles over what is logged as such, (joints, joints)."""
+        return self._to_joints(self.carried)
+
+    @property
+    def torques_to_motors(self) -> Array:
+        """What is logged as torques over joint torques, (joints, joints)."""
+        return self._to_joints([c for c in self.carried if c[-1]]).T
+
+    def _to_joints(self, carried: Collection[tuple[int, int, float, bool]]) -> Array:
+        gear = np.eye(len(self.order))
+        for a, b, factor, _ in carried:
+            gear[b, a] += factor
+        return np.asarray(np.linalg.inv(gear))
 
     @staticmethod
     def of(robot: Robot, joints: int, recordings: int) -> Reading:
@@ -100,6 +120,7 @@ class Reading:
         """The same for readings of the same motion of the same tree."""
         return (
             id(self.robot), self.order, self.scale, self.offset, self.rate, self.gravity, self.scale_in, self.other_load,
+            self.carried,
         )  # fmt: skip
 
     @property
@@ -226,7 +247,10 @@ class Sample:
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     def seen(self, reading: Reading) -> tuple[Array, Array, Array, Array]:
-        """Angle, velocity, acceleration and dry friction's sign of each joint as a reading has them, each (R, joints)."""
+        """Angle, velocity, acceleration and dry friction's sign of each joint as a reading has them, each (R, joints).
+
+        Of a motor that is carried by another joint, its own: `motion` has the joints'.
+        """
         order, scale = list(reading.order), self.scale_of(reading)
         return (
             self.q[:, order] * scale + np.array(reading.offset),
@@ -250,7 +274,8 @@ class Sample:
     def motion(self, reading: Reading) -> Motion:
         """The tree's motion in tree order."""
         columns = [self.joints.index(j) for j in reading.robot.joints]
-        return reading.robot.motion(*(x[:, columns] for x in self.seen(reading)[:3]))
+        to_joints = reading.to_joints[columns].T
+        return reading.robot.motion(*(x @ to_joints for x in self.seen(reading)[:3]))
 
 
 def _of_columns(reading: Reading) -> Array:

@@ -45,7 +45,7 @@ def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
     """Numbers of the joints whose torque is too large for the URDF's limits, and too small for its links."""
     reading, robot = look.reading, look.reading.robot
     at = np.array([robot.layout.index(j) for j in look.sample.joints])
-    expected = robot.link_torque(look.sample.motion(reading))[:, at]
+    expected = robot.link_torque(look.sample.motion(reading))[:, at] @ reading.torques_to_motors.T
     torque = look.sample.torque_seen(reading)
     effort = robot.tree.effortLimit[at]
     largest = np.abs(torque).max(axis=0)

@@ -39,7 +39,7 @@ def other_units(look: Look) -> Iterator[Hypothesis]:
 
 def outside(look: Look, scale: float) -> Mask:
     """Joints whose motion is wider than their range in the URDF, or than six turns, if positions are scaled so."""
-    q, _, _, _ = look.sample.seen(look.reading)
+    q = look.sample.seen(look.reading)[0] @ look.reading.to_joints.T
     reach = np.ptp(q, axis=0) * scale
     room = look.limits[1] - look.limits[0]
     return np.asarray(reach > BEYOND * np.where((room > 0) & (room < TURNS), room, TURNS))
