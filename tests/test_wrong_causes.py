@@ -72,3 +72,63 @@ def test_a_motor_that_another_joint_carries_is_told_with_its_factor(
     assert fault.factor == pytest.approx(factor, rel=0.05)
     assert fault.signal == ("all" if torque else "motor_position")
     assert ("gear_matrix" in fault.message) == torque
+
+
+def _with_torque(run: ind.Run, change: Callable[[np.ndarray], None]) -> ind.Run:
+    torque = run.torque.copy()
+    change(torque)
+    return dataclasses.replace(run, torque=torque)
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+def test_torques_that_drop_out_to_zero_are_told_with_joint_and_number(tmp_path: Path, seed: int) -> None:
+    """One to five samples at a time, on the two joints that carry most, where their torque is more than its noise."""
+    lost: list[dict[int, int]] = []
+
+    def dropping(rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        def drop(torque: np.ndarray) -> None:
+            lost.append({})
+            for joint in (LIFT, ELBOW):
+                far = np.abs(torque[:, joint]) > 0.5 * np.abs(torque[:, joint]).max()
+                starts = [i for i in rng.permutation(np.arange(10, len(torque) - 15, 10)) if far[i - 1 : i + 6].all()]
+                lengths = rng.integers(1, 6, len(starts[:10]))
+                for start, length in zip(starts, lengths, strict=False):
+                    torque[start : start + length, joint] = 0.0
+                lost[-1][joint] = int(lengths.sum())
+
+        return _with_torque(run, drop)
+
+    checked = rf.check(written(tmp_path, seed, change=dropping))
+    assert [f.kind for f in checked.data_faults] == ["glitch"] * 3 and not checked.usable
+    for fault, numbers in zip(checked.data_faults, lost, strict=True):
+        told = f"shoulder_lift_joint ({numbers[LIFT]}), elbow_joint ({numbers[ELBOW]})"
+        assert told in fault.message and "drop out to exactly 0" in fault.message
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+@pytest.mark.parametrize("step", [0.0, 2.0])
+def test_a_torque_that_passes_through_zero_does_not_drop_out(tmp_path: Path, step: float, seed: int) -> None:
+    """Logged in steps, or as 0 where it is small, it is often exactly 0."""
+
+    def logged(_rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        t = run.torque
+        return dataclasses.replace(run, torque=step * np.round(t / step) if step else np.where(np.abs(t) < 1.0, 0.0, t))
+
+    assert not [f for f in rf.check(written(tmp_path, seed, change=logged)).data_faults if f.kind == "glitch"]
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+@pytest.mark.parametrize(("ranges", "usable"), [(2.0, True), (20.0, False)])
+def test_one_cell_beyond_the_torques_range_is_told_and_stops_nothing_but_where_no_torque_is_so_large(
+    tmp_path: Path, ranges: float, usable: bool, seed: int
+) -> None:
+    def wild(rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        def change(torque: np.ndarray) -> None:
+            torque[rng.integers(100, len(torque) - 100), ELBOW] += ranges * np.ptp(torque[:, ELBOW])
+
+        return _with_torque(run, change) if run.role == "validation" else run
+
+    checked = rf.check(written(tmp_path, seed, change=wild))
+    (fault,) = checked.data_faults
+    assert (fault.kind, fault.joints, len(fault.rows)) == ("glitch", ("elbow_joint",), 1)
+    assert fault.usable == checked.usable == usable

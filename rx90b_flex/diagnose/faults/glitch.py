@@ -1,4 +1,4 @@
-"""Single samples that have nothing to do with their neighbours, and angles that step."""
+"""Samples that have nothing to do with their neighbours or drop out to zero, and angles that step."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ OF_TORQUE = 1.0  # of the range of the middle 99 %: friction that turns over, an
 OF_POSITION = 0.02
 EDGE = 0.8  # of that jump, from the sample before and to the one behind: a peak that others lead up to is the motion's
 OF_FASTEST = 2.0  # of the fastest motion from a sample to the next: a step that is none of the motion
+DROPPED_S = 0.02  # for which samples are lost at a time, or WINDOW of them
+FROM_ZERO = 2.0  # of the step from sample to sample that one in a hundred has: what noise and motion do not bring to 0 and back
+DEAD_BAND = 0.25  # of the largest value: what is logged as 0 is not larger, in a torque that does not pass through 0
+MILD = 5.0  # of the range of the middle 99 %: torques that noise of long tails has now and then
+MILD_SHARE = 1e-3  # of a column's samples
 FEW = 8  # steps that are larger than it at the most
 BESIDE = [1, 1, 0, 1, 1]  # the steps that one is held against
 TOGETHER = 0.25  # of the rows at which any joint steps, at which several do: else by chance
@@ -36,21 +41,34 @@ def glitches(recordings: Sequence[Recording]) -> tuple[list[DataFault], list[Rec
         changed: dict[str, Array] = {}
         for name, part in (("torque", OF_TORQUE), ("position", OF_POSITION)):
             values = getattr(recording, name)
-            bad = _apart(values, part)
-            if not bad.any():
-                continue
-            changed[name] = _bridged(values, bad)
-            rows = np.flatnonzero(bad.any(axis=1)) + 1
-            joints = tuple(j for k, j in enumerate(recording.joints) if bad[:, k].any())
-            worst = float(np.abs(values[bad]).max())
-            message = (
-                f"{recording.file_name}: {name} of {', '.join(joints)}: {len(rows)} row(s) jump away from their neighbours "
-                f"(up to {worst:.4g}), row {_listed(map(str, rows))}: correct these cells, or leave the part out (start_s, end_s)."
-            )
-            out.append(DataFault("glitch", LABELS[name], joints, message, rows=tuple(rows[:SHOWN].tolist())))
+            dropped = _dropped(values, max(WINDOW, round(DROPPED_S * recording.sample_rate_hz)))
+            bad = _apart(values, part) | dropped
+            if bad.any():
+                changed[name] = _bridged(values, bad)
+                out.append(_cells(recording, name, bad, dropped))
         out += _slips(recording)
         mended.append(dataclasses.replace(recording, **changed) if changed else recording)  # type: ignore[arg-type]
     return out, mended
+
+
+def _cells(recording: Recording, name: str, bad: Mask, dropped: Mask) -> DataFault:
+    """Wild cells of a recording; a few torques of a size that others nearly have do no harm to a fit."""
+    values, rows = getattr(recording, name), np.flatnonzero(bad.any(axis=1)) + 1
+    at = np.flatnonzero(bad.any(axis=0))
+    joints = tuple(recording.joints[k] for k in at)
+    counts = ", ".join(f"{recording.joints[k]} ({bad[:, k].sum()})" for k in at)
+    low, high = np.quantile(values[:, at], [0.005, 0.995], axis=0)
+    off = np.where(bad, np.abs(values - _bridged(values, bad)), 0.0)[:, at].max(axis=0)
+    few = bad.sum(axis=0).max() <= max(1.0, MILD_SHARE * len(values))
+    what = f"jump away from their neighbours (up to {np.abs(values[bad]).max():.4g})"
+    zeros = "drop out to exactly 0"
+    what = what if not dropped.any() else zeros if (bad == dropped).all() else f"{what} or {zeros}"
+    message = (
+        f"{recording.file_name}: {name} of {counts}: {len(rows)} row(s) {what}, row {_listed(map(str, rows))}: correct these cells, "
+        "or leave the part out (start_s, end_s)."
+    )
+    usable = bool(name == "torque" and few and (off < MILD * (high - low)).all())
+    return DataFault("glitch", LABELS[name], joints, message, usable, rows=tuple(rows[:SHOWN].tolist()))
 
 
 def _listed(rows: Iterable[str]) -> str:
@@ -136,6 +154,30 @@ def _apart(values: Array, part: float) -> Mask:
         for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
             first, last = run[0], run[-1] + 1
             bad[run, k] = (steps[first] or first == 0) and (steps[last] or last == len(values))
+    return bad
+
+
+def _dropped(values: Array, longest: int) -> Mask:
+    """Samples that are exactly 0 in short runs, from and back to values of one sign far from it, shape (N, joints)."""
+    bad = np.zeros(values.shape, dtype=bool)
+    for k, x in enumerate(values.T):
+        edges = np.flatnonzero(np.diff(x == 0.0))
+        if x[0] == 0.0:
+            edges = edges[1:]
+        first, last = edges[: len(edges) // 2 * 2].reshape(-1, 2).T  # the samples before and at the end of each run
+        before, behind = x[first], x[last + 1]
+        back = before * behind > 0.0
+        short = back & (last - first <= longest)
+        if not short.any():
+            continue
+        # where what is small is logged as 0, or all in coarse steps, those beside are about the smallest that there are
+        other = x[x != 0.0]
+        smallest = np.abs(other).min()
+        if back.all():
+            smallest = min(smallest, DEAD_BAND * np.abs(other).max())
+        limit = smallest + FROM_ZERO * np.quantile(np.abs(np.diff(other)), 0.99)
+        for i in np.flatnonzero(short & (np.minimum(np.abs(before), np.abs(behind)) > limit)):
+            bad[first[i] + 1 : last[i] + 1, k] = True
     return bad
 
 
