@@ -65,7 +65,9 @@ def test_a_motor_that_another_joint_carries_is_told_with_its_factor(
         return run if torque else dataclasses.replace(run, torque=run.torque @ gear)
 
     path = written(tmp_path, seed, gear_matrix=gear, change=position_alone)
-    path.write_text("".join(x for x in path.read_text().splitlines(True) if not x.startswith(("[motor]", "gear_matrix"))))
+    path.write_text(
+        "".join(x for x in path.read_text().splitlines(True) if not x.startswith(("[motor]", "gear_matrix")))
+    )
     checked = rf.check(path)
     (fault,) = checked.data_faults
     assert (fault.kind, fault.joints) == ("kinematics", ("shoulder_lift_joint", "elbow_joint")) and not fault.usable
@@ -132,3 +134,38 @@ def test_one_cell_beyond_the_torques_range_is_told_and_stops_nothing_but_where_n
     (fault,) = checked.data_faults
     assert (fault.kind, fault.joints, len(fault.rows)) == ("glitch", ("elbow_joint",), 1)
     assert fault.usable == checked.usable == usable
+
+
+JITTER = [2e-4, pytest.param(1e-3, marks=pytest.mark.slow)]  # s, at 500 Hz
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+@pytest.mark.parametrize("std", JITTER)
+def test_samples_that_come_early_and_late_are_no_torques_at_another_time(tmp_path: Path, std: float, seed: int) -> None:
+    """What a clock that jitters does to angles outweighs the acceleration above a few Hz, far below the stated low-pass."""
+
+    def jittered(rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        t = run.motion.time
+        late = np.sort(np.clip(t + std * rng.standard_normal(len(t)), 0.0, t[-1]))
+        q, torque = (np.stack([np.interp(late, t, x) for x in y.T], axis=1) for y in (run.motion.q, run.torque))
+        return dataclasses.replace(run, torque=torque, motion=dataclasses.replace(run.motion, q=q))
+
+    checked = rf.check(written(tmp_path, seed, change=jittered, rate_hz=500.0))
+    assert checked.data_faults == ()
+    assert max(checked.relative_error) < 0.2
+
+
+@pytest.mark.parametrize("seed", [1, *SLOW])
+@pytest.mark.parametrize("std", [5e-5, 2e-4, 1e-3])
+def test_time_stamps_that_jitter_are_no_other_rate(tmp_path: Path, std: float, seed: int) -> None:
+    def stamped(rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        t = run.motion.time
+        late = np.unique(t + std * rng.standard_normal(len(t)))
+        return dataclasses.replace(run, motion=dataclasses.replace(run.motion, time=late))
+
+    path = written(tmp_path, seed, change=stamped, rate_hz=500.0)
+    text = path.read_text().splitlines()
+    path.write_text("\n".join("sample_rate_hz = 500" if x.startswith("sample_rate_hz") else x for x in text) + "\n")
+    (fault,) = rf.check(path).data_faults
+    assert (fault.kind, fault.factor) == ("sample_rate", None) and "jitter" in fault.message
+    assert "contradict" not in fault.message

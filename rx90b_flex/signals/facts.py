@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rx90b_flex.signals.filters import Array
+from rx90b_flex.signals.filters import FEWEST_SAMPLES, Array, noise_cutoff_hz
 from rx90b_flex.signals.recording import Recording
 
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
@@ -20,12 +20,20 @@ REPEATS = 2e-5  # squared difference of a motion to itself a period later, over 
 def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
     """A low-pass that keeps the motion and leaves out what lies far above it, Hz.
 
-    Four times the frequency below which 99.9 % of the velocity's power lies, over all moving joints; between 1 Hz and a fifth
-    of the sample rate.
+    Four times the frequency below which 99.9 % of the velocity's power lies, over all moving joints, or `quiet_cutoff_hz` where
+    that is lower; between 1 Hz and a fifth of the sample rate.
     """
     found = [_highest_hz(np.diff(position), r.sample_rate_hz) for r in recordings for position in r.position.T]
     rate = min(r.sample_rate_hz for r in recordings)
-    return float(np.clip(OVER_MOTION * max(LOWEST_HZ, *found), LOWEST_HZ, 0.2 * rate))
+    kept = min(OVER_MOTION * max(LOWEST_HZ, *found), quiet_cutoff_hz(recordings))
+    return float(np.clip(kept, LOWEST_HZ, 0.2 * rate))
+
+
+def quiet_cutoff_hz(recordings: Sequence[Recording]) -> float:
+    """The low-pass above which noise of the positions, counters' or of uneven sampling, outweighs the acceleration, Hz; or inf."""
+    long = [r for r in recordings if r.samples >= FEWEST_SAMPLES]
+    found = [hz for r in long if (hz := noise_cutoff_hz(r.position, r.sample_rate_hz)) is not None]
+    return max(LOWEST_HZ, min(found, default=np.inf))
 
 
 def _highest_hz(speed: Array, rate: float) -> float:

@@ -11,6 +11,8 @@ from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 
 Array = NDArray[np.float64]
 
+JITTERING = 0.1  # of the steps off the usual one: more than lost samples make
+
 
 def printed_resolution(time: Array, single_precision: bool) -> Array:
     """(N,) s: by how much each time may differ from the true one because of the digits it was logged with.
@@ -58,6 +60,9 @@ def check_uniform(file: Path, time: Array, rate: float, resolution: Array, first
     rounding = np.maximum(resolution[1:], resolution[:-1])
     fine = bool(np.max(rounding) <= 0.6 * period)
     typical = float(np.median(steps)) if fine else float(np.mean(steps))
+    # lost samples leave the median as it is, stamps that come early and late the mean
+    jitter = fine and float((np.abs(steps - typical) > 0.01 * period + rounding).mean()) > JITTERING
+    typical = float(np.mean(steps)) if jitter else typical
     if fine:
         contradicts = abs(typical - period) > 0.01 * period + float(np.median(rounding))
     else:
@@ -66,6 +71,12 @@ def check_uniform(file: Path, time: Array, rate: float, resolution: Array, first
         found = f"steps of {typical:.6g} s ({1.0 / typical:.6g} Hz)" if typical > 0.0 else "times that never change"
         message = f"{file}: column 'time': {found} contradict sample_rate_hz = {rate:g} ({period:.6g} s)"
         raise DataFaultError(DataFault("sample_rate", None, (), message, factor=rate * typical or None))
+    if jitter:
+        message = (
+            f"{file}: column 'time': steps of {steps.min():.3g} to {steps.max():.3g} s at {1.0 / typical:.4g} Hz on average, the "
+            "time stamps jitter: leave the column out if sampling was even; else bring samples to even times (`rx90b-flex import`)"
+        )
+        raise DataFaultError(DataFault("sample_rate", None, (), message))
     if fine:
         bad = np.abs(steps - period) > 0.01 * period + rounding
     else:

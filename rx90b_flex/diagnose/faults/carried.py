@@ -17,11 +17,14 @@ def carried_motors(look: Look) -> Iterator[Hypothesis]:
     for (a, b), torque, factor in product(pairwise(range(len(joints))), (True, False), (1.0, -1.0)):
         if look.prismatic[a] != look.prismatic[b]:
             continue
-        text = f"The position of {joints[b]} is that of a motor that also turns with {joints[a]}, <factor> times its angle (a parallelogram, "
+        text = (
+            f"The position of {joints[b]} is that of a motor that also turns with {joints[a]}, <factor> times its angle (a "
+            "parallelogram, a coupled wrist)"
+        )
         text += (
-            f"a coupled wrist), and so is the torque: state `gear_matrix`, that factor in row {joints[b]}, column {joints[a]}."
+            f", and so is the torque: state `gear_matrix`, that factor in row {joints[b]}, column {joints[a]}."
             if torque
-            else f"a coupled wrist); the torque is the joint's: take so much of {joints[a]} from the column."
+            else f"; the torque is the joint's: take so much of {joints[a]} from the column."
         )
 
         def reading(factor: float, more: tuple[int, int] = (a, b), torque: bool = torque) -> Reading:

@@ -122,7 +122,7 @@ class _Bases:
         if self.look.reading.robot.inertial_parameters != "known":
             return False
         free, after = self.look.fit_of_free_links(), self.look.fit(hypothesis.reading)
-        better = np.log((after.error + FLOOR) / (free.error + FLOOR))[gaining].sum() > MODEST
+        better = np.log((after.error + FLOOR) / (free.error + FLOOR))[gaining].sum() > TIE
         if not (better or (after.error[gaining] > SMALL).any()):
             return False
         return free.score - self.look.fit_of_free_links(hypothesis.reading).score < MODEST

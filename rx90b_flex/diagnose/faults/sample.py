@@ -15,7 +15,7 @@ from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, motion
-from rx90b_flex.signals.facts import sensible_cutoff_hz
+from rx90b_flex.signals.facts import quiet_cutoff_hz, sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.stated import FlangeLoad
 
@@ -189,7 +189,7 @@ class Sample:
         ValueError
             A recording that is shorter than the low-pass.
         """
-        cutoff = campaign.cutoff_hz or sensible_cutoff_hz(recordings)
+        cutoff = min(campaign.cutoff_hz or sensible_cutoff_hz(recordings), quiet_cutoff_hz(recordings))
         total = sum(r.samples for r in recordings)
         parts = [_part(r, cutoff, max(1, total // ROWS)) for r in recordings]
         q, v, a, dry, wound = (np.concatenate([p[k] for p, _ in parts]) for k in range(5))
