@@ -125,8 +125,8 @@ def check(
 ) -> Checked:
     """Look for what is wrong with a campaign's data, and say what its motion can tell.
 
-    Columns exchanged, signs, units, torque gains, shifts in time, the sample rate and the URDF's zeros, axes and lengths are
-    hypotheses: each is a refit of the rigid model with basic friction, judged on rows that the fit did not see, against no fault
+    Columns exchanged, signs, units, torque gains, shifts in time, the sample rate, motors that another joint carries and the
+    URDF's zeros, axes and lengths are hypotheses: each is a refit of the rigid model with basic friction, judged on rows that the fit did not see, against no fault
     and against each other. Clipped, frozen, damaged and repeated signals show in the log itself.
 
     Parameters

@@ -30,10 +30,13 @@ def sensible_cutoff_hz(recordings: Sequence[Recording]) -> float:
 
 
 def quiet_cutoff_hz(recordings: Sequence[Recording]) -> float:
-    """The low-pass above which noise of the positions, counters' or of uneven sampling, outweighs the acceleration, Hz; or inf."""
+    """The low-pass above which noise of the positions, counters' or of uneven sampling, outweighs the acceleration, Hz; or inf.
+
+    Of the recording that moves fastest: one that hardly moves has little else than noise.
+    """
     long = [r for r in recordings if r.samples >= FEWEST_SAMPLES]
-    found = [hz for r in long if (hz := noise_cutoff_hz(r.position, r.sample_rate_hz)) is not None]
-    return max(LOWEST_HZ, min(found, default=np.inf))
+    found = [noise_cutoff_hz(r.position, r.sample_rate_hz) or np.inf for r in long]
+    return max(LOWEST_HZ, *found) if found else np.inf
 
 
 def _highest_hz(speed: Array, rate: float) -> float:
