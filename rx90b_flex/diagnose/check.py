@@ -126,8 +126,8 @@ def check(
     """Look for what is wrong with a campaign's data, and say what its motion can tell.
 
     Columns exchanged, signs, units, torque gains, shifts in time, the sample rate, motors that another joint carries and the
-    URDF's zeros, axes and lengths are hypotheses: each is a refit of the rigid model with basic friction, judged on rows that the fit did not see, against no fault
-    and against each other. Clipped, frozen, damaged and repeated signals show in the log itself.
+    URDF's zeros, axes and lengths are hypotheses: each is a refit of the rigid model with basic friction, judged on rows that the
+    fit did not see, against no fault and against each other. Clipped, frozen, damaged and repeated signals show in the log itself.
 
     Parameters
     ----------
