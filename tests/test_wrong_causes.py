@@ -169,3 +169,33 @@ def test_time_stamps_that_jitter_are_no_other_rate(tmp_path: Path, std: float, s
     (fault,) = rf.check(path).data_faults
     assert (fault.kind, fault.factor) == ("sample_rate", None) and "jitter" in fault.message
     assert "contradict" not in fault.message
+
+
+@pytest.mark.parametrize("constant", ["nan", "1.0"])
+def test_the_gain_of_a_current_whose_constant_is_left_out_is_no_fault(tmp_path: Path, constant: str) -> None:
+    def change(_rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        return dataclasses.replace(run, torque=run.torque * np.where(np.arange(6) == ELBOW, 0.4, 1.0))
+
+    path = written(tmp_path, 1, change=change)
+    constants = ", ".join(constant if k == ELBOW else "1.0" for k in range(6))
+    text = path.read_text().replace("\ntorque = ", "\nmotor_current = ")
+    path.write_text(text.replace("[preprocessing]", f"[motor]\ntorque_constant = [{constants}]\n[preprocessing]"))
+    kinds = [f.kind for f in rf.check(path).data_faults]
+    assert kinds == ([] if constant == "nan" else ["torque_gain"])
+
+
+def test_torques_of_no_joint_that_have_to_do_with_the_motion_are_of_no_other_load(tmp_path: Path) -> None:
+    def change(rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        return dataclasses.replace(run, torque=0.3 * np.cumsum(rng.normal(size=run.torque.shape), axis=0))
+
+    assert {f.kind for f in rf.check(written(tmp_path, 1, change=change)).data_faults} == {"unrelated"}
+
+
+def test_a_robot_is_given_by_its_file_and_a_reversed_torque_is_cured_in_the_log(tmp_path: Path) -> None:
+    def change(_rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        return dataclasses.replace(run, torque=run.torque * np.where(np.arange(6) == LIFT, -1.0, 1.0))
+
+    path = written(tmp_path, 1, change=change)
+    (fault,) = rf.check(path, robot=tmp_path / "robot_declared.toml").data_faults
+    assert (fault.kind, fault.signal) == ("reversed_sign", "torque")
+    assert "in the log" in fault.message and "gear_matrix" not in fault.message

@@ -26,6 +26,7 @@ from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared
 from rx90b_flex.diagnose.residual import noise_between_periods
 from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
 from rx90b_flex.files.toml import named_in
+from rx90b_flex.joint_units import any_of
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
@@ -89,6 +90,8 @@ class Checked(Showing):
         stated; None where neither tells it.
     torque_side : TorqueSide
         On which side of the gears torques were measured.
+    torque_unit : str
+        Of the joints' torques, ``N`` among them where one slides.
     never_move : tuple of str
         Joints whose own parameters nothing tells.
     source : Path
@@ -108,6 +111,7 @@ class Checked(Showing):
     source: Path
     noise_floor: tuple[float, ...] | None = None
     torque_side: TorqueSide = NOT_LOOKED_AT
+    torque_unit: str = "N m"
 
     @property
     def verdict(self) -> str:
@@ -121,7 +125,10 @@ class Checked(Showing):
 
 
 def check(
-    source: str | os.PathLike[str] | Campaign, *, robot: Robot | None = None, progress: Progress | None = None
+    source: str | os.PathLike[str] | Campaign,
+    *,
+    robot: Robot | str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
 ) -> Checked:
     """Look for what is wrong with a campaign's data, and say what its motion can tell.
 
@@ -132,7 +139,7 @@ def check(
     Parameters
     ----------
     source : path or Campaign
-    robot : Robot, optional
+    robot : Robot, name or path, optional
         In place of the one that the campaign names.
     progress : callable, optional
         Called with a message and a fraction.
@@ -153,7 +160,9 @@ def check(
         return _checked(source, robot, progress or (lambda _text, _part: None))
 
 
-def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tell: Progress) -> Checked:
+def _checked(
+    source: str | os.PathLike[str] | Campaign, robot: Robot | str | os.PathLike[str] | None, tell: Progress
+) -> Checked:
     tell("reading", 0.0)
     if isinstance(source, Campaign):
         campaign = source
@@ -162,9 +171,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
             campaign = load_campaign(Path(source))
         except ValueError as error:
             return _refused(Path(source), error)
-    if robot is None:
-        with named_in(campaign.path, "robot"):
-            robot = load_robot(campaign.robot_source)
+    robot = _robot(campaign, robot)
     with named_in(campaign.path, "joints"):
         rigid = robot.rigid().restricted(campaign.joints)
     tell("looking at the signals", 0.1)
@@ -187,7 +194,7 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         faults += list(impossible_sizes(look, faults))
         faults += [*stuck(mended, np.sqrt(fit.error)), *stuck_in_one(mended, look)]
         lost = unrelated(campaign.joints, *look.errors_at_least(), moving, constant)
-        faults = [f for f in faults if not _of_no_use(f, lost)] + lost + sensor_faults(campaign)
+        faults = [f for f in faults if not _of_no_use(f, lost, campaign)] + lost + sensor_faults(campaign)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)
         side = torque_side(campaign.torque_side, look, faults, moving)
@@ -211,7 +218,15 @@ def _checked(source: str | os.PathLike[str] | Campaign, robot: Robot | None, tel
         campaign.path,
         _noise_floor(campaign, mended, facts),
         side,
+        any_of(unit.force for unit in robot.units_of(campaign.joints)),
     )
+
+
+def _robot(campaign: Campaign, given: Robot | str | os.PathLike[str] | None) -> Robot:
+    if given is not None:
+        return load_robot(given)
+    with named_in(campaign.path, "robot"):
+        return load_robot(campaign.robot_source)
 
 
 def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> Look:
@@ -233,10 +248,16 @@ def _fault(found: Found) -> DataFault:
     return DataFault(h.kind, h.signal, h.joints, h.message, h.usable, before, after, factor=h.factor, std=found.std)
 
 
-def _of_no_use(fault: DataFault, lost: Sequence[DataFault]) -> bool:
-    """Whether a hypothesis is about joints alone whose torque has nothing to do with the motion even if it holds."""
+def _of_no_use(fault: DataFault, lost: Sequence[DataFault], campaign: Campaign) -> bool:
+    """Whether a hypothesis is about joints alone whose torque has nothing to do with the motion even if it holds, or whose torque
+    constant is left out, which makes its gain no fault.
+    """
+    stated = campaign.torque_constants or (1.0,) * len(campaign.joints)
+    open_ones = {j for j, constant in zip(campaign.joints, stated, strict=True) if constant is None}
+    if fault.signal == "torque" and fault.kind in ("torque_gain", "unit") and set(fault.joints) <= open_ones:
+        return True
     joints = {j for f in lost for j in f.joints}
-    return fault.error_after is not None and bool(fault.joints) and set(fault.joints) <= joints
+    return fault.error_after is not None and set(fault.joints or campaign.joints) <= joints
 
 
 def _refused(path: Path, error: ValueError) -> Checked:

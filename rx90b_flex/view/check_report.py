@@ -85,7 +85,9 @@ def facts_words(checked: Checked) -> tuple[str, ...]:
         out.append(f"A sensible low-pass for this motion: {checked.cutoff_hz:.3g} Hz (cutoff_hz).")
     if checked.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in checked.noise_floor)
-        out.append(f"Noise of the torques, from what differs between periods or as stated: {rms} N m a joint.")
+        out.append(
+            f"Noise of the torques, from what differs between periods or as stated: {rms} {checked.torque_unit} a joint."
+        )
     elif checked.recordings:
         out.append("The noise of the torques is not known: no motion repeats (period_s), and none is stated.")
     side = checked.torque_side

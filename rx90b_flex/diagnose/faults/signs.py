@@ -40,9 +40,10 @@ def _of(look: Look, chosen: Sequence[int], names: tuple[str, ...], signal: str) 
         reading = reading.changed(name, chosen, operator.neg)
     if signal == "all":
         text = (
-            f"The URDF's axis of {said} points the other way than the log counts: turn the axis round, or both signs."
+            f"The URDF's axis of {said} points the other way than the log counts: turn the axis round, or both signs "
+            "(-1 in `gear_matrix`)."
         )
         return Hypothesis.of("kinematics", signal, joints, text, reading)
     what = "torque" if signal == "torque" else "position"
-    text = f"The {what} of {said} has the wrong sign: change it in the log, or with -1 in `gear_matrix`."
+    text = f"The {what} of {said} has the wrong sign: change it in the log."
     return Hypothesis.of("reversed_sign", signal, joints, text, reading)
