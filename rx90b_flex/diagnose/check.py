@@ -179,8 +179,7 @@ def _checked(
     still = no_excitation(mended)
     faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
     moving = moves(mended) > NEVER
-    constant = np.array([len(np.unique(np.concatenate([r.torque[:, k] for r in mended]))) < 2
-                         for k in range(len(campaign.joints))])  # fmt: skip
+    constant = np.ptp(np.concatenate([r.torque for r in mended]), axis=0) == 0.0
     parameters: tuple[ParameterStatus, ...] = ()
     basics: tuple[str, ...] = ()
     errors: tuple[float, ...] = ()
