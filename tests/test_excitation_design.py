@@ -365,6 +365,7 @@ def test_a_parameter_without_value_is_refused() -> None:
         column_scale(robot().with_effects(effects))
 
 
+@pytest.mark.long  # it is what the benchmark prints
 def test_a_designed_excitation_is_conditioned_five_times_better_than_that_of_section_422() -> None:
     """At equal duration, within limits that the other does not keep; by simulated motion of both."""
     design = design_excitation(robot(), seed=0, controller=controller())

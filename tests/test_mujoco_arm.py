@@ -68,6 +68,7 @@ def test_intervals_hold_and_drives_are_found_whatever_the_arm(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.long  # of one pose, and from more than one without another engine, others tell
 def test_two_poses_tell_a_known_loop_s_arm_and_that_nothing_is_missing(tmp_path: Path) -> None:
     """Torques are fed forward, and logged a millisecond late: the skew is taken out and no cause is named."""
     arm = Arm.drawn(3, torque_late_s=1e-3)

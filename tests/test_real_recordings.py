@@ -114,7 +114,7 @@ def test_no_held_out_error_grows(closed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("held_out", ("A", "B"))
+@pytest.mark.parametrize("held_out", ("A", pytest.param("B", marks=pytest.mark.long)))
 def test_no_held_out_error_grows_with_another_recording_held_out_nor_closing_again(held_out, tmp_path):
     """Closed again on the robot that was written there is nothing to find, and the error is what it was."""
     campaign = load_campaign(data_folder("kr300_encoders") / "campaign.toml")
