@@ -108,7 +108,15 @@ def import_into(
 
     def fill(at: Path) -> None:
         name = _write_basics(loaded, imported.recordings[0].joints, at) if basics else written
-        made = write_campaign(at, name, imported.recordings, cutoff_hz=cutoff, file_format=file_format)  # type: ignore[arg-type]
+        from_current = imported.recordings[0].motor_current is not None
+        made = write_campaign(
+            at,
+            name,
+            imported.recordings,
+            cutoff_hz=cutoff,
+            file_format=file_format,  # type: ignore[arg-type]
+            from_current=from_current,
+        )
         try:
             load_campaign(made)
         except ValueError as error:  # it will not lie where it was made

@@ -19,7 +19,8 @@ from scipy.io import savemat
 
 from rx90b_flex import cli
 from rx90b_flex.robot import load_robot
-from rx90b_flex.signals import load_campaign
+from rx90b_flex.signals import Recording, load_campaign
+from rx90b_flex.signals.facts import sensible_cutoff_hz
 from rx90b_flex.signals.importers import Axes, Imported, ReadingOptions, import_logs
 
 ROBOT = "rx90b_3dof"
@@ -373,13 +374,30 @@ def test_uneven_times_of_several_files_are_brought_to_one_rate(tmp_path: Path, s
     assert [r.sample_rate_hz for r in imported.recordings] == [RATE] * 3
 
 
-def test_uneven_times_with_rows_lost_have_their_median_rate(tmp_path: Path) -> None:
-    kept = np.random.default_rng(5).uniform(size=SAMPLES) > 0.05
+@pytest.mark.parametrize("lost", [0.003, 0.05])
+def test_lost_rows_leave_the_rate_as_it_is_and_are_told(tmp_path: Path, lost: float) -> None:
+    kept = np.random.default_rng(5).uniform(size=SAMPLES) > lost
+    kept[[0, 100, -1]] = True, False, True
     path = tmp_path / "run.csv"
     table(["time", *numbered("q", "tau")], TIME[kept], Q[kept], TAU[kept]).to_csv(path, index=False)
     imported = import_logs([path], AXES)
     assert imported.recordings[0].sample_rate_hz == RATE
-    assert "interpolated (PCHIP) at the median rate" in said(imported)
+    assert f"{np.count_nonzero(~kept)} rows are missing" in said(imported)
+
+
+def test_a_rate_that_is_no_round_number_is_no_jitter(tmp_path: Path) -> None:
+    time, path = np.arange(SAMPLES) * 0.002016, tmp_path / "run.csv"
+    table(["time", *numbered("q", "tau")], np.round(20 * time, 5) / 20, Q, TAU).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    assert imported.recordings[0].sample_rate_hz == pytest.approx(1 / 0.002016, rel=1e-5)
+    assert "interpolated" not in said(imported)
+
+
+def test_the_low_pass_goes_by_motion_and_not_by_the_noise_of_a_joint_that_hardly_moves() -> None:
+    rng, time = np.random.default_rng(6), np.arange(10_000) / 500.0
+    q = np.outer(np.sin(2 * np.pi * 0.5 * time), [0.3, 0.02]) + 1e-5 * rng.standard_normal((10_000, 2))
+    zero = np.zeros_like(q)
+    assert sensible_cutoff_hz([Recording("run", "identification", time, 500.0, ("a", "b"), q, zero)]) < 6.0
 
 
 def test_a_rate_is_a_round_number_although_the_clock_drifts(tmp_path: Path) -> None:
@@ -459,7 +477,7 @@ HOLE = np.where(np.arange(SAMPLES) == 6, np.nan, Q[:, 1])
         (spoiled(q2=np.where(np.isnan(HOLE), np.inf, HOLE)), "column 'q2', row 7: infinite"),
         (spoiled(tau2=["1.0", *["x1"] * (SAMPLES - 1)]), "column 'tau2', row 2: 'x1' is not a number"),
         (spoiled().drop(columns="time"), "no time column; expected one named time, or --rate"),
-        (spoiled().rename(columns={f"tau{k}": f"current{k}" for k in (1, 2, 3)}), "currents must first be multiplied"),
+        (spoiled().rename(columns={f"tau{k}": f"voltage{k}" for k in (1, 2, 3)}), "no column can be torque"),
         (spoiled().rename(columns={f"q{k}": f"x{k}" for k in (1, 2, 3)}), "no column can be motor_position"),
         (spoiled(pos1=Q[:, 0]), "columns 'q1' and 'pos1' can both be motor_position of joint_1; choose with --columns"),
         (spoiled()[["time", "q1", "tau2"]], "no joint has both position and torque"),

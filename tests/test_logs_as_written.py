@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_importers import AXES, SAMPLES, TAU, TIME, Q, numbered, said, table, whole
+from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, numbered, said, table, whole
 
 from rx90b_flex.identify.camera_command import read_markers
+from rx90b_flex.importing import import_into
 from rx90b_flex.path.measured import read_measured
 from rx90b_flex.robot import load_robot
-from rx90b_flex.signals.importers import import_logs
+from rx90b_flex.signals import load_campaign
+from rx90b_flex.signals.importers import ReadingOptions, import_logs
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.signals.units import unit_in_row, words_of
 from rx90b_flex.simulate.command import read_trajectory
@@ -147,3 +149,41 @@ def test_tables_that_are_not_between_commas_are_told_alike(tmp_path: Path, separ
             ValueError, match=rf"table\.csv: columns seem separated by {word}, commas are expected; save"
         ):
             read()
+
+
+def test_currents_without_torques_make_a_campaign_whose_torque_constants_are_identified(tmp_path: Path) -> None:
+    path = tmp_path / "rtde.csv"
+    names = [f"{stem}_{k}" for stem in ("actual_q", "actual_current", "target_current") for k in range(3)]
+    table(["timestamp", *names], TIME, Q, TAU, 0 * TAU).to_csv(path, index=False)
+    imported = import_into(tmp_path / "data", [path], ROBOT, ReadingOptions())
+    assert "no torques, but currents" in said(imported)
+    campaign = load_campaign(tmp_path / "data" / "campaign.toml")
+    assert campaign.torque_constants == (None, None, None)
+    np.testing.assert_allclose(np.concatenate([r.motor_current for r in campaign.recordings]), TAU)
+
+
+@pytest.mark.parametrize("names", [["header.stamp.sec", "header.stamp.nanosec"], ["secs", "nsecs"]])
+def test_a_stamp_in_two_columns_is_one_time(tmp_path: Path, names: list[str]) -> None:
+    nanoseconds = 1_700_000_000_000_000_000 + np.round(1e9 * TIME).astype(np.int64)
+    data = table(numbered("q", "tau"), Q, TAU)
+    for name, part in zip(names, (nanoseconds // 10**9, nanoseconds % 10**9), strict=True):
+        data[name] = part
+    data.to_csv(tmp_path / "run.csv", index=False)
+    assert f"columns '{names[0]}' and '{names[1]}', in s and ns" in check(tmp_path / "run.csv")
+
+
+def test_columns_of_rostopic_belong_to_the_joints_that_it_names(tmp_path: Path) -> None:
+    order = [2, 0, 1]
+    names = [f"field.{what}{k}" for what in ("position", "effort") for k in range(3)]
+    data = table(["%time", *names], np.round(1e9 * TIME), Q[:, order], TAU[:, order])
+    for k, joint in enumerate(order):
+        data[f"field.name{k}"] = f"joint_{joint + 1}"
+    data.to_csv(tmp_path / "run.csv", index=False)
+    check(tmp_path / "run.csv")
+
+
+@pytest.mark.parametrize("position", ["AxisAct.A{} [deg]", "J{} Ang(deg)", "AIPos.A{} [deg]"])
+def test_names_of_controllers_are_understood(tmp_path: Path, position: str) -> None:
+    names = [position.format(k) for k in (1, 2, 3)] + [f"JTRQ{k}" for k in (1, 2, 3)]
+    table(["time", *names], TIME, np.rad2deg(Q), TAU).to_csv(tmp_path / "run.csv", index=False)
+    check(tmp_path / "run.csv")

@@ -10,6 +10,7 @@ from rx90b_flex.signals.filters import FEWEST_SAMPLES, Array, noise_cutoff_hz
 from rx90b_flex.signals.recording import Recording
 
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
+WANDERS = 4.0  # standard deviations of the sum of noise within which nothing is motion
 OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
 LOWEST_HZ = 1.0
 PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's
@@ -43,12 +44,13 @@ def _highest_hz(speed: Array, rate: float) -> float:
     """Frequency below which nearly all of a velocity's power lies, (N,)."""
     power = np.abs(np.fft.rfft((speed - speed.mean()) * np.hanning(len(speed)))) ** 2
     hz = np.fft.rfftfreq(len(speed), 1.0 / rate)
-    # white noise of the position counter rises with frequency in its differences: its share is taken out
-    slope = np.median(power[len(hz) // 2 :] / hz[len(hz) // 2 :] ** 2)
-    power = np.maximum(power - 3.0 * slope * hz**2, 0.0)
-    power = power / max(power.sum(), 1e-300)
-    reached = int((np.cumsum(power) < MOTION_POWER).sum())
-    return float(hz[min(reached, len(hz) - 1)])
+    # white noise of the position counter has this shape in its differences; sums of what is left of it wander
+    shape = np.sin(np.pi * hz / rate) ** 2
+    noise = shape * np.median(power[len(hz) // 2 :] / shape[len(hz) // 2 :]) / np.log(2.0)
+    below = np.cumsum(power - noise)
+    wander = WANDERS * np.sqrt(np.sum(noise**2))
+    reached = int(np.argmax(below >= min(MOTION_POWER * below[-1], below[-1] - wander)))
+    return float(hz[reached])
 
 
 def found_period_s(recording: Recording) -> float | None:

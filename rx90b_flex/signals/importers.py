@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +21,7 @@ from rx90b_flex.signals.logs import TIME, read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
 from rx90b_flex.signals.recording import REQUIRED, SIGNALS, Recording, Role
 from rx90b_flex.signals.tables import LARGEST
-from rx90b_flex.signals.times import printed_resolution
+from rx90b_flex.signals.times import printed_resolution, seconds_and_nanoseconds
 from rx90b_flex.signals.units import (
     ANGLE_UNITS,
     DEGREE,
@@ -37,7 +38,7 @@ Array = NDArray[np.float64]
 Sureness = Literal["stated", "sure", "likely"]
 
 # key of a campaign file -> field of a recording, of what can be told by words in names
-FIELDS = {s.key: s.field for s in SIGNALS if s.key not in ("joint_torque", "motor_current")}
+FIELDS = {s.key: s.field for s in SIGNALS if s.key != "joint_torque"}
 SPLIT = 0.7  # of a single file: the part that is fitted
 NEAR_RATE = 0.01  # that a rate may lie beside the median one and be the same
 JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
@@ -51,14 +52,15 @@ SLOWEST_HZ, FASTEST_HZ = 0.1, 1e6  # rates that a log may have
 
 # words in names, in lower case
 # fmt: off
-_POSITION = {"q", "pos", "position", "positions", "angle", "angles", "theta", "enc", "encoder", "istposition", "winkel"}
+_POSITION = {"q", "pos", "jpos", "aipos", "position", "positions", "ang", "angle", "angles", "theta", "enc", "encoder",
+             "istposition", "winkel"}
 _VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
-_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "moment", "ff", "feedforward", "drehmoment"}
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "jtrq", "moment", "ff", "feedforward", "drehmoment"}
 _FORWARD = {"ff", "feedforward"}
 _REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
 _LINK = {"link", "load", "output", "secondary"}
-_CURRENT = {"current", "currents", "amp", "amps"}
-_OTHER = _CURRENT | {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
+_CURRENT = {"current", "currents", "amp", "amps", "macur"}
+_OTHER = {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
 _NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
           "drive", "achse", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
 _TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "datetime"}
@@ -288,6 +290,8 @@ class _Import:
             signal: np.stack([log.column(c.name)[rows] for c in columns], axis=1) for signal, columns in signals.items()
         }
         self.scale = self._to_si(joints, signals, values)
+        if "torque" not in values:
+            values["torque"] = values["motor_current"]
         if options.gear:
             self._to_joint_side(joints, values)
         rate, time = self._uniform(time, values)
@@ -305,6 +309,11 @@ class _Import:
         log, options = self.log, self.options
         if log.time is not None:
             return log.time, None
+        stamp = seconds_and_nanoseconds(log.names)
+        if stamp is not None:
+            seconds, rest = (log.column(name) for name in stamp)
+            self.found.add(f"time: columns {stamp[0]!r} and {stamp[1]!r}, in s and ns")
+            return seconds - seconds[0] + 1e-9 * (rest - rest[0]), stamp[0]
         candidates = [name for name in log.names if _is_time(name)]
         exact = [name for name in candidates if name.lower() == TIME]
         if not candidates and options.rate_hz is None:  # the only one that is in seconds, as dates with times are
@@ -380,17 +389,30 @@ class _Import:
         else:
             number, among = self._number_in(name), self.options.joints or joints
             index = 0 if number is None else number if from_zero else number - 1
-            if not 0 <= index < len(among) or (number is None and len(among) != 1):
+            named = self._named.get(number) if number is not None and not self.options.joints else None
+            if named is None and (not 0 <= index < len(among) or (number is None and len(among) != 1)):
                 return None
-            joint, sure = among[index], number is None
+            joint, sure = named or among[index], number is None or named is not None
             rest = [w for w in words if not w.isdigit()]
         signal, left = _signal_of(rest)
         if signal is None:
             return None
         return _Column(name, signal, joint, "sure" if sure else "likely", self._unit(name, signal), len(left))
 
+    @cached_property
+    def _named(self) -> dict[int, str]:
+        """Number -> joint, where columns of words name them, as `field.name0` does."""
+        numbers = {
+            name: [int(w) for w in words_of(name) if w.isdigit()] for name in self.log.words if "name" in words_of(name)
+        }
+        return {
+            n[-1]: self.log.words[name] for name, n in numbers.items() if n and self.log.words[name] in self.axes.joints
+        }
+
     def _unit(self, name: str, signal: str) -> float | None:
         """What brings a column to SI, by its name, else by the unit below that; None where neither says one."""
+        if signal == "motor_current":
+            return 1e-3 if "ma" in words_of(f"{name} {self.log.units.get(name, '')}") else 1.0
         scale = unit_in_name(signal, words_of(name))
         return self._in_row(name, lambda text: unit_in_row(signal, text)) if scale is None else scale
 
@@ -421,11 +443,15 @@ class _Import:
                         f"columns {other.name!r} and {column.name!r} can both be {signal} of {column.joint}; "
                         f"choose with --columns {signal}=..."
                     )
-        for signal in REQUIRED:
+        from_current = "torque" not in by_joint and "motor_current" in by_joint
+        required = ("motor_position", "motor_current") if from_current else REQUIRED
+        for signal in required:
             if not by_joint.get(signal):
                 raise self._nothing_found(signal)
+        if not from_current:
+            by_joint.pop("motor_current", None)
         wanted = self.options.joints or self.axes.joints
-        joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in REQUIRED))
+        joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in required))
         if not joints:
             shown = "; ".join(f"{signal} of {', '.join(c.joint for c in cs)}" for signal, cs in places.items())
             raise self._problem(f"no joint has both position and torque; {shown}")
@@ -439,6 +465,10 @@ class _Import:
                 self.found.add(f"{signal}: {', '.join(c.name for c in have)} for {', '.join(joints)}", sure)
             elif have:
                 self.found.add(f"{signal}: left out, none for {', '.join(j for j in joints if j not in at)}")
+        if from_current:
+            self.found.add(
+                "no torques, but currents: torque constants are identified; [motor] torque_constant states them"
+            )
         without = [j for j in wanted if j not in joints]
         if without:
             self.found.add(f"held at zero, for they have no columns: {', '.join(without)}")
@@ -447,8 +477,8 @@ class _Import:
     def _nothing_found(self, signal: str) -> ValueError:
         log, joints, hint = self.log, self.axes.joints, ""
         shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
-        if signal == "torque" and any(_CURRENT & set(words_of(n)) for n in log.names):
-            hint = "; currents must first be multiplied by motor constant and gear ratio"
+        if signal == "torque":
+            hint = "; currents are motor_current"
         if log.roles and not any(joint in joints for _, joint in log.roles.values()):
             hint = f"; the robot's joints are {', '.join(joints)}"
         return self._problem(
@@ -470,10 +500,11 @@ class _Import:
             self.found.add(f"angles: in {'degrees' if degrees else 'rad'}", "stated")
         first = 1.0
         for signal, columns in signals.items():
-            in_degrees = bool(degrees) and "torque" not in signal
+            turns = "torque" not in signal and signal != "motor_current"
+            in_degrees = bool(degrees) and turns
             assumed = [DEGREE if in_degrees and self.axes.turns(c.joint) else 1.0 for c in columns]
             # an option overrules what names of angles say
-            overrules = self.options.degrees is not None and "torque" not in signal
+            overrules = self.options.degrees is not None and turns
             named = [c.scale is not None and not (overrules and self.axes.turns(c.joint)) for c in columns]
             scales = np.array([c.scale if said else a for a, c, said in zip(assumed, columns, named, strict=True)])
             values[signal] = values[signal] * scales
@@ -518,7 +549,7 @@ class _Import:
         if offset and len(offset) != count:
             raise ValueError(f"--offset lists {len(offset)} numbers; expected one for each of {', '.join(joints)}")
         for signal, array in values.items():
-            if signal == "link_position":
+            if signal in ("link_position", "motor_current"):
                 continue
             if "torque" in signal:
                 values[signal] = array @ gear
@@ -590,20 +621,24 @@ class _Import:
             raise self._problem(
                 f"times: {mean:.3g} samples a second; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g}; are they in another unit?"
             )
-        rate = _round_rate(mean, printed / time[-1])
-        grid = np.arange(len(time)) / rate
-        if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
-            self.found.add(f"{rate:g} Hz, {len(time)} samples")
-            return rate, grid
+        # the shortest number that the times allow
+        for rate in (_round_rate(mean, printed / time[-1]), *(float(f"{mean:.{d}g}") for d in (4, 5, 6, 7))):
+            grid = np.arange(len(time)) / rate
+            if np.abs(time - grid).max() <= JITTER / rate + min(printed, 1.0 / rate):
+                self.found.add(f"{rate:.7g} Hz, {len(time)} samples")
+                return rate, grid
         from scipy.interpolate import PchipInterpolator  # here, for most logs do without
 
+        lost = _lost_rows(np.diff(time), printed)
+        mean *= 1.0 + lost / (len(time) - 1)
         of, rate = self._rate_of_jitter(mean, 1.0 / float(np.median(np.diff(time))))
         grid = np.arange(int(np.floor(time[-1] * rate + 1e-9)) + 1) / rate
         for signal, array in values.items():
             values[signal] = PchipInterpolator(time, array, axis=0)(np.minimum(grid, time[-1]))
         spread = np.ptp(np.diff(time))
         self.found.add(
-            f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the {of} rate, {rate:g} Hz, {len(grid)} samples",
+            (f"{lost} rows are missing; " if lost else "")
+            + f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the {of} rate, {rate:g} Hz, {len(grid)} samples",
             "likely",
         )
         return rate, grid
@@ -618,6 +653,13 @@ class _Import:
         if abs(mean - median) < near and _round_rate(mean) == float(f"{mean:.3g}"):
             return "mean", _round_rate(mean)
         return "median", _round_rate(median)
+
+
+def _lost_rows(steps: Array, printed: float) -> int:
+    """How many rows are missing between times of these steps (N,), s, known to `printed`: a late row comes before an early one."""
+    typical = float(np.median(steps))
+    off = np.abs(steps - typical) > 0.5 * typical + min(printed, 0.25 * typical)
+    return max(0, int(np.sum(np.round(steps[off] / typical) - 1.0)))
 
 
 def _time_words(name: str) -> list[str]:
@@ -642,6 +684,10 @@ def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
     kinds = set(words)
     if kinds & _OTHER:
         return None, []
+    if kinds & _CURRENT:
+        return ("motor_current" if not kinds & (_REFERENCE | _FORWARD) else None), [
+            w for w in words if w not in _CURRENT | _NOISE and not w.isdigit()
+        ]
     known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(ANGLE_UNITS) | set(TORQUE_UNITS)
     left = [w for w in words if w not in known and not w.isdigit()]
     wanted = bool(kinds & _REFERENCE)
@@ -657,7 +703,9 @@ def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
         return "link_position", left
     if wanted:
         return "reference_position", left
-    return ("motor_position" if kinds & _POSITION else None), left
+    # such as AxisAct.A1 [deg]
+    by_unit = kinds & {"deg", "degree", "degrees", "rad"} and not kinds & {"s", "per", "dot"} and set(left) <= {"a"}
+    return ("motor_position" if kinds & _POSITION or by_unit else None), left
 
 
 def _round_rate(rate: float, slack: float = 0.0) -> float:

@@ -295,6 +295,7 @@ def write_campaign(
     noise_torque: Sequence[float] | None = None,
     accelerometers: Sequence[Accelerometer] = (),
     file_format: Literal["parquet", "csv", "csv.gz"] = "parquet",
+    from_current: bool = False,
 ) -> Path:
     """Write recordings and a `campaign.toml` that `load_campaign` reads back as the same recordings.
 
@@ -305,6 +306,7 @@ def write_campaign(
     recordings : of one robot: same joints, sample rate and signals. Files take the recordings' names, in a folder named
         for the role where both roles have a recording of that name.
     cutoff_hz, noise_torque, accelerometers : as in `Campaign`.
+    from_current : whether torques are the currents times constants that are not known.
 
     Returns
     -------
@@ -318,7 +320,7 @@ def write_campaign(
     directory = Path(directory)
     if file_format not in ("parquet", "csv", "csv.gz"):
         raise ValueError(f"file_format {file_format!r}: parquet, csv or csv.gz is expected")
-    fields = _common_signals(recordings)
+    fields = [f for f in _common_signals(recordings) if not (from_current and f.key == "torque")]
     first = recordings[0]
     robot_text = robot if isinstance(robot, str) else Path(os.path.relpath(robot, directory)).as_posix()
     if noise_torque is not None and len(noise_torque) != len(first.joints):

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.signals.data_fault import DataFault, DataFaultError
+from rx90b_flex.signals.units import words_of
 
 Array = NDArray[np.float64]
 
 JITTERING = 0.1  # of the steps off the usual one: more than lost samples make
+_SECONDS, _NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}
+
+
+def seconds_and_nanoseconds(names: Sequence[str]) -> tuple[str, str] | None:
+    """Columns that hold one time in two parts, as ROS writes stamps; None where there are none."""
+    seen = {name: words_of(name) for name in names}
+    for name, words in seen.items():
+        if words and words[-1] in _SECONDS:
+            for other, others in seen.items():
+                if others[:-1] == words[:-1] and others[-1:] and others[-1] in _NANOSECONDS:
+                    return name, other
+    return None
 
 
 def printed_resolution(time: Array, single_precision: bool) -> Array:

@@ -18,6 +18,7 @@ from rx90b_flex.signals.readers.reader import Log, Reader, log_of
 from rx90b_flex.signals.tables import number_of
 from rx90b_flex.signals.units import are_units
 
+COMMENTS = ("#", "%", "//")
 SEPARATORS = (",", ";", "\t", "|", " ")
 _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 # ISO 8601, as pandas and most loggers write dates with times
@@ -34,8 +35,7 @@ class TextReader(Reader):
     def read(self, path: Path) -> Log:
         raw = path.read_bytes()
         text, assumed = _decoded(path, gzip.decompress(raw) if path.name.lower().endswith(".gz") else raw)
-        lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("%", "//"))]
-        lines = _without_comments(lines)
+        lines = _without_comments([line for line in text.splitlines() if line.strip()])
         if len(lines) < 2:
             raise ValueError(f"{path}: {len(lines)} lines; expected a line of column names and rows of numbers")
         separator = _separator(lines)
@@ -74,9 +74,10 @@ def _decoded(path: Path, raw: bytes) -> tuple[str, list[str]]:
 
 
 def _without_comments(lines: list[str]) -> list[str]:
-    """Lines without those that start with `#`; the names come first, which may be a comment, as NumPy's savetxt writes them."""
-    comments = [line.lstrip("# \t") for line in itertools.takewhile(lambda line: line.startswith("#"), lines)]
-    rows = [line for line in lines if not line.startswith("#")]
+    """Lines without comments; the names come first, which may be one, as NumPy's savetxt and `rostopic echo -p` write them."""
+    above = itertools.takewhile(lambda line: line.lstrip().startswith(COMMENTS), lines)
+    comments = [line.lstrip("#%/ \t") for line in above]
+    rows = [line for line in lines if not line.lstrip().startswith(COMMENTS)]
     if not comments or not rows:
         return [*comments, *rows]
     separator = _separator(rows[:20])
