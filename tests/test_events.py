@@ -44,6 +44,8 @@ def test_what_happens_often_belongs_to_the_motion():
 
 def test_neither_the_beginning_nor_rests_hold_events():
     assert found(NOISE + np.column_stack([bump(0.1, 60.0), 0 * TIME])) == []
+    stands_first = VELOCITY * (TIME > 1.0)[:, None]
+    assert found(NOISE + np.column_stack([bump(1.2, 60.0), 0 * TIME]), stands_first) == []
     resting = VELOCITY * (np.abs(TIME - 9.0) > 1.0)[:, None]
     assert found(NOISE + np.column_stack([bump(9.0, 60.0), 0 * TIME]), resting) == []
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.moving import resting
+from rx90b_flex.diagnose.moving import begun, resting
 from rx90b_flex.effects.motion import Array
 
 PART_S = 0.25  # length of the parts of time that are compared
 REST_S = 0.05  # where a joint rests for longer, its friction depends on what was before, and any model errs
-BEGINNING_S = 0.5  # what friction does there depends on what was before the recording
 SHORT = 0.05  # of the time in which a joint moves: what lasts longer is no event
 LARGE = 0.5  # of a joint's squared error: so much in so short a time is one
 TIMES = 5.0  # root mean square there over that elsewhere, at the least
@@ -73,13 +72,14 @@ def events(
         Torque error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
     """
     rest = np.split(resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
+    since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
     out = []
     for j, joint in enumerate(joints):
         parts = [
             _Part(name, (edges[0] + edges[-1]) / 2 / rate, float((error[edges, j] ** 2).sum()), len(edges))
-            for name, rate, error, v, still in zip(names, rates_hz, left, velocity, rest, strict=True)
-            for edges in np.array_split(np.arange(len(v)), max(1, round(len(v) / rate / PART_S)))
-            if len(edges) and edges[0] >= BEGINNING_S * rate and still[edges, j].sum() <= REST_S * rate
+            for name, rate, error, there, still in zip(names, rates_hz, left, since, rest, strict=True)
+            for edges in np.array_split(np.arange(len(error)), max(1, round(len(error) / rate / PART_S)))
+            if len(edges) and there[edges[0], j] and still[edges, j].sum() <= REST_S * rate
         ]
         found = _of(joint, parts)
         if found is not None:

@@ -11,6 +11,7 @@ from rx90b_flex.effects.motion import Array, Mask
 
 AT_REST = 0.01  # of a joint's largest speed, below which it rests
 AT_REST_RAD_S = 1e-3  # and below which any joint does; m/s for prismatic ones
+BEGINNING_S = 0.5  # from a joint's first move on: what friction does there depends on what was before the recording
 
 
 @dataclass(frozen=True)
@@ -49,3 +50,9 @@ def resting(velocity: Array) -> Mask:
     """Rows in which each joint stands still, for velocities (N, joints) of all recordings together."""
     speed = np.abs(velocity)
     return np.asarray(speed < np.maximum(AT_REST * speed.max(axis=0), AT_REST_RAD_S))
+
+
+def begun(still: Mask, rate_hz: float) -> Mask:
+    """Rows of one recording since half a second after each joint's first move, from where it rests, (N, joints)."""
+    first = np.argmin(still, axis=0) + BEGINNING_S * rate_hz
+    return np.asarray(np.arange(len(still))[:, None] >= first)
