@@ -8,6 +8,7 @@ from independent import Array, Motion, friction, harmonics, run, two_joints, whi
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.events import events
+from rx90b_flex.diagnose.moving import held_at_first
 
 RATE_HZ, JOINTS = 200.0, ("waist", "elbow")
 TIME = np.arange(int(20 * RATE_HZ)) / RATE_HZ
@@ -44,10 +45,20 @@ def test_what_happens_often_belongs_to_the_motion():
 
 def test_neither_the_beginning_nor_rests_hold_events():
     assert found(NOISE + np.column_stack([bump(0.1, 60.0), 0 * TIME])) == []
+    assert found(NOISE + np.column_stack([bump(20.0, 60.0), 0 * TIME])) == []
     stands_first = VELOCITY * (TIME > 1.0)[:, None]
     assert found(NOISE + np.column_stack([bump(1.2, 60.0), 0 * TIME]), stands_first) == []
     resting = VELOCITY * (np.abs(TIME - 9.0) > 1.0)[:, None]
     assert found(NOISE + np.column_stack([bump(9.0, 60.0), 0 * TIME]), resting) == []
+
+
+def test_an_error_that_lies_before_the_first_move_is_told_and_what_it_is_elsewhere():
+    velocity = VELOCITY * (TIME > 1.0)[:, None]
+    held = NOISE + 20.0 * (TIME < 1.0)[:, None]
+    assert held_at_first([RATE_HZ], [NOISE], [0 * NOISE], [velocity]) == ""
+    assert held_at_first([RATE_HZ], [held], [0 * held], [VELOCITY]) == ""
+    said = held_at_first([RATE_HZ], [10.0 + held], [10.0 + 0 * held], [velocity])
+    assert "96% of the squared error held out" in said and "relative error is 0.0999" in said
 
 
 @pytest.mark.slow

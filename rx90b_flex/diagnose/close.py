@@ -25,7 +25,7 @@ from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
-from rx90b_flex.diagnose.moving import MovingErrors
+from rx90b_flex.diagnose.moving import MovingErrors, held_at_first, waiting
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
@@ -511,7 +511,7 @@ class _Ended:
                 *beyond,
                 *_sensor_words(declared, model),
                 *_held_words(model),
-                *self._beyond_fitted(),
+                *self._beyond_fitted(predictions),
                 *_event_words(happened, campaign.joints, known, after.validation),
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
@@ -535,15 +535,17 @@ class _Ended:
         found = beyond_model([r.torque for r in replays], predicted, rates)
         return () if found is None else (found.words,)
 
-    def _beyond_fitted(self) -> tuple[str, ...]:
-        """Where what is left is error of extrapolation."""
+    def _beyond_fitted(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
+        """Where what is left is error of extrapolation, or of what friction held before."""
         data, model = self.residual.data, self.standing.model
         fitted, held_out = (
             {"positions": np.concatenate([r.position for r in x]), "speeds": np.concatenate([r.velocity for r in x])}
             for x in (data.identification, data.validation)
         )
         left = [r.torque - predicted for r, predicted in zip(data.validation, model.validation, strict=True)]
-        return beyond_fitted(self.residual.campaign.joints, fitted, held_out, np.concatenate(left))
+        rates = [r.recording.sample_rate_hz for r in data.validation]
+        told = np.where(waiting(rates, [r.velocity for r in data.validation]), 0.0, np.concatenate(left))
+        return (*beyond_fitted(self.residual.campaign.joints, fitted, held_out, told), *_held_at_first(predictions))
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
         """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.
@@ -626,6 +628,12 @@ def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow, 
     rates = [p.recording.sample_rate_hz for p in predictions]
     torque, left = [p.torque for p in predictions], [p.torque - p.after for p in predictions]
     return slow_errors(campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions])
+
+
+def _held_at_first(predictions: Sequence[Prediction]) -> tuple[str, ...]:
+    rates = [p.recording.sample_rate_hz for p in predictions]
+    said = held_at_first(rates, *zip(*((p.torque, p.after, p.velocity) for p in predictions), strict=True))
+    return (said,) if said else ()
 
 
 def _event_words(

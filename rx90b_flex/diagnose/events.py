@@ -10,7 +10,7 @@ import numpy as np
 from rx90b_flex.diagnose.moving import begun, resting
 from rx90b_flex.effects.motion import Array
 
-PART_S = 0.25  # length of the parts of time that are compared
+PART_S = 0.25  # length of the parts of time that are compared; the last one, where a low-pass has no neighbours, is not
 REST_S = 0.05  # where a joint rests for longer, its friction depends on what was before, and any model errs
 SHORT = 0.05  # of the time in which a joint moves: what lasts longer is no event
 LARGE = 0.5  # of a joint's squared error: so much in so short a time is one
@@ -78,7 +78,7 @@ def events(
         parts = [
             _Part(name, (edges[0] + edges[-1]) / 2 / rate, float((error[edges, j] ** 2).sum()), len(edges))
             for name, rate, error, there, still in zip(names, rates_hz, left, since, rest, strict=True)
-            for edges in np.array_split(np.arange(len(error)), max(1, round(len(error) / rate / PART_S)))
+            for edges in np.array_split(np.arange(len(error)), max(1, round(len(error) / rate / PART_S)))[:-1]
             if len(edges) and there[edges[0], j] and still[edges, j].sum() <= REST_S * rate
         ]
         found = _of(joint, parts)

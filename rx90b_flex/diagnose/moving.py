@@ -11,6 +11,7 @@ from rx90b_flex.effects.motion import Array, Mask
 
 AT_REST = 0.01  # of a joint's largest speed, below which it rests
 AT_REST_RAD_S = 1e-3  # and below which any joint does; m/s for prismatic ones
+MOSTLY = 0.5  # of the squared error
 BEGINNING_S = 0.5  # from a joint's first move on: what friction does there depends on what was before the recording
 
 
@@ -56,3 +57,26 @@ def begun(still: Mask, rate_hz: float) -> Mask:
     """Rows of one recording since half a second after each joint's first move, from where it rests, (N, joints)."""
     first = np.argmin(still, axis=0) + BEGINNING_S * rate_hz
     return np.asarray(np.arange(len(still))[:, None] >= first)
+
+
+def waiting(rates_hz: Sequence[float], velocity: Sequence[Array]) -> Mask:
+    """Rows of recordings, one after the other, in which joints stand as it begins, and in the half second after, (N, joints)."""
+    rest = np.split(resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
+    return np.concatenate([~begun(r, rate) & r[0] for r, rate in zip(rest, rates_hz, strict=True)])
+
+
+def held_at_first(
+    rates_hz: Sequence[float], measured: Sequence[Array], after: Sequence[Array], velocity: Sequence[Array]
+) -> str:
+    """A caution where most of the squared error lies where joints have not moved yet, or only just have; empty where it does not."""
+    begins = waiting(rates_hz, velocity)
+    torque = np.concatenate(measured)
+    squares = (torque - np.concatenate(after)) ** 2
+    there, whole = float(squares[begins].sum()), float(squares.sum())
+    if there <= MOSTLY * whole:
+        return ""
+    else_error = np.sqrt((whole - there) / max(float((torque[~begins] ** 2).sum()), 1e-300))
+    return (
+        f"{there / whole:.0%} of the squared error held out lies where joints stand as a recording begins, and in the half second "
+        f"after: what friction holds before a first move nobody knows. Elsewhere the relative error is {else_error:.3g}."
+    )
