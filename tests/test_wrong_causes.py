@@ -199,3 +199,16 @@ def test_a_robot_is_given_by_its_file_and_a_reversed_torque_is_cured_in_the_log(
     (fault,) = rf.check(path, robot=tmp_path / "robot_declared.toml").data_faults
     assert (fault.kind, fault.signal) == ("reversed_sign", "torque")
     assert "in the log" in fault.message and "gear_matrix" not in fault.message
+
+
+def test_a_joint_that_stands_elsewhere_in_each_recording_is_no_torque_of_another_run(tmp_path: Path) -> None:
+    """A brake holds it: its torque is noise."""
+
+    def change(rng: np.random.Generator, run: ind.Run) -> ind.Run:
+        q, v, a = (x.copy() for x in (run.motion.q, run.motion.v, run.motion.a))
+        q[:, 5], v[:, 5], a[:, 5] = rng.uniform(-1.5, 1.5), 0.0, 0.0
+        torque = run.torque.copy()
+        torque[:, 5] = rng.normal(scale=0.06, size=len(torque))
+        return dataclasses.replace(run, motion=dataclasses.replace(run.motion, q=q, v=v, a=a), torque=torque)
+
+    assert all(f.usable for f in rf.check(written(tmp_path, 1, change=change)).data_faults)

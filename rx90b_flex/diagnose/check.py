@@ -20,7 +20,7 @@ from rx90b_flex.diagnose.faults.repeated import repeated
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
-from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, no_excitation, stuck, stuck_in_one
+from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, moves_within, no_excitation, stuck, stuck_in_one
 from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
 from rx90b_flex.diagnose.residual import noise_between_periods
@@ -192,7 +192,7 @@ def _checked(
         faults += [_fault(f) for f in found]
         faults += list(impossible_sizes(look, faults))
         faults += [*stuck(mended, np.sqrt(fit.error)), *stuck_in_one(mended, look)]
-        lost = unrelated(campaign.joints, *look.errors_at_least(), moving, constant)
+        lost = unrelated(campaign.joints, *look.errors_at_least(), moves_within(mended) > NEVER, constant)
         faults = [f for f in faults if not _of_no_use(f, lost, campaign)] + lost + sensor_faults(campaign)
         errors = tuple(float(x) for x in np.sqrt(fit.error))
         tell("looking at what the motion can tell", 0.9)

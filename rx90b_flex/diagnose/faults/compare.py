@@ -140,7 +140,8 @@ def _best(look: Look) -> Found | None:
     for gain, rank, hypothesis in finals:
         if gain.total > PROMISING * max(best, MODEST):
             better, std = look.refined(hypothesis, OF_KNOWN if gain.credible else 0.0)
-            if better.factor is None or abs(better.factor) >= better.smallest:
+            # a factor within its own standard deviation is not told
+            if better.factor is None or abs(better.factor) >= max(better.smallest, std or 0.0):
                 refined.append((bases.gain(better), rank, better, std))
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
     # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's

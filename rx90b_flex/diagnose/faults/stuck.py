@@ -26,6 +26,11 @@ def moves(recordings: Sequence[Recording]) -> Array:
     return np.asarray(np.ptp(every, axis=0))
 
 
+def moves_within(recordings: Sequence[Recording]) -> Array:
+    """The largest range of each joint in a recording, shape (joints,), rad: it may stand elsewhere in each."""
+    return np.max([np.ptp(r.position, axis=0) for r in recordings], axis=0)
+
+
 def stuck(recordings: Sequence[Recording], errors: Array) -> Iterator[DataFault]:
     """Joints that never move, by their torque's relative error under the rigid model (joints,): held, or their sensor stands."""
     for joint, reach, error in zip(recordings[0].joints, moves(recordings), errors, strict=True):
