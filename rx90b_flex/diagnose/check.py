@@ -20,7 +20,16 @@ from rx90b_flex.diagnose.faults.repeated import repeated
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
-from rx90b_flex.diagnose.faults.stuck import NEVER, frozen, moves, moves_within, no_excitation, stuck, stuck_in_one
+from rx90b_flex.diagnose.faults.stuck import (
+    NEVER,
+    frozen,
+    moves,
+    moves_within,
+    no_excitation,
+    range_of,
+    stuck,
+    stuck_in_one,
+)
 from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
 from rx90b_flex.diagnose.residual import noise_between_periods
@@ -179,7 +188,7 @@ def _checked(
     still = no_excitation(mended)
     faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
     moving = moves(mended) > NEVER
-    constant = np.ptp(np.concatenate([r.torque for r in mended]), axis=0) == 0.0
+    constant = range_of([r.torque for r in mended]) == 0.0
     parameters: tuple[ParameterStatus, ...] = ()
     basics: tuple[str, ...] = ()
     errors: tuple[float, ...] = ()

@@ -10,6 +10,7 @@ from rx90b_flex.signals.filters import FEWEST_SAMPLES, Array, noise_cutoff_hz
 from rx90b_flex.signals.recording import Recording
 
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps
+ENOUGH = 200_000  # samples that tell a recording's noise: spectra of an hour take memory
 WANDERS = 4.0  # standard deviations of the sum of noise within which nothing is motion
 OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the power lies
 LOWEST_HZ = 1.0
@@ -36,7 +37,7 @@ def quiet_cutoff_hz(recordings: Sequence[Recording]) -> float:
     Of the recording that moves fastest: one that hardly moves has little else than noise.
     """
     long = [r for r in recordings if r.samples >= FEWEST_SAMPLES]
-    found = [noise_cutoff_hz(r.position, r.sample_rate_hz) or np.inf for r in long]
+    found = [noise_cutoff_hz(r.position[:ENOUGH], r.sample_rate_hz) or np.inf for r in long]
     return max(LOWEST_HZ, *found) if found else np.inf
 
 

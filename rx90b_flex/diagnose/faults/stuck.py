@@ -22,8 +22,12 @@ UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not 
 
 def moves(recordings: Sequence[Recording]) -> Array:
     """Range of each joint over all recordings, shape (joints,), rad."""
-    every = np.concatenate([r.position for r in recordings])
-    return np.asarray(np.ptp(every, axis=0))
+    return range_of([r.position for r in recordings])
+
+
+def range_of(signals: Sequence[Array]) -> Array:
+    """Range of each column of recordings' signals, each (N, joints), over all of them, (joints,)."""
+    return np.max([x.max(axis=0) for x in signals], axis=0) - np.min([x.min(axis=0) for x in signals], axis=0)
 
 
 def moves_within(recordings: Sequence[Recording]) -> Array:
