@@ -23,7 +23,7 @@ from rx90b_flex.effects.elements import PointMass
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_in, read_toml
-from rx90b_flex.joint_units import SLIDES, TURNS, JointUnits
+from rx90b_flex.joint_units import SLIDES, TURNS, JointUnits, any_of
 from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
@@ -125,6 +125,10 @@ class Robot:
     def units_of(self, joints: Sequence[str]) -> tuple[JointUnits, ...]:
         """Of some driven joints."""
         return tuple(self.units[self.joints.index(joint)] for joint in joints)
+
+    def force_unit(self, joints: Sequence[str]) -> str:
+        """Of all torques and forces of some driven joints."""
+        return any_of(u.force for u in self.units_of(joints))
 
     def unit_of(self, effect: Effect, unit: str) -> str:
         """The unit of an effect's parameter on this robot, from the one that it has on a joint that turns."""

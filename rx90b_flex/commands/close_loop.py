@@ -109,7 +109,6 @@ def _close_over_frequency(
 
 def print_result(result: Any) -> None:
     """What was found, the errors before and after, what is left, and what to beware of."""
-    from rx90b_flex.joint_units import any_of
     from rx90b_flex.view.check_report import basics_words
 
     rows = []
@@ -128,8 +127,7 @@ def print_result(result: Any) -> None:
         say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}")
     if result.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
-        unit = any_of(u.force for u in result.source.units_of(result.joints))
-        say(f"Noise floor: {rms} {unit} a joint")
+        say(f"Noise floor: {rms} {result.source.force_unit(result.joints)} a joint")
     for gone in result.last_round.taken_out:
         say(f"Taken out again: {gone.label}, for {gone.refusal}")
     for d in result.unexplained.where[:3]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from rx90b_flex.diagnose.moving import resting
+from rx90b_flex.diagnose.moving import resting_each
 from rx90b_flex.effects.motion import Array, Mask
 
 BLOCK_S = 1.0  # parts of a recording whose losses are compared with their spread
@@ -40,7 +40,7 @@ def rise(
     (int, float) or None
         Index of the recording, and probability that chance does it, corrected for the number of tests; None where nothing rises.
     """
-    moving = np.split(~resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
+    moving = [~still for still in resting_each(velocity)]
     chances = []
     for tau, mask, rate, less, more in zip(torque, moving, rates, without, added, strict=True):
         lost = (tau - more) ** 2 - (tau - less) ** 2

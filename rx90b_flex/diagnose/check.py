@@ -34,8 +34,8 @@ from rx90b_flex.diagnose.faults.unrelated import unrelated
 from rx90b_flex.diagnose.parameters import ParameterStatus, statuses, undeclared_basics
 from rx90b_flex.diagnose.residual import noise_between_periods
 from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
+from rx90b_flex.effects.motion import Mask
 from rx90b_flex.files.toml import named_in
-from rx90b_flex.joint_units import any_of
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
@@ -195,15 +195,8 @@ def _checked(
     side = TorqueSide(campaign.torque_side, None, "")
     if all(f.usable for f in still) and not constant.all():
         tell("comparing what may be wrong with it", 0.3)
-        look = _look(campaign, mended, rigid)
-        found, look = faults_of(look)
-        fit = look.fit()
-        faults += [_fault(f) for f in found]
-        faults += list(impossible_sizes(look, faults))
-        faults += [*stuck(mended, np.sqrt(fit.error)), *stuck_in_one(mended, look)]
-        lost = unrelated(campaign.joints, *look.errors_at_least(), moves_within(mended) > NEVER, constant)
-        faults = [f for f in faults if not _of_no_use(f, lost, campaign)] + lost + sensor_faults(campaign)
-        errors = tuple(float(x) for x in np.sqrt(fit.error))
+        look, faults = _compared(campaign, mended, rigid, faults, constant)
+        errors = tuple(float(x) for x in np.sqrt(look.fit().error))
         tell("looking at what the motion can tell", 0.9)
         side = torque_side(campaign.torque_side, look, faults, moving)
         parameters = statuses(look, rigid, moving)
@@ -226,8 +219,22 @@ def _checked(
         campaign.path,
         _noise_floor(campaign, mended, facts),
         side,
-        any_of(unit.force for unit in robot.units_of(campaign.joints)),
+        robot.force_unit(campaign.joints),
     )
+
+
+def _compared(
+    campaign: Campaign, recordings: Sequence[Recording], rigid: Robot, faults: list[DataFault], constant: Mask
+) -> tuple[Look, list[DataFault]]:
+    """What may be wrong beside what shows in the log itself, and the look at the data with it mended."""
+    found, look = faults_of(_look(campaign, recordings, rigid))
+    faults = [*faults, *map(_fault, found)]
+    faults += list(impossible_sizes(look, faults))
+    faults = [f for f in faults if not _gain_is_open(f, campaign)]
+    faults += [*stuck(recordings, np.sqrt(look.fit().error)), *stuck_in_one(recordings, look)]
+    goes = moves_within(recordings) > NEVER
+    lost = unrelated(campaign.joints, *look.errors_at_least(), goes, constant)
+    return look, [f for f in faults if not _of_no_use(f, lost, campaign.joints)] + lost + sensor_faults(campaign)
 
 
 def _robot(campaign: Campaign, given: Robot | str | os.PathLike[str] | None) -> Robot:
@@ -256,16 +263,16 @@ def _fault(found: Found) -> DataFault:
     return DataFault(h.kind, h.signal, h.joints, h.message, h.usable, before, after, factor=h.factor, std=found.std)
 
 
-def _of_no_use(fault: DataFault, lost: Sequence[DataFault], campaign: Campaign) -> bool:
-    """Whether a hypothesis is about joints alone whose torque has nothing to do with the motion even if it holds, or whose torque
-    constant is left out, which makes its gain no fault.
-    """
+def _gain_is_open(fault: DataFault, campaign: Campaign) -> bool:
+    """Whether it is about the size of torques whose constant is left out."""
     stated = campaign.torque_constants or (1.0,) * len(campaign.joints)
-    open_ones = {j for j, constant in zip(campaign.joints, stated, strict=True) if constant is None}
-    if fault.signal == "torque" and fault.kind in ("torque_gain", "unit") and set(fault.joints) <= open_ones:
-        return True
-    joints = {j for f in lost for j in f.joints}
-    return fault.error_after is not None and set(fault.joints or campaign.joints) <= joints
+    left_out = {j for j, constant in zip(campaign.joints, stated, strict=True) if constant is None}
+    return fault.signal == "torque" and fault.kind in ("torque_gain", "unit") and set(fault.joints) <= left_out
+
+
+def _of_no_use(fault: DataFault, lost: Sequence[DataFault], joints: Sequence[str]) -> bool:
+    """Whether a hypothesis is about joints alone whose torque has nothing to do with the motion even if it holds."""
+    return fault.error_after is not None and set(fault.joints or joints) <= {j for f in lost for j in f.joints}
 
 
 def _refused(path: Path, error: ValueError) -> Checked:

@@ -484,6 +484,7 @@ class _Ended:
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, happened, bool(drifts))
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
+        said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)
         return ClosedLoop(
             before,
@@ -509,9 +510,7 @@ class _Ended:
                 *links_off,
                 *constants,
                 *beyond,
-                *_sensor_words(declared, model),
-                *_held_words(model),
-                *self._beyond_fitted(predictions),
+                *said,
                 *_event_words(happened, campaign.joints, known, after.validation),
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
@@ -535,8 +534,8 @@ class _Ended:
         found = beyond_model([r.torque for r in replays], predicted, rates)
         return () if found is None else (found.words,)
 
-    def _beyond_fitted(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
-        """Where what is left is error of extrapolation, or of what friction held before."""
+    def _beyond_fitted(self) -> tuple[str, ...]:
+        """Where what is left is error of extrapolation."""
         data, model = self.residual.data, self.standing.model
         fitted, held_out = (
             {"positions": np.concatenate([r.position for r in x]), "speeds": np.concatenate([r.velocity for r in x])}
@@ -545,7 +544,7 @@ class _Ended:
         left = [r.torque - predicted for r, predicted in zip(data.validation, model.validation, strict=True)]
         rates = [r.recording.sample_rate_hz for r in data.validation]
         told = np.where(waiting(rates, [r.velocity for r in data.validation]), 0.0, np.concatenate(left))
-        return (*beyond_fitted(self.residual.campaign.joints, fitted, held_out, told), *_held_at_first(predictions))
+        return beyond_fitted(self.residual.campaign.joints, fitted, held_out, told)
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
         """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.
@@ -630,7 +629,7 @@ def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow, 
     return slow_errors(campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions])
 
 
-def _held_at_first(predictions: Sequence[Prediction]) -> tuple[str, ...]:
+def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:
     rates = [p.recording.sample_rate_hz for p in predictions]
     said = held_at_first(rates, *zip(*((p.torque, p.after, p.velocity) for p in predictions), strict=True))
     return (said,) if said else ()

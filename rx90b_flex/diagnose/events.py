@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.moving import begun, resting
+from rx90b_flex.diagnose.moving import begun, resting_each
 from rx90b_flex.effects.motion import Array
 
 PART_S = 0.25  # length of the parts of time that are compared; the last one, where a low-pass has no neighbours, is not
@@ -71,7 +71,7 @@ def events(
     left, velocity : sequence of arrays, each (N, joints)
         Torque error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
     """
-    rest = np.split(resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
+    rest = resting_each(velocity)
     since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
     out = []
     for j, joint in enumerate(joints):

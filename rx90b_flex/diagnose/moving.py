@@ -36,21 +36,25 @@ class MovingErrors:
         measured: Sequence[Array], before: Sequence[Array], after: Sequence[Array], velocity: Sequence[Array]
     ) -> MovingErrors:
         """From measured and predicted torque of every validation recording, and velocity; each (N, joints)."""
-        moving = ~resting(np.concatenate(velocity))
-        masks = np.split(moving, np.cumsum([len(v) for v in velocity])[:-1])
+        masks = [~still for still in resting_each(velocity)]
         torque, *predicted = (
             np.concatenate([x[there] for x, there in zip(each, masks, strict=True)])
             for each in (measured, before, after)
         )
         size = float(np.linalg.norm(torque))
         less, more = (float(np.linalg.norm(torque - x)) / size if size > 0 else 0.0 for x in predicted)
-        return MovingErrors(less, more, 1.0 - float(moving.mean()))
+        return MovingErrors(less, more, 1.0 - float(np.concatenate(masks).mean()))
 
 
 def resting(velocity: Array) -> Mask:
     """Rows in which each joint stands still, for velocities (N, joints) of all recordings together."""
     speed = np.abs(velocity)
     return np.asarray(speed < np.maximum(AT_REST * speed.max(axis=0), AT_REST_RAD_S))
+
+
+def resting_each(velocity: Sequence[Array]) -> list[Mask]:
+    """The same for each recording, (N, joints)."""
+    return np.split(resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
 
 
 def begun(still: Mask, rate_hz: float) -> Mask:
@@ -61,8 +65,8 @@ def begun(still: Mask, rate_hz: float) -> Mask:
 
 def waiting(rates_hz: Sequence[float], velocity: Sequence[Array]) -> Mask:
     """Rows of recordings, one after the other, in which joints stand as it begins, and in the half second after, (N, joints)."""
-    rest = np.split(resting(np.concatenate(velocity)), np.cumsum([len(v) for v in velocity])[:-1])
-    return np.concatenate([~begun(r, rate) & r[0] for r, rate in zip(rest, rates_hz, strict=True)])
+    each = zip(resting_each(velocity), rates_hz, strict=True)
+    return np.concatenate([~begun(still, rate) & still[0] for still, rate in each])
 
 
 def held_at_first(

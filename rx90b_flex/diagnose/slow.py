@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-from rx90b_flex.diagnose.moving import begun, resting
+from rx90b_flex.diagnose.moving import begun, resting_each
 from rx90b_flex.effects.motion import Array
 
 SLOW_HZ = 2.0  # below which noise has little of its power
@@ -76,11 +76,10 @@ def slow_errors(
         Torque and its error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
     """
     hz = SLOW_HZ if cutoff_hz is None else min(SLOW_HZ, PASSED * cutoff_hz)
-    still = resting(np.concatenate(velocity))
-    each = np.split(still, np.cumsum([len(v) for v in velocity])[:-1])
-    since = [begun(s, rate) for s, rate in zip(each, rates_hz, strict=True)]
+    rest = resting_each(velocity)
+    since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
     left = [np.where(there, error, 0.0) for there, error in zip(since, left, strict=True)]
-    moving = ~still & np.concatenate(since)
+    moving = ~np.concatenate(rest) & np.concatenate(since)
     smooth, mean = [], []
     for rate, error in zip(rates_hz, left, strict=True):
         passes = signal.butter(ORDER, min(hz, 0.45 * rate), fs=rate, output="sos")

@@ -178,9 +178,8 @@ def _table(cls: type[Effect]) -> list[str]:
     lines = ["[[effects]]", f'type = "{cls.type_name()}"', KEYS[cls.traits.on]]
     for name, p in cls.parameters().items():
         number = float(p.start) if isfinite(p.start) else 1.0
-        several = ", ".join(
-            f"{i * number:.6g}" for i in range(1, 1 + (p.size or 3))
-        )  # not alike: anchors must not meet
+        # not alike: anchors must not meet
+        several = ", ".join(f"{i * number:.6g}" for i in range(1, 1 + (p.size or 3)))
         value = f"{number}" if p.size == 1 else f"[{several}]"
         lines.append(f"{name} = {value}  # {p.unit}")
     return [line for line in lines if line]

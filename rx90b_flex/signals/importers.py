@@ -478,7 +478,7 @@ class _Import:
         log, joints, hint = self.log, self.axes.joints, ""
         shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
         if signal == "torque":
-            hint = "; currents are motor_current"
+            hint = "; where a log has currents alone, name them with --columns motor_current=..."
         if log.roles and not any(joint in joints for _, joint in log.roles.values()):
             hint = f"; the robot's joints are {', '.join(joints)}"
         return self._problem(

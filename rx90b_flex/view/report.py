@@ -19,7 +19,6 @@ from rx90b_flex.diagnose.verdict import ENOUGH, NEAR_FLOOR
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.hints import SMALLEST_PART
 from rx90b_flex.identify.near_tree import KNOWN
-from rx90b_flex.joint_units import any_of
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 from rx90b_flex.signals.tables import write_whole
 from rx90b_flex.view import plots
@@ -163,13 +162,8 @@ def _floor_words(result: ClosedLoop) -> str:
     if result.noise_floor is None:
         return "not known"
     low, high = number(min(result.noise_floor)), number(max(result.noise_floor))
-    unit = force_unit(result)
+    unit = result.source.force_unit(result.joints)
     return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
-
-
-def force_unit(result: ClosedLoop) -> str:
-    """Of all joints' torques and forces."""
-    return any_of(u.force for u in result.source.units_of(result.joints))
 
 
 def explainable_words(result: ClosedLoop) -> str:
@@ -273,7 +267,7 @@ def _error_tables(result: ClosedLoop) -> list[PageTable]:
             rows.append((joint, number(torque), number(b), shares[0], number(a) + mark, shares[1], known, *ratio))
         both = [percent(e.relative_error) for e in (before, after)]
         rows.append(("all", "", "", both[0], "", both[1], "", *("" for _ in over)))
-        caption = f"{role.capitalize()}: {what}. Root mean square, {force_unit(result)}.{worse}"
+        caption = f"{role.capitalize()}: {what}. Root mean square, {result.source.force_unit(result.joints)}.{worse}"
         out.append(PageTable(head, rows, caption))
     return out
 
@@ -382,7 +376,7 @@ def _at_rest(result: ClosedLoop) -> PageTable:
         (joint, *(percent(x[i]) for x in shares), *(number(x[i]) for x in errors))
         for i, joint in enumerate(result.joints)
     ]
-    unit = force_unit(result)
+    unit = result.source.force_unit(result.joints)
     head = ("joint", "at rest, % of time", "% of squared error", f"error, {unit}", f"error in motion, {unit}")
     caption = (
         "What is left on validation, at rest and in motion. At rest: a joint slower than 1 % of its largest speed."
