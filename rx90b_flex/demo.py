@@ -64,7 +64,7 @@ class Demonstration:
         return write_campaign(folder, "declared.toml", self.recordings, cutoff_hz=CUTOFF_HZ, file_format="csv.gz")
 
 
-def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT) -> Demonstration:
+def make_demonstration(seed: int, hidden: str | None = None) -> Demonstration:
     """Draw a hidden effect and make recordings of a robot that has it.
 
     The motion is prescribed (a sum of harmonics that every joint follows exactly), the torque is the inverse dynamics
@@ -76,8 +76,6 @@ def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT)
         Of the effect, its place and values, the excitation and the noise.
     hidden : str, optional
         Effect type, or ``none``; drawn where not given.
-    robot : str
-        Rigid robot with friction declared on each joint.
 
     Raises
     ------
@@ -87,7 +85,7 @@ def make_demonstration(seed: int, hidden: str | None = None, robot: str = ROBOT)
     rng = np.random.default_rng(seed)
     check_hidden(hidden)
     kind = str(rng.choice(HIDDEN)) if hidden is None else hidden
-    base = load_robot(robot)
+    base = load_robot(ROBOT)
     motions = [_drawn(base, rng) for _ in range(3)]
     declared, true, effect = base, base, None
     if kind != NOTHING:

@@ -17,23 +17,13 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
-Out = Annotated[
-    Path,
-    typer.Option(
-        "--out",
-        parser=_folder,
-        metavar="PATH",
-        help="Folder for the results; made if it does not exist, an earlier result in it is replaced.",
-    ),
-]
+def _out(help: str) -> Any:
+    return typer.Option("--out", parser=_folder, metavar="PATH", help=f"Folder for the {help}")
+
+
+Out = Annotated[Path, _out("results; made if it does not exist, an earlier result in it is replaced.")]
 CampaignOut = Annotated[
-    Path,
-    typer.Option(
-        "--out",
-        parser=_folder,
-        metavar="PATH",
-        help="Folder for the campaign; made if it does not exist. A campaign in it is replaced with --overwrite only.",
-    ),
+    Path, _out("campaign; made if it does not exist. A campaign in it is replaced with --overwrite only.")
 ]
 ROBOT_HELP = "Robot name, robot file, URDF, or example-robot-data:NAME."
 RobotSource = Annotated[str, typer.Argument(help=ROBOT_HELP)]

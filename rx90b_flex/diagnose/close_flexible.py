@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -13,6 +12,7 @@ from rx90b_flex.diagnose.modal import MODEL_ERROR, close_modal
 from rx90b_flex.diagnose.response import MODEL_ERROR as RESPONSE_ERROR
 from rx90b_flex.diagnose.response import close_response, load_frequency_responses
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.results import write_json
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
 
@@ -26,9 +26,7 @@ def write_loop(
     folder = Path(folder)
 
     def fill(at: Path) -> None:
-        (at / "closed_loop.json").write_text(
-            json.dumps(loop.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        write_json(at / "closed_loop.json", loop.as_json(), indent=1)
         save_robot(loop.robot, at, allow_inconsistent=True)
         for write in extra:
             write(loop, at)

@@ -16,6 +16,7 @@ from rx90b_flex.diagnose.trial import GAIN_T, SIGNIFICANCE, SMALLEST_GAIN, Torqu
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.flexibility import DAMPING_TIME, DriveFlexibility
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.results import finite
 from rx90b_flex.identify import deflection as gears
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.segment import prepare
@@ -353,7 +354,7 @@ def _measures(gear: GearDeflection) -> dict[str, Any]:
         "rms": {role: dataclasses.asdict(e) for role, e in gear.errors.items()},
         "compliance": {"value": fit.compliance, "std": fit.std("torque"), "unit": "rad/(N m)"},
         "parameters": estimates_json(gear.parameters),
-        "drive_inertia": _finite(fit.inertia),
+        "drive_inertia": finite(fit.inertia),
         "lag_s": fit.data.lag_s,
         "position_error_orders": list(fit.data.orders),
         "p_value": gear.trial.p_value,
@@ -366,7 +367,7 @@ def _measures(gear: GearDeflection) -> dict[str, Any]:
             }
             for c in gear.compliances
         ],
-        "recordings_agree_p": _finite(gear.agreement),
+        "recordings_agree_p": finite(gear.agreement),
         "comparisons": [dataclasses.asdict(c) for c in gear.comparisons],
     }
 
@@ -384,7 +385,3 @@ def _stiffness(compliance: RecordedCompliance) -> dict[str, float | None]:
         "low": 1.0 / high if high > 0.0 else None,
         "high": 1.0 / low if low > 0.0 else None,
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

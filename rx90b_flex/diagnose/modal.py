@@ -41,6 +41,7 @@ from rx90b_flex.diagnose.likelihood import (
 from rx90b_flex.diagnose.loop import Progress
 from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.files.keys import close_match
+from rx90b_flex.files.results import finite
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.robot import Robot, load_robot
@@ -504,8 +505,8 @@ class ModalLoop(FlexibleLoop):
             "before": _errors_json(self.before, self.left_out_before, self.result.before, self.result.chance_before),
             "after": _errors_json(self.after, self.left_out_after, self.result.after, self.result.chance_after),
             "validation": {
-                "before": {"log_frequency_rms": _number(error_rms(self.validation_before))},
-                "after": {"log_frequency_rms": _number(error_rms(self.validation_after))},
+                "before": {"log_frequency_rms": finite(error_rms(self.validation_before))},
+                "after": {"log_frequency_rms": finite(error_rms(self.validation_after))},
             }
             if self.validation_before
             else None,
@@ -632,9 +633,9 @@ def alone(compared: Iterable[Compared]) -> int:
 
 def _errors_json(compared: tuple[Compared, ...], left_out: float, fit: LikelihoodFit, chance: float) -> dict[str, Any]:
     return {
-        "log_frequency_rms": _number(error_rms(compared)),
-        "log_frequency_rms_in_order": _number(in_order_rms(compared)),
-        "log_frequency_rms_left_out": _number(left_out),
+        "log_frequency_rms": finite(error_rms(compared)),
+        "log_frequency_rms_in_order": finite(in_order_rms(compared)),
+        "log_frequency_rms_left_out": finite(left_out),
         "measured_without_partner": alone(compared),
         "model_modes_unseen": sum(c.pairing.unseen for c in compared),
         "model_error": fit.model_error,
@@ -647,7 +648,3 @@ def _partners(compared: Compared) -> list[float | None]:
     for i, j in zip(compared.pairing.measured, compared.pairing.model, strict=True):
         out[i] = float(compared.model_hz[j])
     return out
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-import json
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -23,6 +22,7 @@ from rx90b_flex.diagnose.residual import RoleErrors
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.results import write_json
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
@@ -178,7 +178,7 @@ def write_result(
         if motion is not None:
             contents["motion.json"] = motion_json(motion)
         for name, content in contents.items():
-            (at / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+            write_json(at / name, content)
         if isinstance(result, ClosedLoop):
             _write_model(result, at)
         for write in extra:

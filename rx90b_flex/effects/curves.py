@@ -180,6 +180,11 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
     def basis(self, at: JointMotion) -> Array:
         return self._spline(self.abscissa(at), 0)
 
+    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
+        slope = self._spline(self.abscissa(at), 1)
+        zero = np.zeros_like(slope)
+        return (zero, slope, zero) if self.axis == "velocity" else (slope, zero, zero)
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionCurve(_Curve):
@@ -213,10 +218,6 @@ class FrictionCurve(_Curve):
     def abscissa(self, at: JointMotion) -> Array:
         return at.v
 
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        slope = self._spline(at.v, 1)
-        return np.zeros_like(slope), slope, np.zeros_like(slope)
-
 
 @dataclass(frozen=True, kw_only=True)
 class AngleCurve(_Curve, part="spring", straight=("level",)):
@@ -245,10 +246,6 @@ class AngleCurve(_Curve, part="spring", straight=("level",)):
 
     def abscissa(self, at: JointMotion) -> Array:
         return at.q
-
-    def slopes(self, at: JointMotion) -> tuple[Array, Array, Array]:
-        slope = self._spline(at.q, 1)
-        return slope, np.zeros_like(slope), np.zeros_like(slope)
 
     def potential(self, motion: Motion) -> Array:
         q = motion.joint(self.joint).q

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from rx90b_flex.effects.motion import Array
 
 
@@ -14,6 +16,12 @@ class PointMass:
     frame: str
     mass: float
     centre: Array
+
+
+def unit_body(centre: Array) -> Array:
+    """Ten inertial parameters of a point mass of 1 kg, (10,): m, s, J xx yy zz xy xz yz, in the axes of its centre (3,), m."""
+    moments = centre @ centre * np.eye(3) - np.outer(centre, centre)
+    return np.r_[1.0, centre, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects.at_rest import RestSites, RestSizes, ShownAtRest
 from rx90b_flex.effects.effect import FrameEffect
-from rx90b_flex.effects.elements import PointMass
+from rx90b_flex.effects.elements import PointMass, unit_body
 from rx90b_flex.effects.hints import LeftOver, ShapeSearch
 from rx90b_flex.effects.motion import Array, Motion
 from rx90b_flex.effects.parameters import INERTIA, linear, shape
@@ -44,10 +44,7 @@ class Payload(FrameEffect, ShownAtRest, behind_gear=True, adds_inertia=True, par
     centre: tuple[float, float, float] | None = shape("m", start=REACH, lower=-2.0, upper=2.0, size=3)
 
     def _unit_body(self) -> Array:
-        """Ten inertial parameters of 1 kg at the centre, about the frame; order m, s, J xx yy zz xy xz yz."""
-        c = self.known_shape()
-        moments = c @ c * np.eye(3) - np.outer(c, c)
-        return np.r_[1.0, c, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+        return unit_body(self.known_shape())
 
     def columns(self, motion: Motion) -> Array:
         return (motion.on_tree.body_columns(self.frame) @ self._unit_body())[:, :, None]

@@ -88,21 +88,18 @@ class TomlTable:
         return self.finite(key, self._get(key))
 
     def positive(self, key: str) -> float:
-        value = self.number(key)
-        if value <= 0.0:
-            raise self.problem(key, f"found {value:g}, a number above 0 is expected")
-        return value
+        return self._such(key, lambda x: x > 0.0, "above 0")
 
     def not_negative(self, key: str) -> float:
-        value = self.number(key)
-        if value < 0.0:
-            raise self.problem(key, f"found {value:g}, a number of 0 or more is expected")
-        return value
+        return self._such(key, lambda x: x >= 0.0, "of 0 or more")
 
     def share(self, key: str) -> float:
+        return self._such(key, lambda x: 0.0 < x < 1.0, "between 0 and 1")
+
+    def _such(self, key: str, allowed: Callable[[float], bool], which: str) -> float:
         value = self.number(key)
-        if not 0.0 < value < 1.0:
-            raise self.problem(key, f"found {value:g}, a number between 0 and 1 is expected")
+        if not allowed(value):
+            raise self.problem(key, f"found {value:g}, a number {which} is expected")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:

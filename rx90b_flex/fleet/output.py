@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rx90b_flex.files.results import write_json
 from rx90b_flex.fleet.fleet import Fleet
 from rx90b_flex.fleet.make import MakeParameter, RobotValue
 from rx90b_flex.fleet.robots import Outcome
@@ -102,8 +102,7 @@ def write_fleet(fleet: Fleet, folder: Path, overwrite: bool = False) -> None:
     from rx90b_flex.view.fleet_report import write_fleet_report
 
     def fill(at: Path) -> None:
-        text = json.dumps(fleet_json(fleet), indent=2, allow_nan=False)
-        (at / "fleet.json").write_text(text + "\n", encoding="utf-8")
+        write_json(at / "fleet.json", fleet_json(fleet))
         fleet_table(fleet).to_csv(at / "fleet.csv", index=False)
         write_fleet_report(fleet, at / "fleet.html")
 

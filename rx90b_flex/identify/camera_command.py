@@ -19,7 +19,6 @@ the rows are a motion, whose accelerations count; without it every row is a pose
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.results import finite, write_json
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.camera import (
@@ -270,7 +270,7 @@ def as_json(result: CameraResult) -> dict[str, Any]:
                 "value": h.value if h.determined else None,
                 "std": h.even_std if h.determined else None,
                 "unit": "N m/rad",
-                "interval": [x if np.isfinite(x) else None for x in h.interval],
+                "interval": [finite(x) for x in h.interval],
                 "confidence": 0.95,
             }
             for h in result.hinges
@@ -288,5 +288,5 @@ def as_json(result: CameraResult) -> dict[str, Any]:
 
 def write_camera(result: CameraResult, folder: Path) -> None:
     """Write `camera.json` and the robot with the stiffnesses."""
-    (folder / "camera.json").write_text(json.dumps(as_json(result), indent=1) + "\n", encoding="utf-8")
+    write_json(folder / "camera.json", as_json(result), indent=1, allow_nan=True)
     save_robot(result.robot, folder, allow_inconsistent=True)

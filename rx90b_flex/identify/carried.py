@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
+from rx90b_flex.effects.elements import unit_body
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.stated import FlangeLoad
@@ -32,8 +31,6 @@ def carried_parameters(robot: Robot, load: FlangeLoad) -> Array:
     places = [i for i, (_, joint) in enumerate(robot.bodies) if joint == frame.parentJoint]
     if not places:
         raise ValueError(f"payload: no joint of {robot.name} moves its tip frame {robot.tip_frame!r}")
-    centre = frame.placement.act(np.array(load.centre))
-    x, y, z = (float(c) for c in centre)
     out = np.zeros(10 * len(robot.bodies))
-    out[10 * places[0] : 10 * places[0] + 10] = dataclasses.replace(load, centre=(x, y, z)).body()
+    out[10 * places[0] : 10 * places[0] + 10] = load.mass * unit_body(frame.placement.act(np.array(load.centre)))
     return out

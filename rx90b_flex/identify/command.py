@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from rx90b_flex.bodies import Inconsistency, inconsistencies
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
+from rx90b_flex.files.results import write_json
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
 from rx90b_flex.identify.least_squares import Estimate, Identification
@@ -416,8 +416,7 @@ def write_identified(result: Identified, folder: Path) -> None:
     ValueError
         The robot does not come back from its files as it was.
     """
-    text = json.dumps(identification_json(result), indent=2, allow_nan=False)
-    (folder / "identification.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "identification.json", identification_json(result))
     # known links are written as they were given, even if no body could have them
     path = save_robot(result.robot, folder, allow_inconsistent=not result.model.links_fitted)
     again = load_robot(path)

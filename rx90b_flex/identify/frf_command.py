@@ -8,7 +8,6 @@ done is left out with its reason; those that do not need it go on.
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import time
 from collections import Counter
@@ -22,6 +21,7 @@ from scipy.signal import resample
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.results import finite, write_json
 from rx90b_flex.identify.accelerometers import AccelerationResponse
 from rx90b_flex.identify.frequency_response import ComplexArray, FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_accelerations, estimate_frequency_response, group_poses
@@ -568,7 +568,7 @@ def _response_json(measured: MeasuredResponse) -> dict[str, Any]:
     return {
         **_values_json(measured),
         "noise_std": None if noise is None else noise.tolist(),
-        "degrees_of_freedom": _known(measured.degrees_of_freedom),
+        "degrees_of_freedom": finite(measured.degrees_of_freedom),
         "realisations": len(measured.realisations),
         "periods": measured.periods,
         "experiments": int(measured.torque.shape[2]),
@@ -580,7 +580,7 @@ def _replayed_json(result: MotorIdentification, place: int) -> dict[str, Any] | 
     if result.replayed is None or place not in result.fitted:
         return None
     replayed = result.replayed.responses[result.fitted.index(place)]
-    return {**_values_json(replayed), "degrees_of_freedom": _known(replayed.degrees_of_freedom)}
+    return {**_values_json(replayed), "degrees_of_freedom": finite(replayed.degrees_of_freedom)}
 
 
 def _values_json(response: FrequencyResponse) -> dict[str, Any]:
@@ -591,10 +591,6 @@ def _values_json(response: FrequencyResponse) -> dict[str, Any]:
         "imag": response.value.imag.tolist(),
         "std": response.std().tolist(),
     }
-
-
-def _known(number: float) -> float | None:
-    return number if np.isfinite(number) else None
 
 
 def _quantity(value: float, std: float, unit: str) -> dict[str, Any]:
@@ -731,7 +727,7 @@ def write_motor_identification(
     folder = Path(folder)
 
     def fill(at: Path) -> None:
-        (at / "frf.json").write_text(json.dumps(frf_json(result), allow_nan=False) + "\n", encoding="utf-8")
+        write_json(at / "frf.json", frf_json(result), indent=None)
         if result.found is not None:
             save_robot(result.found, at, allow_inconsistent=True)
         for write in extra:

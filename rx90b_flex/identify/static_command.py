@@ -21,7 +21,6 @@ A file of tests (TOML)::
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ import pinocchio as pin
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
+from rx90b_flex.files.results import finite, write_json
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, named_in, read_toml
 from rx90b_flex.identify.linear_fit import weighted_mean
@@ -257,7 +257,7 @@ def as_json(result: StaticResult) -> dict[str, Any]:
                 "coordinate": f.coordinate,
                 "stiffness": f.stiffness,
                 "std": f.stiffness_std,
-                "interval": [x if np.isfinite(x) else None for x in f.interval],
+                "interval": [finite(x) for x in f.interval],
                 "confidence": f.confidence,
                 "readings": len(t),
                 "loading_against_unloading_p_value": f.p_value,
@@ -273,6 +273,6 @@ def as_json(result: StaticResult) -> dict[str, Any]:
 
 def write_static(result: StaticResult, folder: Path) -> None:
     """Write `static.json`, and the robot with the stiffnesses where the file names one."""
-    (folder / "static.json").write_text(json.dumps(as_json(result), indent=1) + "\n", encoding="utf-8")
+    write_json(folder / "static.json", as_json(result), indent=1, allow_nan=True)
     if result.robot is not None:
         save_robot(result.robot, folder, allow_inconsistent=True)

@@ -24,8 +24,9 @@ from scipy.optimize import minimize_scalar
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import suggestion
+from rx90b_flex.files.results import write_json
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
-from rx90b_flex.path.output import write_columns, write_json
+from rx90b_flex.path.output import write_columns
 from rx90b_flex.path.planning import HOLD_S
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.tables import read_table
@@ -272,7 +273,7 @@ def _comparison(
 
 def write_measured(of: MeasuredTip, folder: Path) -> None:
     """Write `measured.json`, and `measured.csv` with every sample: its place along the path and the three deviations, mm."""
-    write_json(folder / "measured.json", as_json(of))
+    write_json(folder / "measured.json", as_json(of), indent=1, allow_nan=True)
     write_columns(folder / "measured.csv", of.columns(), digits=6)
 
 

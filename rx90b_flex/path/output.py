@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.results import finite, write_json
 from rx90b_flex.path.check import Deviation, PathCheck
 from rx90b_flex.path.seam import EXAMPLES
 from rx90b_flex.simulate.closed_loop import tip_poses
@@ -43,7 +42,7 @@ def write_check(
     from rx90b_flex.signals.folders import PATH_CHECK, fill_folder
 
     def fill(at: Path) -> None:
-        write_json(at / "path_check.json", as_json(result))
+        write_json(at / "path_check.json", as_json(result), indent=1, allow_nan=True)
         write_seam(result, at / "seam.csv")
         if result.correction is not None:
             write_corrected(result, at)
@@ -73,10 +72,10 @@ def as_json(result: PathCheck) -> dict[str, Any]:
         "contributions": [
             {"name": c.name, "part": c.part}
             | _in_mm(c, "max_across", "rms_across", "max_along")
-            | {"rms_across_without_mm": _finite(c.rms_without), "not_switched_off": c.why_not}
+            | {"rms_across_without_mm": finite(c.rms_without), "not_switched_off": c.why_not}
             for c in result.contributions
         ],
-        "only_together_rms_across_mm": _finite(result.left_over),
+        "only_together_rms_across_mm": finite(result.left_over),
         "sticking": [s._asdict() for s in result.sticking],
         "wrong_model": [{"lower": name, **_deviation(d, tolerance)} for name, d in result.wrong_model],
         "seconds": {stage: round(s, 3) for stage, s in result.seconds.items()},
@@ -90,22 +89,13 @@ def _deviation(of: Deviation, tolerance_mm: float) -> dict[str, Any]:
         "worst_at_mm": of.worst_at_mm,
         "millimetres": len(within),
         "millimetres_within": int(within.sum()),
-        "failing": [{"from_mm": a, "to_mm": b, "max_across_mm": _finite(c)} for a, b, c in of.failing(tolerance_mm)],
+        "failing": [{"from_mm": a, "to_mm": b, "max_across_mm": finite(c)} for a, b, c in of.failing(tolerance_mm)],
         "ended": of.ended,
     }
 
 
 def _in_mm(of: object, *names: str) -> dict[str, float | None]:
-    return {f"{name}_mm": _finite(getattr(of, name)) for name in names}
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def write_json(file: Path, content: Mapping[str, Any]) -> None:
-    """A value a line."""
-    file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return {f"{name}_mm": finite(getattr(of, name)) for name in names}
 
 
 def write_columns(file: Path, columns: Mapping[str, Array], digits: int) -> None:

@@ -7,9 +7,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.files.table import TomlTable, shown
 
@@ -67,12 +64,6 @@ class FlangeLoad:
 
     mass: float
     centre: tuple[float, float, float]
-
-    def body(self) -> NDArray[np.float64]:
-        """Ten inertial parameters about the tip frame, in the order m, m c (3), J (xx, yy, zz, xy, xz, yz); shape (10,)."""
-        c = np.array(self.centre)
-        inertia = c @ c * np.eye(3) - np.outer(c, c)
-        return self.mass * np.r_[1.0, c, inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
 
 
 def read_date(section: TomlTable) -> str | None:

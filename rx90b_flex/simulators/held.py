@@ -7,14 +7,15 @@ so that effects of other packages are held as well as one's own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from scipy.optimize import nnls
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.elements import AnchoredSpring, GravityChange, PointMass
+from rx90b_flex.effects.elements import AnchoredSpring, GravityChange, PointMass, unit_body
 from rx90b_flex.effects.law import Law
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import with_link_parameters
@@ -27,6 +28,8 @@ SPEEDS = 60  # at which friction is compared
 CREEP = 1e-3  # of that speed, down to which friction may still grow as it falls
 EXACT = 1e-2  # of friction's largest torque: closer is no loss worth a line
 ANGLES = (0.0, 0.7, -1.3)  # rad, at which a law is asked whether it depends on the angle
+
+Weights: TypeAlias = tuple[tuple[str, float], ...]  # of a combination: coordinates and their factors
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class Port:
         kg m^2, N m s/rad, N m/rad, N m, N m.
     """
 
-    weights: tuple[tuple[str, float], ...]
+    weights: Weights
     inertia: float = 0.0
     damping: float = 0.0
     stiffness: float = 0.0
@@ -208,7 +211,7 @@ def with_carried(robot: Robot) -> tuple[Robot, tuple[str, ...], tuple[Lost, ...]
 
 
 def _gathered(robot: Robot, how: Format, lost: list[Lost]) -> Held:
-    sums: dict[tuple[tuple[str, float], ...], _Sum] = {}
+    sums: dict[Weights, _Sum] = {}
     lines: list[LineSpring] = []
     bodies = dict(zip((n for n, _ in robot.bodies), robot.link_parameters.reshape(-1, 10).copy(), strict=True))
     gravity = robot.model.gravity.linear.copy()
@@ -230,7 +233,7 @@ def _gathered(robot: Robot, how: Format, lost: list[Lost]) -> Held:
     ports = []
     order = {name: i for i, name in enumerate(robot.coordinates)}
     for weights, gathered in sorted(sums.items(), key=lambda item: [order[name] for name, _ in item[0]]):
-        damping, friction, said = _rub(robot, weights, gathered, how)
+        damping, friction, said = _rub(robot, weights, gathered)
         lost += said
         g = gathered
         ports.append(Port(weights, g.inertia, g.damping + damping, g.stiffness, g.constant, friction))
@@ -265,9 +268,7 @@ def _carry(robot: Robot, bodies: dict[str, Array], carried: PointMass) -> None:
     place = robot.model.frames[robot.model.getFrameId(carried.frame)]
     for link, joint in robot.bodies:
         if joint == place.parentJoint:
-            c = place.placement.act(carried.centre)
-            moments = c @ c * np.eye(3) - np.outer(c, c)  # about the body's joint, order of `LINK_PARAMETERS`
-            bodies[link] += carried.mass * np.r_[1.0, c, moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]]
+            bodies[link] += carried.mass * unit_body(place.placement.act(carried.centre))
 
 
 def _add_line(effect: Effect, spring: AnchoredSpring, how: Format, lines: list[LineSpring]) -> list[Lost]:
@@ -280,9 +281,7 @@ def _add_line(effect: Effect, spring: AnchoredSpring, how: Format, lines: list[L
     return []
 
 
-def _add_laws(
-    robot: Robot, effect: Effect, how: Format, sums: dict[tuple[tuple[str, float], ...], _Sum]
-) -> Iterable[Lost]:
+def _add_laws(robot: Robot, effect: Effect, how: Format, sums: dict[Weights, _Sum]) -> Iterable[Lost]:
     rest = np.zeros(robot.model.nv)
     laws = effect.laws(robot.motion(rest, rest, rest))
     if laws is None or any(law.wide for law in laws):
@@ -292,7 +291,7 @@ def _add_laws(
     for law in laws:
         weights = tuple((robot.coordinates[i], float(law.port[i])) for i in np.flatnonzero(law.port))
         if len(weights) > 1 and not how.pairs:
-            weights, what = _one_of(weights, law)
+            weights, what = _one_of(weights)
             if what:
                 missing.append(what)
             if not weights:
@@ -312,7 +311,7 @@ def _add_laws(
         yield Lost(effect.label, "; ".join(dict.fromkeys(missing)))
 
 
-def _one_of(weights: tuple[tuple[str, float], ...], law: Law) -> tuple[tuple[tuple[str, float], ...], str]:
+def _one_of(weights: Weights) -> tuple[Weights, str]:
     """What stands for a combination where there are none: the drive for the joint's angle; nothing for two joints."""
     joints = {name.rsplit(":", 1)[0] for name, _ in weights}
     if len(joints) == 1:
@@ -361,9 +360,7 @@ def _why_no_law(effect: Effect) -> str:
 # ---- friction ------------------------------------------------------------------------------------------------
 
 
-def _rub(
-    robot: Robot, weights: tuple[tuple[str, float], ...], gathered: _Sum, how: Format
-) -> tuple[float, float, list[Lost]]:
+def _rub(robot: Robot, weights: Weights, gathered: _Sum) -> tuple[float, float, list[Lost]]:
     """Damper and level of dry friction nearest to friction of any form, and how far off they are."""
     if not gathered.rubbing:
         return 0.0, 0.0, []
@@ -388,7 +385,7 @@ def _rub(
     return float(slope), float(level), [Lost(labels, why)]
 
 
-def _speed(robot: Robot, weights: Sequence[tuple[str, float]]) -> float:
+def _speed(robot: Robot, weights: Weights) -> float:
     """Largest speed that the URDF lets a joint have."""
     limits = {j.name: j.limit for j in read_xml(robot.urdf).robot.joints}
     found = (limits.get(name.rsplit(":", 1)[0]) for name, _ in weights)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90b_flex.diagnose.check import Checked, check_json
+from rx90b_flex.files.results import write_json
 from rx90b_flex.view.page import Image, PageTable, Section, write_page
 
 if TYPE_CHECKING:
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 def write_check_report(checked: Checked, folder: Path, plots: bool = False) -> None:
     """Write ``check.json`` and ``check.html`` into a folder that exists."""
-    text = json.dumps(check_json(checked), indent=2, allow_nan=False)
-    (folder / "check.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "check.json", check_json(checked))
     images: Sequence[Image] = ()
     if plots and checked.recordings:
         from rx90b_flex.view.preview import preview_images
