@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 import typer.core
+from typer import Option
 
 from rx90b_flex.commands import (
     camera,
@@ -53,7 +54,7 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+        bool, Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Industrial robots whose drives and joints bend: model, identify, and find what a model lacks."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 from rx90b_flex.commands.shared import Out, Overwrite, fitted_into
 
 
 def camera_command(
-    markers: Annotated[Path, typer.Argument(help="File of markers (TOML).")], out: Out, overwrite: Overwrite = False
+    markers: Annotated[Path, Argument(help="File of markers (TOML).")], out: Out, overwrite: Overwrite = False
 ) -> None:
     """Find joint stiffnesses from markers before a camera.
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
+from typer import Option
 
 from rx90b_flex.commands.shared import CampaignFile, Out, Overwrite, progress, say, show_table
 
@@ -17,7 +18,7 @@ def check_command(
     campaign: CampaignFile,
     out: Out,
     plots: Annotated[
-        bool, typer.Option("--plots", help="Each joint's torque against the declared model's, before any fit.")
+        bool, Option("--plots", help="Each joint's torque against the declared model's, before any fit.")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:

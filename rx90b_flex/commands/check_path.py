@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from rx90b_flex.commands.shared import Overwrite, progress, say, show_table
 
@@ -15,40 +16,38 @@ if TYPE_CHECKING:
 
 # options that take several lines
 PathSource = Annotated[
-    str, typer.Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square.")
+    str, Argument(help="Path file (TOML), table of points (CSV, with --speed-mm-s), or an example: line, square.")
 ]
 RobotOfPath = Annotated[
-    str | None, typer.Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
+    str | None, Option(help="Robot name, robot file or URDF; the path file's, or rx90b, otherwise.")
 ]
-Contributions = Annotated[
-    bool, typer.Option("--contributions/--no-contributions", help="Switch each effect off in turn.")
-]
+Contributions = Annotated[bool, Option("--contributions/--no-contributions", help="Switch each effect off in turn.")]
 MeasuredFile = Annotated[
     Path | None,
-    typer.Option(
+    Option(
         help="Measured places of the tip (CSV: x, y, z, time if known) to compare with the predicted ones, and nothing else."
     ),
 ]
 SaveExample = Annotated[
-    Path | None, typer.Option(help="Write the example PATH to this file, to start from, and do nothing else.")
+    Path | None, Option(help="Write the example PATH to this file, to start from, and do nothing else.")
 ]
 
 
 def check_path_command(
     path: PathSource,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
-    tolerance_mm: Annotated[float, typer.Option(help="Largest deviation across the path.")] = 0.1,
+    out: Annotated[Path, Option("--out", help="Folder for the results.")] = Path("rx90b-flex-path"),
+    tolerance_mm: Annotated[float, Option(help="Largest deviation across the path.")] = 0.1,
     robot: RobotOfPath = None,
-    speed_mm_s: Annotated[float | None, typer.Option(help="Instead of the path file's.")] = None,
+    speed_mm_s: Annotated[float | None, Option(help="Instead of the path file's.")] = None,
     controller: Annotated[
         Path | None,
-        typer.Option(help="Controller file (TOML); the robot file's, or gains designed for the robot, otherwise."),
+        Option(help="Controller file (TOML); the robot file's, or gains designed for the robot, otherwise."),
     ] = None,
-    correct: Annotated[bool, typer.Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
+    correct: Annotated[bool, Option("--correct/--no-correct", help="Look for a corrected path.")] = True,
     contributions: Contributions = True,
     measured: MeasuredFile = None,
-    iterations: Annotated[int, typer.Option(help="Of the correction, at most.")] = 10,
-    jobs: Annotated[int, typer.Option(help="Processes for the effects' runs.")] = 1,
+    iterations: Annotated[int, Option(help="Of the correction, at most.")] = 10,
+    jobs: Annotated[int, Option(help="Processes for the effects' runs.")] = 1,
     save_example: SaveExample = None,
     overwrite: Overwrite = False,
 ) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from rx90b_flex.commands import fleet
 from rx90b_flex.commands.check import end_refused
@@ -15,25 +15,23 @@ from rx90b_flex.commands.shared import Basics, Despite, Out, Overwrite, progress
 # options that take several lines
 Sources = Annotated[
     list[Path],
-    typer.Argument(
+    Argument(
         help="Campaign file or modal table (TOML), or folder of `rx90b-flex frf`; several campaigns are a fleet, one a robot.",
         metavar="CAMPAIGN...",
     ),
 ]
-ModelError = Annotated[float | None, typer.Option(help="Relative error of the model to allow for; for the same two.")]
-DaskScheduler = Annotated[
-    str | None, typer.Option(help="Address of a Dask scheduler for a fleet, such as tcp://host:8786.")
-]
+ModelError = Annotated[float | None, Option(help="Relative error of the model to allow for; for the same two.")]
+DaskScheduler = Annotated[str | None, Option(help="Address of a Dask scheduler for a fleet, such as tcp://host:8786.")]
 
 
 def close_loop_command(
     campaigns: Sources,
     out: Out,
-    seed: Annotated[int, typer.Option(help="Seed of the permutation test for what remains.")] = 0,
-    robot: Annotated[str | None, typer.Option(help="Another robot; for modal tables and frequency responses.")] = None,
+    seed: Annotated[int, Option(help="Seed of the permutation test for what remains.")] = 0,
+    robot: Annotated[str | None, Option(help="Another robot; for modal tables and frequency responses.")] = None,
     model_error: ModelError = None,
     jobs: Annotated[
-        int | None, typer.Option(help="Processes; not given: 1, or for one long log and 4 cores or more one a core.")
+        int | None, Option(help="Processes; not given: 1, or for one long log and 4 cores or more one a core.")
     ] = None,
     dask: DaskScheduler = None,
     basics: Basics = False,

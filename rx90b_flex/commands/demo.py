@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from rx90b_flex.commands.close_loop import print_result
 from rx90b_flex.commands.shared import Out, Overwrite, progress, say
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 def demo_command(
     out: Out = Path("rx90b-flex-demo"),
-    seed: Annotated[int, typer.Option(help="Seed of what is hidden, of the motion and of the noise.")] = 0,
+    seed: Annotated[int, Option(help="Seed of what is hidden, of the motion and of the noise.")] = 0,
     hidden: Annotated[
-        str | None, typer.Option(help="Effect type to hide, or 'none'; drawn from the seed where not given.")
+        str | None, Option(help="Effect type to hide, or 'none'; drawn from the seed where not given.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:

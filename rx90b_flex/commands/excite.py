@@ -5,62 +5,56 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from rx90b_flex.commands.shared import CampaignOut, HighHz, LowHz, Overwrite, RobotSource, numbers, progress, say
 
 # options that take several lines
-InputMatrix = Annotated[str, typer.Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")]
+InputMatrix = Annotated[str, Option(help="Input matrix: ones (-1 down the diagonal), hadamard or identity.")]
 Peak = Annotated[
     str | None,
-    typer.Option(
-        help="Largest torque, N m (N where a joint slides): one, or one a joint; 10 % of the limits otherwise."
-    ),
+    Option(help="Largest torque, N m (N where a joint slides): one, or one a joint; 10 % of the limits otherwise."),
 ]
-White = Annotated[bool, typer.Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")]
+White = Annotated[bool, Option("--white", help="Spectrum over the loop's sensitivity: drive torques are white.")]
 ControllerFile = Annotated[
     Path | None,
-    typer.Option(
-        help="Controller file (TOML): for --white, --simulate, references that order torques, and frf's replay."
-    ),
+    Option(help="Controller file (TOML): for --white, --simulate, references that order torques, and frf's replay."),
 ]
 CarriedBy = Annotated[
-    str, typer.Option(help="What carries the excitation: torque (fed forward), reference (motion alone) or both.")
+    str, Option(help="What carries the excitation: torque (fed forward), reference (motion alone) or both.")
 ]
 SpeedPeak = Annotated[
     str | None,
-    typer.Option(
-        help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."
-    ),
+    Option(help="Largest speed added to references, rad/s, one or one a joint, where no controller file is given."),
 ]
 Poses = Annotated[
-    list[str] | None, typer.Option(help="Degrees (m where a joint slides), one a joint: 0,90,0; repeat for more poses.")
+    list[str] | None, Option(help="Degrees (m where a joint slides), one a joint: 0,90,0; repeat for more poses.")
 ]
-RateHz = Annotated[float | None, typer.Option(help="Rate of the references; the controller file's otherwise.")]
+RateHz = Annotated[float | None, Option(help="Rate of the references; the controller file's otherwise.")]
 
 
 def excite_command(
     robot: RobotSource,
     out: CampaignOut,
     pose: Poses = None,
-    joints: Annotated[str | None, typer.Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
+    joints: Annotated[str | None, Option(help="Joints to excite: NAME,NAME; the first three otherwise.")] = None,
     matrix: InputMatrix = "ones",
     peak: Peak = None,
     low_hz: LowHz = 2.5,
     high_hz: HighHz = 80.0,
-    period_s: Annotated[float, typer.Option(help="Period; a longer one has finer lines.")] = 4.096,
-    speed: Annotated[float, typer.Option(help="Joint speed between reversals, rad/s or m/s.")] = 0.11,
-    swings: Annotated[int, typer.Option(help="Times to and fro in a period; odd.")] = 1,
-    realisations: Annotated[int, typer.Option(help="Multisines with other phases.")] = 16,
-    periods: Annotated[int, typer.Option(help="Periods of a run; the first is for the transient.")] = 9,
-    one_sign: Annotated[bool, typer.Option("--one-sign", help="Without the runs of opposite sign.")] = False,
+    period_s: Annotated[float, Option(help="Period; a longer one has finer lines.")] = 4.096,
+    speed: Annotated[float, Option(help="Joint speed between reversals, rad/s or m/s.")] = 0.11,
+    swings: Annotated[int, Option(help="Times to and fro in a period; odd.")] = 1,
+    realisations: Annotated[int, Option(help="Multisines with other phases.")] = 16,
+    periods: Annotated[int, Option(help="Periods of a run; the first is for the transient.")] = 9,
+    one_sign: Annotated[bool, Option("--one-sign", help="Without the runs of opposite sign.")] = False,
     white: White = False,
     controller: ControllerFile = None,
     by: CarriedBy = "torque",
     speed_peak: SpeedPeak = None,
     rate_hz: RateHz = None,
-    simulate: Annotated[bool, typer.Option("--simulate", help="Simulate the robot's logs, too.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of phases and noise.")] = 0,
+    simulate: Annotated[bool, Option("--simulate", help="Simulate the robot's logs, too.")] = False,
+    seed: Annotated[int, Option(help="Seed of phases and noise.")] = 0,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the motions that frf needs, and the campaign file.

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from rx90b_flex.commands.shared import RobotSource, say
 
 
 def export_command(
     robot: RobotSource,
-    file_format: Annotated[str, typer.Option("--format", help="urdf, mjcf (MuJoCo) or sdf (Gazebo).")],
-    out: Annotated[Path, typer.Option("--out", help="File to write.")],
+    file_format: Annotated[str, Option("--format", help="urdf, mjcf (MuJoCo) or sdf (Gazebo).")],
+    out: Annotated[Path, Option("--out", help="File to write.")],
 ) -> None:
     """Write an identified robot for a simulator.
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from rx90b_flex.commands.shared import RobotSource, say
 
 
 def flexify_command(
     robot: RobotSource,
-    out: Annotated[Path, typer.Option("--out", help="URDF to write.")],
-    torsion: Annotated[list[str] | None, typer.Option(help="Joint whose drive twists; repeat for more.")] = None,
-    bending: Annotated[list[str] | None, typer.Option(help="Joint that bends; repeat for more.")] = None,
-    base: Annotated[bool, typer.Option("--base", help="A base that tilts about two axes.")] = False,
+    out: Annotated[Path, Option("--out", help="URDF to write.")],
+    torsion: Annotated[list[str] | None, Option(help="Joint whose drive twists; repeat for more.")] = None,
+    bending: Annotated[list[str] | None, Option(help="Joint that bends; repeat for more.")] = None,
+    base: Annotated[bool, Option("--base", help="A base that tilts about two axes.")] = False,
 ) -> None:
     """Write a URDF with virtual joints that twist and bend.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from rx90b_flex.commands.shared import HighHz, LowHz, Out, Overwrite, numbers, progress, say, show_table
 
@@ -15,39 +15,31 @@ if TYPE_CHECKING:
 MOST_MODES = 30  # of transfer functions: more are no modes of a robot in any band
 
 # options that take several lines
-PeriodicCampaign = Annotated[
-    Path, typer.Argument(help="Campaign file (TOML): periodic excitation with feed-forward torque.")
-]
-ControllerFile = Annotated[
-    Path | None, typer.Option(help="Controller file; controller.toml beside CAMPAIGN otherwise.")
-]
+PeriodicCampaign = Annotated[Path, Argument(help="Campaign file (TOML): periodic excitation with feed-forward torque.")]
+ControllerFile = Annotated[Path | None, Option(help="Controller file; controller.toml beside CAMPAIGN otherwise.")]
 BendingAlikeStd = Annotated[
-    float, typer.Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
+    float, Option(help="To which a joint is equally stiff about both bending axes; 0: not assumed.")
 ]
-HingeStd = Annotated[
-    float, typer.Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")
-]
+HingeStd = Annotated[float, Option(help="To which it is known where hinges that bend lie on their links, m; 0: known.")]
 References = Annotated[
-    Path | None, typer.Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign.")
+    Path | None, Option(help="Folder references/ of `rx90b-flex excite`, where it is not beside the campaign.")
 ]
-Modes = Annotated[
-    str, typer.Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")
-]
+Modes = Annotated[str, Option(help="Numbers of modes that transfer functions try: LOWEST,HIGHEST, or one number.")]
 StartHz = Annotated[
     str | None,
-    typer.Option(
+    Option(
         help="Resonances that transfer functions of as many modes start from as well: F1,F2,...", show_default=False
     ),
 ]
-Delays = Annotated[str, typer.Option(help="Of torques in transfer functions: none, common (one for all) or each.")]
+Delays = Annotated[str, Option(help="Of torques in transfer functions: none, common (one for all) or each.")]
 MainsHz = Annotated[
     float | None,
-    typer.Option(
+    Option(
         help="Take mains out of the recordings: about 50 or 60, or any other frequency of at least 0.2, found within 0.2."
     ),
 ]
 NoReplay = Annotated[
-    bool, typer.Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
+    bool, Option("--no-replay", help="Leave friction's distortion in: do not simulate the experiments.")
 ]
 
 
@@ -57,17 +49,17 @@ def frf_command(
     low_hz: LowHz = 8.0,
     high_hz: HighHz = 80.0,
     controller: ControllerFile = None,
-    link_mass_std: Annotated[float, typer.Option(help="Relative uncertainty of the links' masses; 0: known.")] = 0.0,
+    link_mass_std: Annotated[float, Option(help="Relative uncertainty of the links' masses; 0: known.")] = 0.0,
     bending_alike_std: BendingAlikeStd = 0.1,
     hinge_std: HingeStd = 0.0,
     references: References = None,
     modes: Modes = "2,8",
     start_hz: StartHz = None,
     delays: Delays = "none",
-    seed: Annotated[int, typer.Option(help="Seed of the grey box's starts.")] = 0,
+    seed: Annotated[int, Option(help="Seed of the grey box's starts.")] = 0,
     mains_hz: MainsHz = None,
     no_replay: NoReplay = False,
-    jobs: Annotated[int, typer.Option(help="Processes for the replay's simulations and the figures.")] = 2,
+    jobs: Annotated[int, Option(help="Processes for the replay's simulations and the figures.")] = 2,
     overwrite: Overwrite = False,
 ) -> None:
     """Identify stiffness, damping and inertia from motor signals.

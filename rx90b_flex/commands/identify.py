@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from rx90b_flex.commands.check import end_refused
 from rx90b_flex.commands.shared import (
@@ -26,7 +26,7 @@ def identify_command(
     out: Out,
     basics: Basics = False,
     estimator: Annotated[
-        str, typer.Option(help="least_squares; huber, which bumps hardly move; or one of another package.")
+        str, Option(help="least_squares; huber, which bumps hardly move; or one of another package.")
     ] = "least_squares",
     despite_faults: Despite = False,
     overwrite: Overwrite = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from rx90b_flex.commands.shared import ROBOT_HELP, Basics, CampaignOut, Overwrite, progress, say
 
@@ -13,24 +13,22 @@ from rx90b_flex.commands.shared import ROBOT_HELP, Basics, CampaignOut, Overwrit
 def import_command(
     files: Annotated[
         list[Path],
-        typer.Argument(
-            help="Logs: CSV, Parquet, MATLAB, MCAP, ROS 2 bags, or any with a reader; the last one validates."
-        ),
+        Argument(help="Logs: CSV, Parquet, MATLAB, MCAP, ROS 2 bags, or any with a reader; the last one validates."),
     ],
-    robot: Annotated[str, typer.Option(help=ROBOT_HELP)],
+    robot: Annotated[str, Option(help=ROBOT_HELP)],
     out: CampaignOut,
     columns: Annotated[
-        list[str] | None, typer.Option(help="What a signal's columns are: torque=NAME,NAME; repeat for more signals.")
+        list[str] | None, Option(help="What a signal's columns are: torque=NAME,NAME; repeat for more signals.")
     ] = None,
-    joints: Annotated[str | None, typer.Option(help="Joints that the columns belong to, in order: NAME,NAME")] = None,
-    rate: Annotated[float | None, typer.Option(help="Sample rate, Hz; resamples where the file has another.")] = None,
-    degrees: Annotated[bool | None, typer.Option("--degrees/--radians", help="Unit of all angles.")] = None,
+    joints: Annotated[str | None, Option(help="Joints that the columns belong to, in order: NAME,NAME")] = None,
+    rate: Annotated[float | None, Option(help="Sample rate, Hz; resamples where the file has another.")] = None,
+    degrees: Annotated[bool | None, Option("--degrees/--radians", help="Unit of all angles.")] = None,
     gear: Annotated[
-        str | None, typer.Option(help="Motor turns a joint turn where columns are motor side: 32,45 or 32,0;0,45")
+        str | None, Option(help="Motor turns a joint turn where columns are motor side: 32,45 or 32,0;0,45")
     ] = None,
-    offset: Annotated[str | None, typer.Option(help="Joint angles where the motor angles are zero, rad.")] = None,
-    topic: Annotated[str | None, typer.Option(help="JointState topic of a bag.")] = None,
-    file_format: Annotated[str, typer.Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
+    offset: Annotated[str | None, Option(help="Joint angles where the motor angles are zero, rad.")] = None,
+    topic: Annotated[str | None, Option(help="JointState topic of a bag.")] = None,
+    file_format: Annotated[str, Option("--format", help="parquet, csv or csv.gz.")] = "parquet",
     basics: Basics = False,
     overwrite: Overwrite = False,
 ) -> None:

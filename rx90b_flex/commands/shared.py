@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 
 def _folder(text: str) -> Path:
@@ -18,7 +19,7 @@ def _folder(text: str) -> Path:
 
 
 def _out(help: str) -> Any:
-    return typer.Option("--out", parser=_folder, metavar="PATH", help=f"Folder for the {help}")
+    return Option("--out", parser=_folder, metavar="PATH", help=f"Folder for the {help}")
 
 
 Out = Annotated[Path, _out("results; made if it does not exist, an earlier result in it is replaced.")]
@@ -26,16 +27,16 @@ CampaignOut = Annotated[
     Path, _out("campaign; made if it does not exist. A campaign in it is replaced with --overwrite only.")
 ]
 ROBOT_HELP = "Robot name, robot file, URDF, or example-robot-data:NAME."
-RobotSource = Annotated[str, typer.Argument(help=ROBOT_HELP)]
-CampaignFile = Annotated[Path, typer.Argument(help="Campaign file (TOML).")]
-LowHz = Annotated[float, typer.Option(help="Lowest line.")]
-HighHz = Annotated[float, typer.Option(help="Highest line.")]
+RobotSource = Annotated[str, Argument(help=ROBOT_HELP)]
+CampaignFile = Annotated[Path, Argument(help="Campaign file (TOML).")]
+LowHz = Annotated[float, Option(help="Lowest line.")]
+HighHz = Annotated[float, Option(help="Highest line.")]
 Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
+    bool, Option("--overwrite", help="Replace files and folders in the way of the results, whoever wrote them.")
 ]
-Despite = Annotated[bool, typer.Option("--despite-faults", help="Go on where the data were found not usable.")]
+Despite = Annotated[bool, Option("--despite-faults", help="Go on where the data were found not usable.")]
 Basics = Annotated[
-    bool, typer.Option("--basics", help="Declare drive inertia, dry and viscous friction and an offset on every joint.")
+    bool, Option("--basics", help="Declare drive inertia, dry and viscous friction and an offset on every joint.")
 ]
 
 

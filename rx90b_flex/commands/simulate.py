@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from rx90b_flex.commands.shared import Out, Overwrite, RobotSource, progress, say
 
@@ -15,25 +15,25 @@ def simulate_command(
     out: Out,
     trajectory: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="Trajectory (CSV): time, one column a joint (rad; m if it slides), ff_<joint> (N m) if fed forward."
         ),
     ] = None,
-    line: Annotated[bool, typer.Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
-    excitation: Annotated[bool, typer.Option("--excitation", help="The excitation of section 4.2.2.")] = False,
-    square_wave: Annotated[bool, typer.Option("--square-wave", help="The square wave of section 6.6.2.")] = False,
+    line: Annotated[bool, Option("--line", help="The 1.7 m horizontal line of section 4.2.2.")] = False,
+    excitation: Annotated[bool, Option("--excitation", help="The excitation of section 4.2.2.")] = False,
+    square_wave: Annotated[bool, Option("--square-wave", help="The square wave of section 6.6.2.")] = False,
     harmonics: Annotated[
-        bool, typer.Option("--harmonics", help="Random harmonics of every joint, within any robot's limits.")
+        bool, Option("--harmonics", help="Random harmonics of every joint, within any robot's limits.")
     ] = False,
     controller: Annotated[
-        Path | None, typer.Option(help="Controller file (TOML); else the one that the robot's file states.")
+        Path | None, Option(help="Controller file (TOML); else the one that the robot's file states.")
     ] = None,
-    periods: Annotated[int, typer.Option(help="Periods of an excitation that repeats.")] = 1,
-    perturbation: Annotated[bool, typer.Option("--perturbation", help="Use the perturbation method.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of excitation and noise.")] = 0,
-    torque_noise: Annotated[float, typer.Option(help="Standard deviation at the controller's rate, N m.")] = 0.0,
-    position_noise: Annotated[float, typer.Option(help="The same of position, rad.")] = 0.0,
-    velocity_noise: Annotated[float, typer.Option(help="The same of velocity, rad/s.")] = 0.0,
+    periods: Annotated[int, Option(help="Periods of an excitation that repeats.")] = 1,
+    perturbation: Annotated[bool, Option("--perturbation", help="Use the perturbation method.")] = False,
+    seed: Annotated[int, Option(help="Seed of excitation and noise.")] = 0,
+    torque_noise: Annotated[float, Option(help="Standard deviation at the controller's rate, N m.")] = 0.0,
+    position_noise: Annotated[float, Option(help="The same of position, rad.")] = 0.0,
+    velocity_noise: Annotated[float, Option(help="The same of velocity, rad/s.")] = 0.0,
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate a flexible robot under its controller.

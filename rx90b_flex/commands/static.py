@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 from rx90b_flex.commands.shared import Out, Overwrite, fitted_into
 
 
 def static_command(
-    tests: Annotated[Path, typer.Argument(help="File of dead-weight tests (TOML).")],
+    tests: Annotated[Path, Argument(help="File of dead-weight tests (TOML).")],
     out: Out,
     overwrite: Overwrite = False,
 ) -> None:

@@ -5,28 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from rx90b_flex.commands.shared import numbers, progress, say
 
 
 def view_command(
     source: Annotated[
-        str, typer.Argument(help="Folder of `rx90b-flex simulate`, campaign file, or robot (its mode shapes).")
+        str, Argument(help="Folder of `rx90b-flex simulate`, campaign file, or robot (its mode shapes).")
     ],
-    beside: Annotated[str | None, typer.Option(help="A second folder or campaign, shown as what came after.")] = None,
-    recording: Annotated[str | None, typer.Option(help="Name of the recording; the first where not given.")] = None,
-    magnify: Annotated[float, typer.Option(help="Factor of the deformations.")] = 100.0,
-    modes: Annotated[bool, typer.Option("--modes", help="Mode shapes of a run's robot instead of its motion.")] = False,
+    beside: Annotated[str | None, Option(help="A second folder or campaign, shown as what came after.")] = None,
+    recording: Annotated[str | None, Option(help="Name of the recording; the first where not given.")] = None,
+    magnify: Annotated[float, Option(help="Factor of the deformations.")] = 100.0,
+    modes: Annotated[bool, Option("--modes", help="Mode shapes of a run's robot instead of its motion.")] = False,
     pose: Annotated[
-        str | None, typer.Option(help="Drives of the mode shapes, degrees (m where a joint slides): 0,90,0")
+        str | None, Option(help="Drives of the mode shapes, degrees (m where a joint slides): 0,90,0")
     ] = None,
-    count: Annotated[int, typer.Option(help="How many modes.")] = 6,
+    count: Annotated[int, Option(help="How many modes.")] = 6,
     flexible: Annotated[
-        bool, typer.Option("--flexible", help="Bend a rigid robot: stiffnesses by a rule that is said, not identified.")
+        bool, Option("--flexible", help="Bend a rigid robot: stiffnesses by a rule that is said, not identified.")
     ] = False,
-    tip: Annotated[str | None, typer.Option(help="Frame that counts as the tip; the robot file's otherwise.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="HTML file to write, instead of a browser.")] = None,
+    tip: Annotated[str | None, Option(help="Frame that counts as the tip; the robot file's otherwise.")] = None,
+    out: Annotated[Path | None, Option("--out", help="HTML file to write, instead of a browser.")] = None,
 ) -> None:
     """Show the robot bend: its motion, two runs, or mode shapes.
 
