@@ -35,6 +35,7 @@ DELAY, DELAY_UNIT = "robot.torque_delay", 1e-3  # fitted in thousandths of a sec
 HINGE, AXES = "hinge", ("x", "y", "z")
 HINGE_UNIT = 1e-2  # m, in which places of hinges are fitted
 HINGE_STEP = 1e-3  # m, to either side, for derivatives; mass matrices are quadratic in it
+USUAL_SPEED = 0.1  # rad/s, of such experiments
 DELAY_STD = 2e-3  # s, of the delay before the data: a sample or so of usual logs
 
 
@@ -304,11 +305,11 @@ def slope_name(joint: str, experiment: int, experiments: int) -> str:
     return f"{joint}.{SLOPE}" + (f"_{experiment + 1}" if experiments > 1 else "")
 
 
-def _slope(robot: Robot, joint: str, speed: float = 0.1) -> float:
+def _slope(robot: Robot, joint: str) -> float:
     """Slope of the declared friction at a usual speed of such experiments; only a place to start from."""
     q = np.zeros(robot.model.nv)
     port = friction_port(robot.effects, robot.layout, joint)
-    motion = robot.motion(q, speed * robot.layout.port(joint, "drive"), q)
+    motion = robot.motion(q, USUAL_SPEED * robot.layout.port(joint, "drive"), q)
     frictions = [e for e in robot.effects if e.traits.is_friction and e.joints == (joint,) and e.traits.in_dynamics]
     slope = sum(float(port @ e.derivatives(motion)[1][0] @ port) / float(port @ port) ** 2 for e in frictions)
     return max(slope, 1.0)
@@ -395,10 +396,10 @@ def response_derivatives(
     return np.asarray((by * values[:, None, None, None])[own])
 
 
-def poses_along(position: Array, count: int = 3) -> Array:
-    """A few poses that stand for a motion to and fro: means of equal parts along its main direction, with each joint's variance.
+def poses_along(position: Array) -> Array:
+    """Three poses that stand for a motion to and fro: means of equal parts along its main direction, with each joint's variance.
 
-    For a motion along a line at constant speed three of them average polynomials up to the third degree exactly.
+    For a motion along a line at constant speed they average polynomials up to the third degree exactly.
 
     Parameters
     ----------
@@ -407,12 +408,12 @@ def poses_along(position: Array, count: int = 3) -> Array:
 
     Returns
     -------
-    array, shape (count, joints)
+    array, shape (3, joints)
     """
     mean = position.mean(axis=0)
     moved = position - mean
     main = np.linalg.svd(moved, full_matrices=False)[2][0]
-    parts = np.array_split(moved[np.argsort(moved @ main)], count)
+    parts = np.array_split(moved[np.argsort(moved @ main)], 3)
     picked = np.array([part.mean(axis=0) for part in parts])
     picked -= picked.mean(axis=0)
     size = np.sqrt((picked**2).mean(axis=0))

@@ -40,24 +40,7 @@ STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What the user asks for.
-
-    Attributes
-    ----------
-    robot : str
-        As `load_robot` takes it.
-    motion : str
-        ``line``, ``excitation``, ``square-wave``, ``harmonics``, or the path of a trajectory file.
-    controller : Path or None
-        Controller file; else the one that the robot's file states, else gains designed for the robot.
-    periods : int
-        Of an excitation that repeats.
-    seed : int
-        Of excitation and noise.
-    noise : Noise
-    perturbation : bool
-        Whether to use the perturbation method.
-    """
+    """What the user asks for: as of `rx90b_flex.simulate`, robot, motion and controller by their names or files."""
 
     robot: str
     motion: str

@@ -249,13 +249,13 @@ def design_gains(inertia: Array, bandwidth_hz: float, damping: float, integral_h
     return inertia * (w * w + velocity * slow), inertia * (velocity + slow), inertia * w * w * slow
 
 
-def mean_rigid_inertia(robot: Robot, poses: int = 32) -> Array:
-    """`rigid_inertia` averaged over poses spread evenly at random within the limits of position, shape (joints,), kg m^2.
+def mean_rigid_inertia(robot: Robot) -> Array:
+    """`rigid_inertia` averaged over 32 poses spread evenly at random within the limits of position, shape (joints,), kg m^2.
 
     One pose would not do: stretched straight up, an arm's first joint turns next to nothing.
     """
     low, high = (np.clip(x, -np.pi, np.pi) for x in (robot.tree.lowerPositionLimit, robot.tree.upperPositionLimit))
-    drawn = np.random.default_rng(0).uniform(low, np.maximum(low, high), (poses, len(robot.joints)))
+    drawn = np.random.default_rng(0).uniform(low, np.maximum(low, high), (32, len(robot.joints)))
     return np.mean([rigid_inertia(robot, pose) for pose in drawn], axis=0)
 
 

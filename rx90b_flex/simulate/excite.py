@@ -55,7 +55,7 @@ LOGGED: dict[By, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class ExciteRequest:
-    """What the user asks for.
+    """What the user asks for: as of `rx90b_flex.excite`, and what else the command asks.
 
     Attributes
     ----------
@@ -63,34 +63,19 @@ class ExciteRequest:
         As `load_robot` takes it.
     poses : tuple of tuples of float, rad, or m where a joint slides
         One angle a joint; by default the source's horizontal arm, joint 2 at 90 degrees.
-    joints : tuple of str
-        Those that are excited; the first three by default.
     matrix : ``ones`` (6.50), ``hadamard`` or ``identity``
     peak : tuple of float, N m
-        Largest feed-forward torque, one for all or one a joint; by default `SHARE` of each joint's torque limit.
-    band_hz : (low, high)
-        Odd lines between these are excited.
-    period_s : float
-        A longer one has finer lines.
+        By default `SHARE` of each joint's torque limit.
     speed : float, rad/s
         Of the joints between two reversals.
     swings : int
         Odd number of times that the joints go to and fro in a period.
-    realisations, periods : int
-        The first period of each run is for the transient.
-    both_signs : bool
     white : bool
         Whether the spectrum is divided by the loop's sensitivity, so that the drive torques are white.
     controller : Path or None
-        Controller file, for `white`, for references that order torques and for a simulation; else the one that
-        the robot's file states, else gains designed for it.
-    seed : int
-    by : ``torque``, ``reference`` or ``both``
-        What carries the excitation: torques that are fed forward, references that vibrate so that the controller orders these
-        torques, or each half.
+        Controller file; else the one that the robot's file states, else gains designed for it.
     speed_peak : tuple of float, rad/s
-        Largest speed that the vibration adds to a reference, one for all or one a joint, where no controller file tells what torque
-        it orders; `speed` by default.
+        `speed` by default.
     rate_hz : float or None
         Of the references, where no controller file states it; 250 by default.
     """
