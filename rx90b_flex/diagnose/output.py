@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -14,7 +12,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.check import faults_json
-from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect, Prediction
+from rx90b_flex.diagnose.close import SCHEMA, ClosedLoop, FoundEffect
 from rx90b_flex.diagnose.deflection import deflection_json, estimates_json, with_gears
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.refused import RefusedLoop, refused_json
@@ -23,6 +21,7 @@ from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.effects import Effect
 from rx90b_flex.export import save_robot
 from rx90b_flex.files.results import write_json
+from rx90b_flex.identify.command import write_prediction
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.folders import CLOSED_LOOP, fill_folder
 
@@ -140,16 +139,6 @@ def closed_loop_robot(result: ClosedLoop) -> Robot:
     return with_gears(identified_robot(result.source, result.model, result.joints), result.deflection)
 
 
-def prediction_table(prediction: Prediction) -> str:
-    """CSV of one validation recording: time, measured torque, and what the model said before and after."""
-    joints = prediction.recording.joints
-    names = ["time", *(f"{p}{j}" for p in ("tau_", "tau_before_", "tau_after_") for j in joints)]
-    values = np.column_stack([prediction.recording.time, prediction.torque, prediction.before, prediction.after])
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([names, *values.tolist()])
-    return out.getvalue()
-
-
 def write_result(
     result: Loop,
     folder: str | os.PathLike[str],
@@ -190,8 +179,7 @@ def write_result(
 
 def _write_model(result: ClosedLoop, folder: Path) -> None:
     """The robot and its predictions."""
-    for prediction in result.predictions:
-        name = f"prediction_{prediction.recording.name}.csv"
-        (folder / name).write_text(prediction_table(prediction), encoding="utf-8")
+    for p in result.predictions:
+        write_prediction(p.recording, {"tau": p.torque, "tau_before": p.before, "tau_after": p.after}, folder)
     # known links are written as they were given, even if no body could have them
     save_robot(closed_loop_robot(result), folder, allow_inconsistent=not result.model.links_fitted)

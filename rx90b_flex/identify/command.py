@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -400,12 +401,12 @@ def identification_json(result: Identified) -> dict[str, Any]:
     }
 
 
-def prediction_table(prediction: IdentifiedPrediction) -> str:
-    """CSV of one recording: time, measured torque, torque of the exported robot."""
-    joints = prediction.recording.joints
-    names = ["time", *(f"{prefix}{joint}" for prefix in ("tau_", "tau_model_") for joint in joints)]
-    values = np.column_stack([prediction.recording.time, prediction.measured, prediction.predicted])
-    return "".join(",".join(map(str, row)) + "\n" for row in (names, *values.tolist()))
+def write_prediction(recording: Recording, torques: Mapping[str, Array], folder: Path) -> None:
+    """CSV of one recording: its time, and torques (N, joints) as columns ``<name>_<joint>``."""
+    names = ["time", *(f"{name}_{joint}" for name in torques for joint in recording.joints)]
+    values = np.column_stack([recording.time, *torques.values()])
+    with (folder / f"prediction_{recording.name}.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([names, *values.tolist()])
 
 
 def write_identified(result: Identified, folder: Path) -> None:
@@ -426,7 +427,5 @@ def write_identified(result: Identified, folder: Path) -> None:
     )
     if not same:
         raise ValueError(f"{path}: the robot read back is not the one that was written")
-    for prediction in result.predictions:
-        (folder / f"prediction_{prediction.recording.name}.csv").write_text(
-            prediction_table(prediction), encoding="utf-8"
-        )
+    for p in result.predictions:
+        write_prediction(p.recording, {"tau": p.measured, "tau_model": p.predicted}, folder)
