@@ -6,10 +6,10 @@ Rows are joints, columns experiments. The feed-forward torques are ``input_matri
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import hadamard as sylvester
 
-Array = NDArray[np.float64]
+from rx90b_flex.pieces import Array
 
 
 def identity(joints: int) -> Array:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90b_flex.levenberg import Damping, Iterate, descent
+from rx90b_flex.pieces import Array
 
-Array = NDArray[np.float64]
 Crest = Literal["random", "clipping", "lp"]
 
 CLIPPING_LEVELS = (0.75, 0.95)  # of the peak: first and last level at which the clipping algorithm cuts

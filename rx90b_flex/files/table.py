@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
+from rx90b_flex.pieces import Array
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rx90b_flex.signals.filters import FEWEST_SAMPLES, Array, noise_cutoff_hz
+from rx90b_flex.pieces import Array
+from rx90b_flex.signals.filters import FEWEST_SAMPLES, noise_cutoff_hz
 from rx90b_flex.signals.recording import Recording
 
 MOTION_POWER = 0.999  # of the velocity's power that a cutoff found in the data keeps

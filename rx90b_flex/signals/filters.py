@@ -10,14 +10,12 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from rx90b_flex.compiled.signals import forward_and_backward
-from rx90b_flex.pieces import AT_ONCE, in_pieces
-
-Array = NDArray[np.float64]
+from rx90b_flex.pieces import AT_ONCE, Array, in_pieces
 
 ORDER = 4  # of one pass of the low-pass
 # The filter's response to an impulse counts as over when its slowest part has fallen to this.

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
+from rx90b_flex.pieces import Array
 from rx90b_flex.signals.logs import TIME, read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
 from rx90b_flex.signals.recording import REQUIRED, SIGNALS, Recording, Role
@@ -34,7 +35,6 @@ from rx90b_flex.signals.units import (
     words_of,
 )
 
-Array = NDArray[np.float64]
 Sureness = Literal["stated", "sure", "likely"]
 
 # key of a campaign file -> field of a recording, of what can be told by words in names

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rx90b_flex.pieces import Array
 
 STATE, EPISODE, TIME = "observation.state", "episode_index", "timestamp"
 MEANT = {STATE: "position", "action": "reference_position"}  # what their own names do not say

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.files.table import TomlTable
 from rx90b_flex.files.toml import named_beside, read_toml, toml_text
+from rx90b_flex.pieces import Array
 from rx90b_flex.signals import tables
 from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.stated import (
@@ -32,7 +32,6 @@ from rx90b_flex.signals.stated import (
 )
 from rx90b_flex.signals.times import check_increasing, check_uniform, printed_resolution
 
-Array = NDArray[np.float64]
 Role = Literal["identification", "validation"]
 ROLES: tuple[Role, ...] = get_args(Role)
 FIRST_CLOCK_S, LAST_CLOCK_S = 1e9, 1e10  # seconds since 1970, from 2001 on: what a log's clock says is then a date

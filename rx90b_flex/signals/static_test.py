@@ -11,9 +11,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
+from rx90b_flex.pieces import Array
 from rx90b_flex.signals.tables import read_parquet, read_table
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DIRECTIONS = ("up", "down")

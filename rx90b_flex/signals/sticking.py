@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-Array = NDArray[np.float64]
+from rx90b_flex.pieces import Array
 
 NOISE = 16.0  # standard deviations of a log's noise that a dwell reaches over at the least,
 TRAVEL = 2e-5  # or this part of the joint's travel

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90b_flex.pieces import Array
 from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.units import words_of
-
-Array = NDArray[np.float64]
 
 JITTERING = 0.1  # of the steps off the usual one: more than lost samples make
 _SECONDS, _NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}

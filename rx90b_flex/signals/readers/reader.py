@@ -8,12 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rx90b_flex.files.extensions import READERS, Brought, brought, import_all, own, subclasses, wrong_class
-
-Array = NDArray[np.float64]
+from rx90b_flex.pieces import Array
 
 
 @dataclass(frozen=True, eq=False)
