@@ -122,7 +122,10 @@ def print_result(result: Any) -> None:
     for role in ("validation", "identification"):
         first, last = getattr(result.before, role), getattr(result.after, role)
         held = " (held out)" if role == "validation" else ""
-        say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}")
+        since = ""
+        if first.since_moved and last.since_moved:
+            since = f" (since joints first move {first.told.relative_error:.4f} -> {last.told.relative_error:.4f})"
+        say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}{since}")
     if result.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
         say(f"Noise floor: {rms} {result.source.force_unit(result.joints)} a joint")

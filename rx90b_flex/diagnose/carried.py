@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from rx90b_flex.diagnose.moving import resting_each
+from rx90b_flex.diagnose.moving import resting_each, waiting
 from rx90b_flex.effects.motion import Array, Mask
 
 BLOCK_S = 1.0  # parts of a recording whose losses are compared with their spread
@@ -24,7 +24,8 @@ def rise(
 ) -> tuple[int, float] | None:
     """The recording whose error an addition raises most surely, beyond what its parts' spread explains.
 
-    A rise counts over all rows, and over those in which the joint concerned moves: at rest friction takes any value.
+    A rise counts over all rows, and over those in which the joint concerned moves: at rest friction takes any value. What it
+    holds where a joint stands as a recording begins nobody knows: these rows do not count at all.
 
     Parameters
     ----------
@@ -41,11 +42,12 @@ def rise(
         Index of the recording, and probability that chance does it, corrected for the number of tests; None where nothing rises.
     """
     moving = [~still for still in resting_each(velocity)]
+    told = [~waiting(v, rate) for v, rate in zip(velocity, rates, strict=True)]
     chances = []
-    for tau, mask, rate, less, more in zip(torque, moving, rates, without, added, strict=True):
+    for tau, mask, known, rate, less, more in zip(torque, moving, told, rates, without, added, strict=True):
         lost = (tau - more) ** 2 - (tau - less) ** 2
         parts = int(np.clip(len(lost) / rate / BLOCK_S, FEWEST, MOST))
-        chances.append(min(_chance(lost, np.ones_like(mask), parts), _chance(lost, mask, parts)))
+        chances.append(min(_chance(lost, known, parts), _chance(lost, mask & known, parts)))
     worst = int(np.argmin(chances))
     p_value = min(1.0, 2.0 * len(chances) * chances[worst])
     return (worst, p_value) if p_value < CHANCE else None

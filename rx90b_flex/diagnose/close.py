@@ -25,10 +25,10 @@ from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
-from rx90b_flex.diagnose.moving import MovingErrors, held_at_first, waiting
+from rx90b_flex.diagnose.moving import MovingErrors, held_at_first
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
-from rx90b_flex.diagnose.residual import Errors, RoleErrors
+from rx90b_flex.diagnose.residual import Errors, RoleErrors, replayed_errors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.side_by_side import worth_while
@@ -47,7 +47,7 @@ from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.early import check_jobs
 from rx90b_flex.effects import Effect, Sites
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
@@ -185,13 +185,16 @@ class FittedErrors:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Torques of one validation recording, each (N, joints), N m, after the low-pass; and the velocity, rad/s."""
+    """Torques of one validation recording, each (N, joints), N m, after the low-pass; and the velocity, rad/s, and rows up to a
+    joint's first move.
+    """
 
     recording: Recording
     torque: Array
     before: Array
     after: Array
     velocity: Array
+    waiting: Mask
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -364,7 +367,7 @@ def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
         return dataclasses.replace(result, deflection=gears)
     robot = identified_robot(result.source, result.model, result.joints)
     flexible = _with_gears(result, robot, gears)
-    if flexible.after.validation.relative_error > result.before.validation.relative_error:
+    if flexible.after.told.validation.relative_error > result.before.told.validation.relative_error:
         return _with_gears(result, robot, tuple(not_in_torques(g) for g in gears))
     return flexible
 
@@ -374,7 +377,7 @@ def _with_gears(result: ClosedLoop, identified: Robot, gears: tuple[GearDeflecti
     if robot.effects == identified.effects:
         return result
     torques = {role: replayed(robot, result.campaign, role) for role in ROLES}
-    after = RoleErrors(*(Errors.of([r.torque for r, _ in x], [t for _, t in x]) for x in torques.values()))
+    after = RoleErrors(*(replayed_errors(*zip(*x, strict=True)) for x in torques.values()))
     found = tuple(
         FoundEffect(g.effect, g.parameters, result.after.validation, after.validation, (), g.trial)
         for g in gears
@@ -472,7 +475,7 @@ class _Ended:
         left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
         where = dependences(left, seed)
         cautions = _cautions(self.source, campaign)
-        links_off, in_doubt = self._if_links_are_off(after.validation.relative_error)
+        links_off, in_doubt = self._if_links_are_off(after.told.validation.relative_error)
         predictions = self._predictions()
         tell("asking how much can be explained at all", 0.97)
         explainable = self._explainable(held_out, predictions, floor)
@@ -483,7 +486,7 @@ class _Ended:
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, happened, bool(drifts))
-        remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
+        remains = Remains(campaign.joints, found, before.told, after.told, floor, known, *rest)
         said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)
         return ClosedLoop(
@@ -520,8 +523,8 @@ class _Ended:
         self, held_out: Regression, predictions: Sequence[Prediction], floor: Array | None
     ) -> Explainable | str:
         """What a free form leaves of the declared model's error, or why none says."""
-        compared_with = [HeldOut(p.torque, p.before) for p in predictions]
-        after = self.standing.model.errors.validation
+        compared_with = [HeldOut(p.torque, p.before, p.waiting) for p in predictions]
+        after = self.standing.model.told.validation
         return yardstick(self.declared.possible, held_out.weighted(None), compared_with, after, floor)
 
     def _beyond_model(self) -> tuple[str, ...]:
@@ -542,8 +545,7 @@ class _Ended:
             for x in (data.identification, data.validation)
         )
         left = [r.torque - predicted for r, predicted in zip(data.validation, model.validation, strict=True)]
-        rates = [r.recording.sample_rate_hz for r in data.validation]
-        told = np.where(waiting(rates, [r.velocity for r in data.validation]), 0.0, np.concatenate(left))
+        told = np.where(np.concatenate([r.waiting for r in data.validation]), 0.0, np.concatenate(left))
         return beyond_fitted(self.residual.campaign.joints, fitted, held_out, told)
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
@@ -555,7 +557,7 @@ class _Ended:
         if model.links_fitted:
             return (), False
         free = identify(model.regression, model.effects, fit_links=True, start=model, with_covariance=False)
-        less = data.errors(data.validation, free).relative_error
+        less = data.errors(data.validation, free).told.relative_error
         search, words = Search(free, self.residual.sites), []
         if less < LINKS_OFF * left:
             words.append(f"they would leave {less:.2%} of the torque held out instead of {left:.2%}")
@@ -584,7 +586,9 @@ class _Ended:
     def _predictions(self) -> tuple[Prediction, ...]:
         """Of the validation recordings."""
         each = zip(self.residual.data.validation, self.declared.validation, self.standing.model.validation, strict=True)
-        return tuple(Prediction(r.recording, r.torque, before, after, r.velocity) for r, before, after in each)
+        return tuple(
+            Prediction(r.recording, r.torque, before, after, r.velocity, r.waiting) for r, before, after in each
+        )
 
     def _found(self, search: Search) -> tuple[FoundEffect, ...]:
         model = self.standing.model
@@ -630,15 +634,14 @@ def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow, 
 
 
 def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:
-    rates = [p.recording.sample_rate_hz for p in predictions]
-    said = held_at_first(rates, *zip(*((p.torque, p.after, p.velocity) for p in predictions), strict=True))
+    said = held_at_first(*zip(*((p.torque, p.after, p.waiting) for p in predictions), strict=True))
     return (said,) if said else ()
 
 
 def _event_words(
     happened: Sequence[Events], joints: Sequence[str], known: Explainable | None, left: Errors
 ) -> list[str]:
-    follows = known.much_less(joints, left) if known else []
+    follows = known.much_less(joints, left.told) if known else []
     return [e.words(e.joint in follows) for e in happened]
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.identify.segment import STANDING_S
 
 AT_REST = 0.01  # of a joint's largest speed, below which it rests
 AT_REST_RAD_S = 1e-3  # and below which any joint does; m/s for prismatic ones
@@ -63,17 +64,29 @@ def begun(still: Mask, rate_hz: float) -> Mask:
     return np.asarray(np.arange(len(still))[:, None] >= first)
 
 
-def waiting(rates_hz: Sequence[float], velocity: Sequence[Array]) -> Mask:
-    """Rows of recordings, one after the other, in which joints stand as it begins, and in the half second after, (N, joints)."""
-    each = zip(resting_each(velocity), rates_hz, strict=True)
-    return np.concatenate([~begun(still, rate) & still[0] for still, rate in each])
+def unmoved(velocity: Array, rate_hz: float) -> Mask:
+    """Rows of one recording in which a joint has rested since it began, (N, joints): a creeping one, too, has yet to break away."""
+    return _longer(resting(velocity), rate_hz)
 
 
-def held_at_first(
-    rates_hz: Sequence[float], measured: Sequence[Array], after: Sequence[Array], velocity: Sequence[Array]
-) -> str:
+def waiting(velocity: Array, rate_hz: float) -> Mask:
+    """Rows of one recording in which a joint has stood still since it began, and of the half second after, (N, joints).
+
+    What friction holds there follows from what was before. Velocities are zero where angles tell no motion (`segment.prepare`).
+    """
+    still = _longer(velocity == 0.0, rate_hz)
+    return np.asarray(~begun(still, rate_hz) & still[0])
+
+
+def _longer(still: Mask, rate_hz: float) -> Mask:
+    """Rows up to the first in which a joint does not stand still; none of a start on the way."""
+    first = np.logical_and.accumulate(still, axis=0)
+    return np.asarray(first & (first.sum(axis=0) > STANDING_S * rate_hz))
+
+
+def held_at_first(measured: Sequence[Array], after: Sequence[Array], still: Sequence[Mask]) -> str:
     """A caution where most of the squared error lies where joints have not moved yet, or only just have; empty where it does not."""
-    begins = waiting(rates_hz, velocity)
+    begins = np.concatenate(still)
     torque = np.concatenate(measured)
     squares = (torque - np.concatenate(after)) ** 2
     there, whole = float(squares[begins].sum()), float(squares.sum())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -82,7 +81,8 @@ def motion_json(motion: MotionErrors | str) -> dict[str, Any]:
 
 
 def _roles(errors: RoleErrors) -> dict[str, Any]:
-    return {role: e | {"torque_rms": list(e["torque_rms"])} for role, e in dataclasses.asdict(errors).items()}
+    roles = {"validation": errors.validation, "identification": errors.identification}
+    return {role: {"relative_error": e.relative_error, "torque_rms": list(e.torque_rms)} for role, e in roles.items()}
 
 
 def _effect(found: FoundEffect, robot: Robot) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rx90b_flex.diagnose.residual import Errors, ReplayedTorques
+from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, replayed_errors
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.segment import prepare
@@ -41,7 +41,7 @@ def replay_errors(
     if not any(r.role == role for r in known.recordings):
         raise ValueError(f"{known.path}: no recording has role {role!r}")
     both = replayed(loaded, known, role)
-    return Errors.of([r.torque for r, _ in both], [t for _, t in both])
+    return replayed_errors(*zip(*both, strict=True))
 
 
 def replayed(robot: Robot, campaign: Campaign, role: Role) -> list[tuple[ReplayedTorques, Array]]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from rx90b_flex.diagnose.moving import waiting
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.log_effect import between
-from rx90b_flex.effects.motion import Array, with_forces
+from rx90b_flex.effects.motion import Array, Mask, with_forces
 from rx90b_flex.identify.segment import Segment
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, periods
@@ -25,26 +27,39 @@ class Errors:
         2-norm of the torque error over the 2-norm of the torque, all joints and samples.
     torque_rms : tuple of float
         Root mean square error a joint, N m.
+    since_moved : Errors or None
+        The same but for rows in which a joint has stood since its recording began; None where there are no such rows.
     """
 
     relative_error: float
     torque_rms: tuple[float, ...]
+    since_moved: Errors | None = None
 
     @staticmethod
-    def of(measured: Sequence[Array], predicted: Sequence[Array]) -> Errors:
-        """Errors over several recordings, each (N, joints)."""
+    def of(measured: Sequence[Array], predicted: Sequence[Array], waiting: Sequence[Mask] = ()) -> Errors:
+        """Errors over several recordings, each (N, joints), and rows that are not told."""
         each = [tau - p for tau, p in zip(measured, predicted, strict=True)]
         error = each[0] if len(each) == 1 else np.concatenate(each)
         size = float(np.linalg.norm([np.linalg.norm(tau) for tau in measured]))
         relative = float(np.linalg.norm(error) / size)
         error *= error
-        return Errors(relative, tuple(float(x) for x in np.sqrt(error.mean(axis=0))))
+        since = None
+        if any(still.any() for still in waiting):
+            told, said = ([x * ~still for x, still in zip(xs, waiting, strict=True)] for xs in (measured, predicted))
+            since = Errors.of(told, said)
+        return Errors(relative, tuple(float(x) for x in np.sqrt(error.mean(axis=0))), since)
+
+    @property
+    def told(self) -> Errors:
+        """What says something of a model: what friction holds before a joint first moves nobody knows."""
+        return self.since_moved or self
 
     def partly(self, other: Errors, joints: Sequence[bool]) -> Errors:
         """With another model's errors on some joints, of the same recordings."""
         rms = tuple(b if here else a for a, b, here in zip(self.torque_rms, other.torque_rms, joints, strict=True))
         size = float(np.linalg.norm(self.torque_rms))
-        return Errors(self.relative_error * float(np.linalg.norm(rms)) / size if size > 0.0 else 0.0, rms)
+        since = self.since_moved and self.since_moved.partly(other.told, joints)
+        return Errors(self.relative_error * float(np.linalg.norm(rms)) / size if size > 0.0 else 0.0, rms, since)
 
 
 @dataclass(frozen=True)
@@ -53,6 +68,11 @@ class RoleErrors:
 
     validation: Errors
     identification: Errors
+
+    @property
+    def told(self) -> RoleErrors:
+        """But for rows before joints first move."""
+        return RoleErrors(self.validation.told, self.identification.told)
 
     def partly(self, other: RoleErrors, joints: Sequence[bool]) -> RoleErrors:
         """With another model's errors on some joints."""
@@ -91,6 +111,11 @@ class ReplayedTorques:
         """Velocity of the recording's joints, shape (N, joints), rad/s."""
         return self._of_joints(self.segment.motion.v)
 
+    @cached_property
+    def waiting(self) -> Mask:
+        """Rows up to a joint's first move (`moving.waiting`), shape (N, joints)."""
+        return waiting(self.velocity, self.recording.sample_rate_hz)
+
     @property
     def position(self) -> Array:
         """Position of the recording's joints, shape (N, joints), rad or m."""
@@ -120,6 +145,11 @@ class ReplayedTorques:
         for effect in between(effects):
             force = effect.logged(seen, force)
         return self._of_joints(force)
+
+
+def replayed_errors(replays: Sequence[ReplayedTorques], predicted: Sequence[Array]) -> Errors:
+    """Errors of torques predicted on some recordings, each (N, joints), N m."""
+    return Errors.of([r.torque for r in replays], predicted, [r.waiting for r in replays])
 
 
 def noise_floor(replays: Sequence[ReplayedTorques], residuals: Sequence[Array], campaign: Campaign) -> Array | None:

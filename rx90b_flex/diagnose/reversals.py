@@ -1,4 +1,4 @@
-"""How far each row of a regression can be trusted near reversals, where a log does not say how fast a joint turns.
+"""How far each row of a regression can be trusted where a log does not say what friction holds: near reversals, and at the start.
 
 Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
 that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
@@ -7,6 +7,9 @@ for a step between two samples has an instant of its own. Hysteresis, which goes
 along those that a counter may have rounded where a joint stands: no mean makes that smaller, and all rows of a rest share it. What
 they differ by behind the low-pass is a standard deviation that a row has beside its noise. It depends on motion and present
 model, not on what is tried beside it.
+
+Where a joint stands as its recording begins, nobody knows what friction holds until it has moved: anything between both
+directions' own.
 """
 
 from __future__ import annotations
@@ -17,8 +20,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from rx90b_flex.diagnose.moving import unmoved
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array, with_forces
+from rx90b_flex.effects.motion import Array, Mask, with_forces
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.segment import STANDING_S, Segment
@@ -55,23 +59,26 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     if segment.cutoff_hz is None:
         return np.zeros((len(segment), segment.motion.q.shape[1]))
     by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
+    still = unmoved(segment.motion.v, segment.rate_hz * segment.factor)
     pairs = zip(segment.split(), measured.split(), strict=True)
-    envelope = np.concatenate([_envelope(part, first, steep) for part, first in pairs])
+    envelope = np.concatenate([_envelope(part, first, steep, still[part.first :]) for part, first in pairs])
     if by_angle:
-        envelope = np.hypot(envelope, _along_angles(segment, measured.wider[0], by_angle))
+        envelope = np.hypot(envelope, _along_angles(segment, measured.wider[0], by_angle, still))
         if len(segment.motion) > AT_ONCE:
             del measured.__dict__["wider"]
     return np.asarray(envelope)
 
 
-def _envelope(segment: Segment, measured: Segment, steep: list[Effect]) -> Array:
+def _envelope(segment: Segment, measured: Segment, steep: list[Effect], still: Mask) -> Array:
     """The same for friction that goes by velocity alone."""
     there, here = _force(segment, steep, v=measured.wider[1]), _force(segment, steep)
     beside = 0.5 * sum(_force(segment, steep, v=v) for v in measured.half_a_sample_off)
     unknown = [there - here, beside - there]
-    if segment.motion.stuck is not None:
-        # while a drive sticks its friction is any torque between both directions' own
-        stuck = np.where(np.isnan(segment.motion.stuck), np.nan, 1.0)
+    # while a drive sticks, and before it first moves, its friction is any torque between both directions' own
+    motion = segment.motion
+    sticks = still[: len(motion)] if motion.stuck is None else still[: len(motion)] | ~np.isnan(motion.stuck)
+    if sticks.any():
+        stuck = np.where(sticks, 1.0, np.nan)
         unknown.append(0.5 * (_force(segment, steep, stuck=stuck) - _force(segment, steep, stuck=-stuck)))
     size = sum(np.abs(segment.low_passed(off)) for off in unknown)
     # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
@@ -79,8 +86,10 @@ def _envelope(segment: Segment, measured: Segment, steep: list[Effect]) -> Array
     return np.asarray(envelope[:: segment.factor][segment.kept])
 
 
-def _along_angles(segment: Segment, wider: Array, effects: list[Effect]) -> Array:
-    """The same for hysteresis, which goes by angles: by those of a wider filter, and by those that a counter rounds at rest."""
+def _along_angles(segment: Segment, wider: Array, effects: list[Effect], still: Mask) -> Array:
+    """The same for hysteresis, which goes by angles: by those of a wider filter, by those that a counter rounds at rest, and by what
+    joints did before they stood as the recording began.
+    """
     here = _force(segment, effects)
 
     def off(angle: Array) -> Array:
@@ -91,6 +100,11 @@ def _along_angles(segment: Segment, wider: Array, effects: list[Effect]) -> Arra
     rounding = _rounding(segment)
     if rounding.any():
         squares += 0.5 * (off(segment.motion.q + rounding) + off(segment.motion.q - rounding))
+    if still.any():
+        came = np.zeros_like(segment.motion.q)
+        came[0] = np.where(still[0], np.ptp(segment.motion.q, axis=0), 0.0)
+        ends = [_force(segment, effects, q=segment.motion.q + way * came) for way in (1.0, -1.0)]
+        squares += (0.5 * segment.low_passed(ends[0] - ends[1])) ** 2
     return np.sqrt(squares[:: segment.factor][segment.kept])
 
 

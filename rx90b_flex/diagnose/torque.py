@@ -16,7 +16,7 @@ from rx90b_flex.diagnose.families import sure_together
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, repeated
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
-from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor
+from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor, replayed_errors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, meet
@@ -83,7 +83,7 @@ class TorqueData:
 
     def errors(self, replays: Sequence[ReplayedTorques], model: Identification) -> Errors:
         """On some recordings, with the values as they are."""
-        return Errors.of([r.torque for r in replays], [predict(r, model) for r in replays])
+        return replayed_errors(replays, [predict(r, model) for r in replays])
 
 
 def predict(replay: ReplayedTorques, model: Identification) -> Array:
@@ -122,10 +122,13 @@ class TorqueModel:
     @cached_property
     def errors(self) -> RoleErrors:
         """Of the robot that is written."""
-        measured = [r.torque for r in self.data.validation]
-        return RoleErrors(
-            Errors.of(measured, self.validation), self.data.errors(self.data.identification, self.possible)
-        )
+        on_validation = replayed_errors(self.data.validation, self.validation)
+        return RoleErrors(on_validation, self.data.errors(self.data.identification, self.possible))
+
+    @property
+    def told(self) -> RoleErrors:
+        """The same but for rows before joints first move, which say nothing."""
+        return self.errors.told
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +247,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return self.refit(model, plainer)
         if end:
             return None, dataclasses.replace(trial, lawful=False, objection=end)
-        if self.spoils(new, model) or self._explains_nothing(trial.effects, new.errors, model.errors):
+        if self.spoils(new, model) or self._explains_nothing(trial.effects, new.told, model.told):
             return None, self.fallen(
                 trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
             )
@@ -285,7 +288,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 continue
             # a value that is another one tells nothing, though a few per cent more are left of its own joints
             room = [WORSE_UNTOLD if untold and j in named.joints else WORSE for j in self.campaign.joints]
-            rms, before = (np.array(m.errors.identification.torque_rms) for m in (less[0], model))
+            rms, before = (np.array(m.told.identification.torque_rms) for m in (less[0], model))
             if (rms <= room * before).all():
                 self._lesser[:] = [(model, step.trial, less)]
                 return step
@@ -334,7 +337,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def spoils(self, new: TorqueModel, old: TorqueModel) -> bool:
         """On the recordings that were fitted, every row counted, by more than chance would explain."""
-        after, before = (m.errors.identification.relative_error for m in (new, old))
+        after, before = (m.told.identification.relative_error for m in (new, old))
         return after > WORSE * before
 
     def hopeful(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
@@ -374,7 +377,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return None
         new = self.settled(new)
         stays = not any(self._lost(new, t) or self._at_end(new, t) for t in trials)
-        touching = (self._explains_nothing(t.effects, new.errors, model.errors) for t in trials)
+        touching = (self._explains_nothing(t.effects, new.told, model.told) for t in trials)
         return new if stays and not self.spoils(new, model) and not any(touching) else None
 
     def errors_along(self, old: TorqueModel, new: TorqueModel, trials: Sequence[TorqueTrial]) -> list[RoleErrors]:
@@ -483,7 +486,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         harmless = [t for t in self._harmless if not any(meet(t.effect, e) for e in gone)]
         self._harmless[:] = harmless
         for step in standing.steps:
-            if step.after.validation.relative_error <= step.before.validation.relative_error:
+            if step.after.told.validation.relative_error <= step.before.told.validation.relative_error:
                 continue
             if any(step.trial is t for t in harmless):
                 continue
@@ -493,7 +496,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 self._harmless.append(step.trial)
             if found is not None and (worst is None or found[1] < worst[0]):
                 self._lesser[:] = [(standing.model, step.trial, (model, back))]
-                less, more = (m.errors.validation.relative_error for m in (model, standing.model))
+                less, more = (m.told.validation.relative_error for m in (model, standing.model))
                 worst = (
                     found[1],
                     step,
@@ -510,14 +513,14 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         self, standing: Standing[TorqueModel, TorqueTrial]
     ) -> tuple[float, Addition[TorqueTrial], str] | None:
         """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
-        known = self._beginning.errors.validation, standing.model.errors.validation
+        known = self._beginning.told.validation, standing.model.told.validation
         declared, now = (e.relative_error for e in known)
         # a small joint's name is no matter of a large one's noise
         each = np.log(np.maximum([e.torque_rms for e in known], 1e-300)).sum(axis=1)
         if now <= declared or (now <= WORSE_HELD_OUT * declared and each[1] < each[0]):
             return None
         lesser = [(standing.model, s.trial, self.without(standing, s)) for s in standing.steps]
-        errors = [model.errors.validation.relative_error for _, _, (model, _) in lesser]
+        errors = [model.told.validation.relative_error for _, _, (model, _) in lesser]
         best = int(np.argmin(errors))
         self._lesser[:] = [lesser[best]]
         why = f"what was added left more than the declared model where it was not fitted: {declared:.4f} -> {now:.4f}"
@@ -584,7 +587,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         if not gone:
             return model
         other = fitted([e for e in model.effects if e not in gone], model)
-        after, before = (m.errors.identification.relative_error for m in (other, model))
+        after, before = (m.told.identification.relative_error for m in (other, model))
         return other if after < before else model
 
     def at_floor(self, model: TorqueModel) -> bool:
@@ -592,7 +595,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         floor = self.data.noise_floor(model.identified, self.campaign)
         if floor is None:
             return False
-        return bool((np.array(model.errors.identification.torque_rms) <= AT_FLOOR * floor).all())
+        return bool((np.array(model.told.identification.torque_rms) <= AT_FLOOR * floor).all())
 
 
 def _leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:

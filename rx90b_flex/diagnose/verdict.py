@@ -92,7 +92,7 @@ class Remains:
     def _above_free_form(self, explainable: Explainable) -> Mask:
         """Joints left with more than their free form leaves, part of its drop allowed for, shape (joints,)."""
         before, after, free = (
-            np.array(e.torque_rms) for e in (self.before.validation, self.after.validation, explainable.validation)
+            np.array(e.torque_rms) for e in (self.before.validation, self.after.validation, explainable.validation.told)
         )
         room = (1.0 - ENOUGH) * np.maximum(before - free, 0.0)
         # where the free form found nothing, a signal that the residual depends on has found more

@@ -19,7 +19,7 @@ from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.diagnose.free_form import NO_FORM, Families, FreeForm, best_form
 from rx90b_flex.diagnose.residual import Errors
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.segment import Segment
@@ -68,20 +68,29 @@ class Explainable:
 
     def much_less(self, joints: Sequence[str], after: Errors) -> list[str]:
         """Joints of which the free forms leave much less than the final model does."""
-        pairs = zip(joints, self.validation.torque_rms, after.torque_rms, strict=True)
+        pairs = zip(joints, self.validation.told.torque_rms, after.told.torque_rms, strict=True)
         return [joint for joint, free, left in pairs if free < MUCH_LESS * left]
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """One validation recording: measured torque and what the declared model says, each (N, joints), N m, after the low-pass."""
+    """One validation recording: measured torque and what the declared model says, each (N, joints), N m, after the low-pass; and
+    rows up to a joint's first move.
+    """
 
     torque: Array
     declared: Array
+    waiting: Mask
 
     def beginning(self, samples: int) -> HeldOut:
         """Its first samples."""
-        return HeldOut(self.torque[:samples], self.declared[:samples])
+        return HeldOut(self.torque[:samples], self.declared[:samples], self.waiting[:samples])
+
+
+def _errors(held_out: Sequence[HeldOut], said: Sequence[Array | float]) -> Errors:
+    """Of the declared model with something added to it."""
+    predicted = [r.declared + s for r, s in zip(held_out, said, strict=True)]
+    return Errors.of([r.torque for r in held_out], predicted, [r.waiting for r in held_out])
 
 
 def yardstick(
@@ -121,7 +130,7 @@ def yardstick(
             f"Too little data for a free-form model: {len(fitted)} samples behind the low-pass; "
             f"{FEWEST_SAMPLES} or more are needed."
         )
-    whole = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
+    whole = _errors(held_out, [0.0] * len(held_out))
     validation = validation.beginning(LONGEST)
     held_out = [
         r.beginning(len(s.motion) * s.working_factor) for r, s in zip(held_out, validation.segments, strict=True)
@@ -134,11 +143,10 @@ def yardstick(
     more_left = np.array(after.torque_rms) > AT_NOISE * noise
     forms = [_form(here, there, ranges, residual[:, j], j, parts, more_left[j]) for j in range(len(fitted.joints))]
     said = _at_own_rate(np.stack([f.elsewhere for f in forms], axis=1), validation, held_out)
-    errors = Errors.of([r.torque for r in held_out], [r.declared + s for r, s in zip(held_out, said, strict=True)])
-    before = Errors.of([r.torque for r in held_out], [r.declared for r in held_out])
+    errors, before = _errors(held_out, said), _errors(held_out, [0.0] * len(held_out))
     names = tuple(f.name for f in forms)
     errors, before = _of_the_whole(errors, before, whole), whole
-    if errors.relative_error > before.relative_error:
+    if errors.told.relative_error > before.told.relative_error:
         # what does not carry over explains nothing: the declared model alone predicts better
         errors, names = before, (NO_FORM,) * len(forms)
     return Explainable(errors, _share(before, after, errors), names)
@@ -152,10 +160,12 @@ def _of_the_whole(errors: Errors, before: Errors, whole: Errors) -> Errors:
 
     rms = zip(errors.torque_rms, before.torque_rms, whole.torque_rms, strict=True)
     relative = more(errors.relative_error, before.relative_error, whole.relative_error)
-    return Errors(relative, tuple(more(*x) for x in rms))
+    since = errors.since_moved and _of_the_whole(errors.since_moved, before.told, whole.told)
+    return Errors(relative, tuple(more(*x) for x in rms), since)
 
 
 def _share(before: Errors, after: Errors, free: Errors) -> float:
+    before, after, free = before.told, after.told, free.told
     drop = before.relative_error - free.relative_error
     if drop < LEAST_DROP * before.relative_error:
         return float(after.relative_error <= before.relative_error)

@@ -191,7 +191,7 @@ def _verdict_meaning(result: ClosedLoop) -> str:
         return "Neither the noise nor what can be explained at all is known, so nobody can say that nothing is left."
     if result.verdict == "unexplained":
         return "Something is left that is more than noise, and no effect that was tried explains it."
-    if result.after.validation.relative_error >= result.before.validation.relative_error and result.effects:
+    if result.after.told.validation.relative_error >= result.before.told.validation.relative_error and result.effects:
         return "The effects found help on the recordings that were fitted, but not on those that were held out: they are doubtful."
     if result.verdict == "partly_explained":
         return "The effects found are significant, but something else is left that has no name yet."
@@ -214,7 +214,7 @@ def _remains(result: ClosedLoop) -> str:
     dependence = f" {dependence_words(strongest)}" if strongest else ""
     if result.noise_floor is None:
         return f"what is left{dependence}" if strongest else "what is left depends on none of the signals looked at"
-    ratios = np.array(result.after.identification.torque_rms) / np.maximum(result.noise_floor, 1e-300)
+    ratios = np.array(result.after.told.identification.torque_rms) / np.maximum(result.noise_floor, 1e-300)
     if ratios.max() <= NEAR_FLOOR:
         return "what is left is noise"
     joint = result.joints[int(ratios.argmax())]
