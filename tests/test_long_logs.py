@@ -103,8 +103,8 @@ def test_the_beginning_of_a_long_log_tells_what_can_be_explained(
     here = torques.regression
     there = Regression.of(here.robot, data.validation, data.cutoff_hz)
     declared = identify(here, here.robot.effects, fit_links=True)
-    held_out = [measure.HeldOut(r.torque, predict(r, declared)) for r in torques.validation]
-    before = Errors.of([h.torque for h in held_out], [h.declared for h in held_out])
+    held_out = [measure.HeldOut(r.torque, predict(r, declared), r.waiting) for r in torques.validation]
+    before = Errors.of([h.torque for h in held_out], [h.declared for h in held_out], [h.waiting for h in held_out])
     found = []
     for samples in (20_000, 40_000):
         monkeypatch.setattr(measure, "LONGEST", samples)

@@ -55,8 +55,8 @@ def declared(request: pytest.FixtureRequest) -> Declared:
         ReplayedTorques(rigid, prepare(rigid, r, campaign.cutoff_hz, False, regression.sticking))
         for r in campaign.validation
     ]
-    held_out = tuple(HeldOut(r.torque, predict(r, model)) for r in replays)
-    errors = Errors.of([h.torque for h in held_out], [h.declared for h in held_out])
+    held_out = tuple(HeldOut(r.torque, predict(r, model), r.waiting) for r in replays)
+    errors = Errors.of([h.torque for h in held_out], [h.declared for h in held_out], [h.waiting for h in held_out])
     return Declared(request.param, campaign, robot, model, held_out, errors)
 
 

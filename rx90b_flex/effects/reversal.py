@@ -26,6 +26,7 @@ SHARP = 2.0e-4
 FASTEST_PART = 1.0
 QUICK_PART = 0.05  # the same of most robots, and of a joint in whose model nothing grows with the velocity
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
+LEAST = 1e-9  # rad/s, of any turn-over: logs without noise resolve less
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
 SLOWEST = 1e-300  # rad/s, in place of standstill
@@ -38,7 +39,7 @@ SLOWEST_PART = 0.02  # of a joint's speed above which it moves, whatever the log
 
 def turnover_shape() -> Any:
     """Field of a dry friction: velocity within which it turns over, one value a joint."""
-    return shape("rad/s", start=SHARP, lower=1e-9, upper=1e3, shared=True)
+    return shape("rad/s", start=SHARP, lower=LEAST, upper=1e3, shared=True)
 
 
 def reversal(v: Array, turnover: float) -> Array:
@@ -134,7 +135,7 @@ def turnover_range(at: JointMotion) -> tuple[float, float]:
     known = Resolution.of(at)
     if known.speed < SHARP:  # what is left of a joint that stands is rounding, which tells no velocity
         return SHARP, 4.0 * SHARP
-    low = FINEST * known.velocity
+    low = max(FINEST * known.velocity, LEAST)
     return low, max(FASTEST_PART * known.speed, 4.0 * low)
 
 
