@@ -8,7 +8,7 @@ from independent import Array, Motion, friction, harmonics, run, two_joints, whi
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.events import events
-from rx90b_flex.diagnose.moving import held_at_first
+from rx90b_flex.diagnose.moving import held_at_first, waiting
 
 RATE_HZ, JOINTS = 200.0, ("waist", "elbow")
 TIME = np.arange(int(20 * RATE_HZ)) / RATE_HZ
@@ -53,11 +53,11 @@ def test_neither_the_beginning_nor_rests_hold_events():
 
 
 def test_an_error_that_lies_before_the_first_move_is_told_and_what_it_is_elsewhere():
-    velocity = VELOCITY * (TIME > 1.0)[:, None]
+    still = waiting(VELOCITY * (TIME > 1.0)[:, None], RATE_HZ)
     held = NOISE + 20.0 * (TIME < 1.0)[:, None]
-    assert held_at_first([RATE_HZ], [NOISE], [0 * NOISE], [velocity]) == ""
-    assert held_at_first([RATE_HZ], [held], [0 * held], [VELOCITY]) == ""
-    said = held_at_first([RATE_HZ], [10.0 + held], [10.0 + 0 * held], [velocity])
+    assert held_at_first([NOISE], [0 * NOISE], [still]) == ""
+    assert held_at_first([held], [0 * held], [waiting(VELOCITY, RATE_HZ)]) == ""
+    said = held_at_first([10.0 + held], [10.0 + 0 * held], [still])
     assert "96% of the squared error held out" in said and "relative error is 0.0999" in said
 
 

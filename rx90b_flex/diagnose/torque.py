@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,12 +17,13 @@ from rx90b_flex.diagnose.families import sure_together
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, repeated
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
+from rx90b_flex.diagnose.moving import resting_each
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor, replayed_errors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, meet
 from rx90b_flex.effects import Effect, Sites
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.near_tree import chosen
@@ -41,6 +43,8 @@ WORSE_HELD_OUT = 1.005  # the same held out, over the declared model's, where th
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
+# Of what an effect explains, over the part of the rows in which its joints move: below that it explains what they hold at rest
+IN_MOTION = 0.2
 CHANGED = 0.5  # of its values beside a curve: what changes by more is not what it was taken for
 ALIKE = 0.1  # of its torque by which an effect differs from what it stands in for: beside a curve less says nothing
 WEIGHT_ROUNDS = 2  # fits after which the weights of rows near reversals are kept until the next effect
@@ -67,6 +71,13 @@ class TorqueData:
     def fitted_errors(self, model: Identification) -> RoleErrors:
         """With the values as they are."""
         return RoleErrors(self.errors(self.validation, model), self.errors(self.identification, model))
+
+    @cached_property
+    def moving(self) -> Mask:
+        """Rows of the fit in which each joint moves, shape (N, joints)."""
+        rows = self.regression.motors.rows
+        velocity = [s.motion.v[:: s.factor][s.kept][:, rows] for s in self.regression.segments]
+        return ~np.concatenate(resting_each(velocity))
 
     def rise(self, without: TorqueModel, added: TorqueModel) -> tuple[str, float] | None:
         """The recording with role validation whose error an addition raises beyond its spread, and how likely chance does that."""
@@ -247,6 +258,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             return self.refit(model, plainer)
         if end:
             return None, dataclasses.replace(trial, lawful=False, objection=end)
+        if self._at_rest_alone(new, model):
+            text = "what it explains lies at rest, where friction holds what nobody knows, and not in motion"
+            return None, self.fallen(trial, text)
         if self.spoils(new, model) or self._explains_nothing(trial.effects, new.told, model.told):
             return None, self.fallen(
                 trial, "it helps where rows count in full, and spoils more near reversals, where they count less"
@@ -336,9 +350,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return any(type(e) is type(trial.effect) and e.place == trial.effect.place for e in model.effects)
 
     def spoils(self, new: TorqueModel, old: TorqueModel) -> bool:
-        """On the recordings that were fitted, every row counted, by more than chance would explain."""
+        """On the recordings that were fitted, every row counted, by more than chance would explain; or gains there at rest alone."""
         after, before = (m.told.identification.relative_error for m in (new, old))
-        return after > WORSE * before
+        return after > WORSE * before or self._at_rest_alone(new, old)
 
     def hopeful(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
         """Where a lawful effect explains much, what keeps it from being sure is no noise."""
@@ -562,6 +576,25 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         touched = {j for e in effects for j in e.joints} or set(joints)
         pairs = zip(joints, new.identification.torque_rms, old.identification.torque_rms, strict=True)
         return all(after > before for joint, after, before in pairs if joint in touched)
+
+    def _at_rest_alone(self, new: TorqueModel, old: TorqueModel) -> bool:
+        """Whether what new effects explain in the joints that they touch lies at rest, on the recordings that were fitted.
+
+        There dry friction holds what nobody knows, and rests are few: a ripple, say, goes through all that they hold. Friction that
+        remembers is what acts at rest; of anything else motion shows its part.
+        """
+        more = Counter((type(e), e.place) for e in new.effects if not e.traits.remembers)
+        more.subtract((type(e), e.place) for e in old.effects)
+        added_to = [e.joints for e in new.effects if more[type(e), e.place] > 0]
+        if not added_to:
+            return False
+        touched = {j for joints in added_to for j in joints or self.campaign.joints}
+        columns = [i for i, joint in enumerate(self.campaign.joints) if joint in touched]
+        weights = new.identified.regression.row_weights
+        before, after = (m.identified.residual[:, columns] ** 2 for m in (old, new))
+        drop = before - after if weights is None else (before - after) * weights[:, columns] ** 2
+        moving = self.data.moving[:, columns]
+        return bool((drop * moving).sum() < IN_MOTION * moving.mean() * drop.sum())
 
     def _new(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
         """Single effects that the robot does not declare."""
