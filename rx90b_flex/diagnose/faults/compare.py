@@ -13,6 +13,7 @@ from rx90b_flex.diagnose.faults.gains import torque_gains
 from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
 from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.ratios import angle_scales, gear_ratios
 from rx90b_flex.diagnose.faults.rates import sample_rates
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, IMPOSSIBLE, RigidFit
 from rx90b_flex.diagnose.faults.shifts import shifted
@@ -24,11 +25,12 @@ from rx90b_flex.effects.motion import Array, Mask
 # in the order in which one is believed where several do equally well
 KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
     reversed_torques, swapped, other_units, shifted, reversed_positions, reversed_in_one, torque_gains, scaled_in_one, other_loads,
-    zeros, reversed_axes, carried_motors, axes, lengths, sample_rates, mountings,
+    zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, lengths, sample_rates, mountings,
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
-ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, axes, mountings)
+ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
+RATIOS = (gear_ratios, angle_scales)  # a few per cent of an angle leave small errors, which links that are off would leave, too
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
@@ -75,7 +77,7 @@ class _Gain:
     """What a hypothesis gains: with the links fitted, and with those of the URDF, where these are worth a look.
 
     `possible` is the part of `fitted` that comes of friction and inertias which no body has; `steady` is Student's t of what the rows
-    gain that are held out in turn.
+    gain that are held out in turn; links of the URDF that are off do not count against what goes `by_free_links`.
     """
 
     fitted: float
@@ -83,10 +85,15 @@ class _Gain:
     credible: bool
     possible: float
     steady: float
+    by_free_links: bool = False
 
     @property
     def total(self) -> float:
-        return self.fitted + (OF_KNOWN * self.known if self.credible else 0.0)
+        known = max(self.known, 0.0) if self.by_free_links else self.known
+        return self.fitted + (OF_KNOWN * known if self.credible else 0.0)
+
+
+_Refined = tuple[_Gain, int, Hypothesis, float | None]  # what it gains, the rank of its kind, and its factor's standard deviation
 
 
 class _Bases:
@@ -104,7 +111,7 @@ class _Bases:
         known = self.look.fit_of_known_links(hypothesis.reading, self.near[1])
         credible = bool((known.error < CREDIBLE).all())
         folds = self.fitted.scores - free.scores
-        if credible:
+        if credible and hypothesis.by_links:
             folds = folds + OF_KNOWN * (self.known.scores - known.scores)
         return _Gain(
             self.fitted.score - free.score,
@@ -112,6 +119,7 @@ class _Bases:
             credible,
             IMPOSSIBLE * float(self.fitted.impossible.sum() - free.impossible.sum()),
             _students_t(folds),
+            not hypothesis.by_links,
         )
 
     def links_instead(self, hypothesis: Hypothesis, gaining: Mask) -> bool:
@@ -136,13 +144,14 @@ def _best(look: Look) -> Found | None:
     finals = [(bases.gain(h), rank, h) for _, rank, h in promising]
     # what has a factor is compared at its best one; what falls far behind cannot be brought to win by it
     best = max((gain.total for gain, *_ in finals), default=0.0)
-    refined: list[tuple[_Gain, int, Hypothesis, float | None]] = []
+    refined: list[_Refined] = []
     for gain, rank, hypothesis in finals:
         if gain.total > PROMISING * max(best, MODEST):
-            better, std = look.refined(hypothesis, OF_KNOWN if gain.credible else 0.0)
+            better, std = look.refined(hypothesis, OF_KNOWN if gain.credible and hypothesis.by_links else 0.0)
             # a factor within its own standard deviation is not told
-            if better.factor is None or abs(better.factor) >= max(better.smallest, std or 0.0):
+            if better.factor is None or abs(better.factor - better.neutral) >= max(better.smallest, std or 0.0):
                 refined.append((bases.gain(better), rank, better, std))
+    refined = _one_ratio(refined)
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
     # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's
     beside = look.beside(with_effects=True)
@@ -156,6 +165,12 @@ def _best(look: Look) -> Found | None:
             return Found(_or_else(chosen, alike), std, bases.fitted, look.fit(chosen.reading))
         accepted.remove(best_one)
     return None
+
+
+def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
+    """Which joint's angle it is, and whether its torque goes with it, free links tell: the URDF's masses may be off."""
+    best = max((gain.fitted for gain, rank, *_ in refined if KINDS[rank] in RATIOS), default=0.0)
+    return [r for r in refined if KINDS[r[1]] not in RATIOS or r[0].fitted >= best]
 
 
 def _or_else(chosen: Hypothesis, alike: list[Hypothesis]) -> Hypothesis:
@@ -172,7 +187,7 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
     bases = _Bases(look.beside(THIN), first=True)
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
-        if not (everything or kind in ON_TORQUES_ALONE):
+        if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS)):
             continue
         on_pose = kind in ON_POSES
         tried = [(bases.gain(h).total if on_pose else bases.fitted_gain(h), rank, h) for h in kind(bases.look)]

@@ -43,9 +43,13 @@ class Hypothesis:
     shown : float
         Of the factor's unit in the text, such as degrees a radian.
     smallest : float
-        Size of the factor below which it is no fault.
+        Distance of the factor from `neutral` below which it is no fault.
     far : float
         Squared error of most of its joints with it, above which it is none either.
+    neutral : float
+        The factor at which nothing is wrong.
+    by_links : bool
+        Whether the factor goes by the URDF's links, too.
     """
 
     kind: str
@@ -59,6 +63,8 @@ class Hypothesis:
     shown: float = 1.0
     smallest: float = 0.0
     far: float = np.inf
+    neutral: float = 0.0
+    by_links: bool = True
 
     @staticmethod
     def of(

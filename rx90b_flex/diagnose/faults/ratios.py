@@ -1,0 +1,50 @@
+"""Angles of one joint that were converted with a wrong gear ratio or a wrong number of counts, and its torque with them or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.sample import Reading
+
+RATIOS = (0.5, 0.7, 0.8, 0.87, 0.93, 0.97, 1.03, 1.08, 1.15, 1.25, 1.4, 2.0)  # a logged angle over the true one
+WITHIN = 1.2  # times a first guess
+SMALLEST = 0.02  # below it a link a little longer, a tilted base or a torque's law do as well
+
+
+def gear_ratios(look: Look) -> Iterator[Hypothesis]:
+    """A joint's angle is s times too large and its torque 1/s of the true one: power is the same on both sides of a gear."""
+    return _best_of_each(look, torque=True)
+
+
+def angle_scales(look: Look) -> Iterator[Hypothesis]:
+    """A joint's angle is s times too large, its torque is right."""
+    return _best_of_each(look, torque=False)
+
+
+def _best_of_each(look: Look, torque: bool) -> Iterator[Hypothesis]:
+    """Of every joint with the factor that fits best: neighbours of one joint's true factor would keep out the other joints."""
+    near = look.fit()
+    for k in range(len(look.sample.joints)):
+        yield min((_of(look, k, ratio, torque) for ratio in RATIOS), key=lambda h: look.fit(h.reading, near).score)
+
+
+def _of(look: Look, k: int, ratio: float, torque: bool) -> Hypothesis:
+    joint = look.sample.joints[k]
+
+    def reading(factor: float) -> Reading:
+        angles = look.reading.changed("scale", (k,), lambda x: x / factor)
+        return angles.changed("torque_scale", (k,), lambda x: x * factor) if torque else angles
+
+    text = f"The position of {joint} is <factor> times the true one, "
+    if torque:
+        text += (
+            "and its torque that much too small: both were converted with a wrong gear ratio. Multiply the ratio, its entry in "
+            "`gear_matrix`, by that."
+        )
+    else:
+        text += "its torque is not: divide the column by that, or correct the ratio or counts a turn that it was converted with."
+    signal, bounds = "all" if torque else "motor_position", (ratio / WITHIN, ratio * WITHIN)
+    return Hypothesis(
+        "unit", signal, (joint,), text, reading, ratio, bounds, neutral=1.0, smallest=SMALLEST, by_links=False
+    )
