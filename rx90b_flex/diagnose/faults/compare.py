@@ -11,7 +11,7 @@ import numpy as np
 from rx90b_flex.diagnose.faults.carried import carried_motors
 from rx90b_flex.diagnose.faults.gains import torque_gains
 from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
-from rx90b_flex.diagnose.faults.kinematics import axes, lengths, mountings, zeros
+from rx90b_flex.diagnose.faults.kinematics import a_little_off, axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.ratios import angle_scales, gear_ratios
 from rx90b_flex.diagnose.faults.rates import sample_rates
@@ -160,7 +160,8 @@ def _best(look: Look) -> Found | None:
         top = max(gain.total for gain, *_ in accepted)
         best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
         gain, _, chosen, std = best_one
-        if gain.fitted < MODEST or without - beside.fit(chosen.reading).score >= MODEST:
+        as_effect = gain.fitted >= MODEST and without - beside.fit(chosen.reading).score < MODEST
+        if not as_effect and not (KINDS[best_one[1]] in RATIOS and _by_the_urdf(look, chosen)):
             alike = [h for g, _, h, _ in accepted if g.total >= gain.total - TIE]
             return Found(_or_else(chosen, alike), std, bases.fitted, look.fit(chosen.reading))
         accepted.remove(best_one)
@@ -171,6 +172,13 @@ def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
     """Which joint's angle it is, and whether its torque goes with it, free links tell: the URDF's masses may be off."""
     best = max((gain.fitted for gain, rank, *_ in refined if KINDS[rank] in RATIOS), default=0.0)
     return [r for r in refined if KINDS[r[1]] not in RATIOS or r[0].fitted >= best]
+
+
+def _by_the_urdf(look: Look, ratio: Hypothesis) -> bool:
+    """Whether a zero or a length of the URDF that is a little off does as well as another scale of an angle."""
+    thin = look.beside(THIN)
+    least = thin.fit(ratio.reading).score + TIE
+    return any(thin.fit(thin.refined(h)[0].reading).score < least for h in a_little_off(thin))
 
 
 def _or_else(chosen: Hypothesis, alike: list[Hypothesis]) -> Hypothesis:

@@ -13,25 +13,42 @@ from rx90b_flex.diagnose.faults.sample import Reading
 
 ZEROS = tuple(np.radians([-90.0, -40.0, 40.0, 90.0, 180.0]).tolist())
 LENGTHS = (0.1, 0.5, 0.75, 1.33, 2.0, 10.0)  # the URDF's over the true one
+LITTLE = 0.2, 1.2  # rad of a zero, and times a length, that a URDF may be off by
 DIRECTIONS = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def zeros(look: Look) -> Iterator[Hypothesis]:
     """The joint angle at which the log counts zero is another one in the URDF."""
-    for k, joint in enumerate(look.sample.joints):
-        if look.prismatic[k]:
-            continue
-        text = (
-            f"The zero of {joint} is <factor>° off: the URDF's angle is the log's plus that; correct the joint's origin, or state "
-            "`offset`."
-        )
-
-        def reading(angle: float, k: int = k) -> Reading:
-            return look.reading.changed("offset", (k,), lambda x: x + angle)
-
+    for k in _turning(look):
         for angle in ZEROS:
-            bounds = angle - 0.8, angle + 0.8
-            yield Hypothesis("kinematics", None, (joint,), text, reading, angle, bounds, shown=float(np.degrees(1.0)))
+            yield _zero(look, k, angle, (angle - 0.8, angle + 0.8))
+
+
+def a_little_off(look: Look) -> Iterator[Hypothesis]:
+    """Every zero and every length of the URDF by as much as it takes, as small errors of it are: what a small fault competes with."""
+    angle, factor = LITTLE
+    for k in _turning(look):
+        yield _zero(look, k, 0.0, (-angle, angle))
+    for joint in look.sample.joints:
+        if _place(look, joint).any():
+            yield _length(look, joint, 1.0, (1.0 / factor, factor))
+
+
+def _turning(look: Look) -> list[int]:
+    return [k for k in range(len(look.sample.joints)) if not look.prismatic[k]]
+
+
+def _zero(look: Look, k: int, angle: float, bounds: tuple[float, float]) -> Hypothesis:
+    joint = look.sample.joints[k]
+    text = (
+        f"The zero of {joint} is <factor>° off: the URDF's angle is the log's plus that; correct the joint's origin, or state "
+        "`offset`."
+    )
+
+    def reading(angle: float) -> Reading:
+        return look.reading.changed("offset", (k,), lambda x: x + angle)
+
+    return Hypothesis("kinematics", None, (joint,), text, reading, angle, bounds, shown=float(np.degrees(1.0)))
 
 
 def axes(look: Look) -> Iterator[Hypothesis]:
@@ -58,21 +75,29 @@ def axes(look: Look) -> Iterator[Hypothesis]:
 def lengths(look: Look) -> Iterator[Hypothesis]:
     """A link is longer or shorter than the URDF says."""
     for joint in look.sample.joints:
-        place = _numbers(_joint(_tree(look), joint).find("origin"), "xyz", (0.0, 0.0, 0.0))
-        if not place.any():
-            continue
+        if _place(look, joint).any():
+            for factor in LENGTHS:
+                yield _length(look, joint, factor, (factor / 1.5, factor * 1.5))
 
-        def reading(factor: float, joint: str = joint, place: np.ndarray = place) -> Reading:
-            def moved(root: ElementTree.Element) -> None:
-                origin = _joint(root, joint).find("origin")
-                assert origin is not None
-                origin.set("xyz", _text(place / factor))
 
-            return _with(look, ("length", joint, factor), moved)
+def _place(look: Look, joint: str) -> np.ndarray:
+    """Of a joint in the frame of the one before."""
+    return _numbers(_joint(_tree(look), joint).find("origin"), "xyz", (0.0, 0.0, 0.0))
 
-        text = f"The link before {joint} is <factor> times too long in the URDF: correct the joint's origin."
-        for factor in LENGTHS:
-            yield Hypothesis("kinematics", None, (joint,), text, reading, factor, (factor / 1.5, factor * 1.5))
+
+def _length(look: Look, joint: str, factor: float, bounds: tuple[float, float]) -> Hypothesis:
+    place = _place(look, joint)
+
+    def reading(factor: float) -> Reading:
+        def moved(root: ElementTree.Element) -> None:
+            origin = _joint(root, joint).find("origin")
+            assert origin is not None
+            origin.set("xyz", _text(place / factor))
+
+        return _with(look, ("length", joint, factor), moved)
+
+    text = f"The link before {joint} is <factor> times too long in the URDF: correct the joint's origin."
+    return Hypothesis("kinematics", None, (joint,), text, reading, factor, bounds)
 
 
 def mountings(look: Look) -> Iterator[Hypothesis]:
