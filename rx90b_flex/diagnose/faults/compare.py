@@ -153,19 +153,31 @@ def _best(look: Look) -> Found | None:
                 refined.append((bases.gain(better), rank, better, std))
     refined = _one_ratio(refined)
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
-    # where the gain is as large without a fault once a drive may have what the robot file lacks, it is no fault's
     beside = look.beside(with_effects=True)
-    without = beside.fit().score if accepted else 0.0
     while accepted:
         top = max(gain.total for gain, *_ in accepted)
         best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
         gain, _, chosen, std = best_one
-        as_effect = gain.fitted >= MODEST and without - beside.fit(chosen.reading).score < MODEST
-        if not as_effect and not (KINDS[best_one[1]] in RATIOS and _by_the_urdf(look, chosen)):
+        if not _in_doubt(bases, beside, best_one):
             alike = [h for g, _, h, _ in accepted if g.total >= gain.total - TIE]
             return Found(_or_else(chosen, alike), std, bases.fitted, look.fit(chosen.reading))
         accepted.remove(best_one)
     return None
+
+
+def _in_doubt(bases: _Bases, beside: Look, refined: _Refined) -> bool:
+    """Whether the gain is as large without a fault once a drive may have what the robot file lacks.
+
+    One factor of an angle that leaves no larger errors than these effects, which have dozens, is believed all the same.
+    """
+    gain, rank, chosen, _ = refined
+    after, bare = bases.look.fit(chosen.reading), beside.fit()
+    without = gain.fitted >= MODEST and bare.score - beside.fit(chosen.reading).score < MODEST
+    if KINDS[rank] not in RATIOS:
+        return without
+    gaining = after.error < GAINING * bases.fitted.error
+    less = np.log((after.error + FLOOR) / (bare.error + FLOOR))[gaining].sum() > TIE
+    return bool(without and less) or _by_the_urdf(bases.look, chosen)
 
 
 def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
