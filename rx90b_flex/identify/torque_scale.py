@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.identify.bilinear import Products, gains_and_coefficients
 from rx90b_flex.identify.coloured import residual_spectra
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, identify
@@ -19,8 +20,9 @@ from rx90b_flex.identify.uncertainty import absorbed_each, coloured_covariance
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign
 
-ROUNDS = 30  # of Gauss-Newton steps
-SETTLED = 1.0e-9  # relative change of the constants below which they end
+TOLD = 0.5  # standard deviation of a constant, part of it, up to which it is told
+ACROSS = 1e-3  # part of a direction that the data do not determine, up to which a ratio of constants is across it
+FAR = 100.0  # times the median of a first guess: constants of one robot are not that far apart
 
 
 @dataclass(frozen=True)
@@ -100,26 +102,85 @@ def _from_model(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> list
     model = identify(
         regression, regression.robot.effects, fit_links=robot.inertial_parameters == "fitted", with_covariance=False
     )
-    places = [campaign.joints.index(j) for j in joints]
-    fit = _Bilinear(regression, model, places)
-    gains, solution, columns, rest = fit.solved()
-    sure = solution.determined[-len(joints) :] & (np.abs(gains) > 0.0)
-    std = np.sqrt(np.maximum(np.diag(fit.covariance(solution, columns, rest))[-len(joints) :], 0.0))
-    out = []
+    fit = _Bilinear(regression, model, [campaign.joints.index(j) for j in joints]).solved()
     units = [f"{u.force}/A" for u in robot.units_of(joints)]
-    for joint, gain, spread, known, unit in zip(joints, gains, std, sure, units, strict=True):
-        value = 1.0 / gain
-        if known and abs(gain) > 2.0 * spread:
-            error = float(spread / gain**2)
+    sure = fit.sure
+    together = _Together.of(fit, ~sure)
+    out = []
+    for k, (joint, unit) in enumerate(zip(joints, units, strict=True)):
+        value = float(1.0 / fit.gains[k])
+        if sure[k]:
+            error = float(fit.std[k] / fit.gains[k] ** 2)
             words = f"Torque constant of {joint}: {value:.4g} ± {error:.2g} {unit}, told by what is known of the load."
-            out.append((TorqueConstant(joint, float(value), error, "model", words), float(value)))
+            out.append((TorqueConstant(joint, value, error, "model", words), value))
             continue
         words = (
             f"The torque constant of {joint} is not determined: nothing known fixes the scale of its torque. A payload of known "
             "mass in one of two recordings, links that are known or a torque sensor would; masses and torques hold up to that factor."
         )
-        out.append((TorqueConstant(joint, None, None, "not determined", words), float(value)))
+        if together.told[k]:
+            ratio = fit.gains[together.reference] / fit.gains[k]
+            spread = abs(ratio) * together.spread[k]
+            other = joints[together.reference]
+            words += f" It is {ratio:.3g} ± {spread:.1g} times that of {other}, as the links ask for that both move."
+        out.append((TorqueConstant(joint, None, None, "not determined", words), value))
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Gains:
+    """Gains of the joints whose constants are left out, with their covariance (g, g) and what the data do not determine.
+
+    `null` has directions of the logarithms of the gains, (g, m): differences that are across them are determined.
+    """
+
+    gains: Array
+    covariance: Array
+    determined: Mask
+    null: Array
+
+    @property
+    def std(self) -> Array:
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def sure(self) -> Mask:
+        """Whether each is told by itself, at twice its standard deviation."""
+        return np.asarray(self.determined & (np.abs(self.gains) * TOLD > self.std))
+
+
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """Constants that links which several joints move tell relative to one of them.
+
+    Attributes
+    ----------
+    reference : int
+    told : array of bool, shape (g,)
+        All but the reference.
+    spread : array, shape (g,)
+        Standard deviation of the logarithm of each one over the reference's.
+    """
+
+    reference: int
+    told: Mask
+    spread: Array
+
+    @staticmethod
+    def of(fit: _Gains, some: Mask) -> _Together:
+        """By the reference that tells most of them, and of equally many best."""
+        n = len(fit.gains)
+        relative = fit.covariance / np.outer(fit.gains, fit.gains)
+        own = np.diag(relative)
+        found = []
+        for k in np.flatnonzero(some).tolist():
+            spread = np.sqrt(np.maximum(own + own[k] - 2.0 * relative[k], 0.0))
+            apart = np.eye(n) - np.eye(n)[k]
+            told = some & (spread < TOLD) & (np.linalg.norm(apart @ fit.null, axis=1) < ACROSS)
+            told[k] = False
+            found.append(_Together(k, told, spread))
+        nothing = _Together(0, np.zeros(n, dtype=bool), np.zeros(n))
+        return min(found, key=lambda t: (-t.told.sum(), float(t.spread[t.told].sum())), default=nothing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,36 +197,49 @@ class _Bilinear:
         p = len(self.model.theta)
         return np.pad(self.model.precision[:p, :p], (0, len(self.places)))
 
-    def solved(self) -> tuple[Array, Solution, Array, Array]:
-        """Gains, the last linear solution, its columns and the residual."""
+    def solved(self) -> _Gains:
+        """Gains and coefficients that leave the smallest errors of the currents."""
         logged = np.concatenate([s.torque for s in self.regression.segments])
         known = logged - self.regression.torque  # what stated payloads take
         if not self.model.links_fitted:
             known = known + self.regression.link_torque(self.model.link_parameters)
         x = self.model.columns
-        gains, theta = self._start(x, logged, known)
         p = x.shape[2]
-        whole = (slice(0, len(logged)),)
-        for _ in range(ROUNDS):
-            all_gains = np.ones(logged.shape[1])
-            all_gains[list(self.places)] = gains
-            torque = known + x @ theta
-            columns = np.zeros((*logged.shape, p + len(self.places)))
-            columns[:, :, :p] = x * all_gains[:, None]
-            for k, j in enumerate(self.places):
-                columns[:, j, p + k] = torque[:, j]
-            at = np.concatenate([theta, gains])
-            rest = logged - torque * all_gains
-            normal = NormalEquations.of(columns, rest + columns @ at, whole)
-            solution = fit_weighted(normal, at, precision=self.precision)
-            step = solution.theta - at
-            theta, gains = theta + step[:p], gains + step[p:]
-            if np.abs(step[p:] / gains).max() < SETTLED:
-                break
-        return gains, solution, columns, rest
+        products = Products.of(x, known, logged, self.precision[:p, :p])
+        all_gains, theta, _ = gains_and_coefficients(products, self._starts(x, logged, known), self.places)
+        gains = all_gains[list(self.places)]
+        torque = known + x @ theta
+        columns = np.zeros((*logged.shape, p + len(self.places)))
+        columns[:, :, :p] = x * all_gains[:, None]
+        for k, j in enumerate(self.places):
+            columns[:, j, p + k] = torque[:, j]
+        at, rest = np.concatenate([theta, gains]), logged - torque * all_gains
+        normal = NormalEquations.of(columns, rest + columns @ at, (slice(0, len(logged)),))
+        solution = fit_weighted(normal, at, precision=self.precision)
+        covariance = self._covariance(solution, columns, rest)[p:, p:]
+        null = (solution.null / solution.scale[:, None])[p:] / gains[:, None]
+        length = np.linalg.norm(null, axis=0)
+        null = null[:, length > 0.0] / length[length > 0.0]
+        return _Gains(gains, covariance, solution.determined[p:], null)
 
-    def _start(self, x: Array, logged: Array, known: Array) -> tuple[Array, Array]:
-        """From ``0 = known + X theta - constant * current``, linear in the constants, one of them held where nothing is known."""
+    def _starts(self, x: Array, logged: Array, known: Array) -> list[Array]:
+        """All one; and where something is known what fits best in torques: of its size, and of its sign, too."""
+        ones = np.ones(logged.shape[1])
+        if not known.any() and len(self.places) == len(ones):
+            return [ones]
+        at = list(self.places)
+        linear = self._linear(x, logged, known)
+        size = np.median(np.abs(linear))
+        sane = np.where(np.abs(np.log(np.abs(linear) / size)) < np.log(FAR), linear, size)
+        starts = [ones]
+        for constants in (np.abs(sane), sane):
+            start = ones.copy()
+            start[at] = 1.0 / constants
+            starts.append(start)
+        return starts
+
+    def _linear(self, x: Array, logged: Array, known: Array) -> Array:
+        """Constants from ``0 = known + X theta - constant * current``, linear in them."""
         p = x.shape[2]
         columns = np.concatenate([x, np.zeros((*logged.shape, len(self.places)))], axis=2)
         target = logged - known
@@ -174,13 +248,12 @@ class _Bilinear:
             target[:, j] = -known[:, j]
         prior = np.concatenate([np.zeros(p), np.ones(len(self.places))])
         found = fit_weighted(NormalEquations.of(columns, target, (slice(0, len(logged)),)), prior, self._sizes(logged))
-        constants = np.where(np.abs(found.theta[p:]) > 1e-9, found.theta[p:], 1.0)
-        return 1.0 / constants, found.theta[:p]
+        return np.where(np.abs(found.theta[p:]) > 1e-9, found.theta[p:], 1.0)
 
     def _sizes(self, logged: Array) -> Array:
         return np.maximum(np.sqrt((logged**2).mean(axis=0)), 1e-12)
 
-    def covariance(self, solution: Solution, columns: Array, rest: Array) -> Array:
+    def _covariance(self, solution: Solution, columns: Array, rest: Array) -> Array:
         """Of theta and gains, allowing for coloured residuals."""
         spans = self.regression.spans
         longest = int(CORRELATION_S * self.regression.segments[0].rate_hz)
