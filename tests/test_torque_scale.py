@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import independent as plain
@@ -94,6 +96,65 @@ def test_without_anything_known_the_constants_are_not_determined_and_that_is_sai
     _, found = constants_of(logged(tmp_path, payload=False))
     assert [c.value for c in found] == [None, None]
     assert all("not determined" in c.message for c in found)
+
+
+def currents_of_an_arm(folder: Path, arm: plain.Arm, constants: np.ndarray, noise: Sequence[float]) -> Path:
+    """Two recordings of currents, nothing known of their constants, and one to validate."""
+    rng = np.random.default_rng(5)
+    n, runs = len(arm.joints), []
+    coulomb, viscous = 10.0 * np.asarray(noise), 14.0 * np.asarray(noise)
+    for role in ("identification", "identification", "validation"):
+        motion = plain.harmonics(rng, n, period_s=10.0)
+        run = plain.run(
+            arm, role, motion, [plain.friction(coulomb, viscous)], plain.white(rng, len(motion.time), noise)
+        )
+        runs.append(dataclasses.replace(run, torque=run.torque / constants))
+    declared = [{"type": k, "joint": j} for j in arm.joints for k in ("coulomb_friction", "viscous_friction")]
+    path = plain.write_files(folder, arm, declared, runs, cutoff_hz=15.0)
+    path.write_text(path.read_text().replace("\ntorque = ", "\nmotor_current = "))
+    return path
+
+
+ARMS = {
+    "ur10": (plain.ur10, [0.8, 1.0, 0.6, 0.12, 0.1, 0.06]),
+    "panda": (plain.panda, [0.15, 0.25, 0.12, 0.12, 0.05, 0.04, 0.02]),
+}
+
+
+@pytest.mark.parametrize("name", ["ur10", pytest.param("panda", marks=pytest.mark.slow)])
+def test_links_that_several_joints_move_tell_how_their_constants_go_together(tmp_path: Path, name: str) -> None:
+    """Currents of constants between 0.7 and 1.4, nothing of which is known: no scale, but ratios, and torques go on by these."""
+    build, noise = ARMS[name]
+    arm = build()
+    true = np.random.default_rng(1).uniform(0.7, 1.4, len(arm.joints))
+    campaign, found = constants_of(currents_of_an_arm(tmp_path, arm, true, noise))
+    assert [c.value for c in found] == [None] * len(true)
+    told = [c for c in found if c.relative_to is not None]
+    assert len(told) >= 3
+    used = dict(zip(campaign.joints, campaign.torque_constants or (), strict=True))
+    truth = dict(zip(campaign.joints, true, strict=True))
+    for c in told:
+        assert c.relative_to is not None and c.ratio is not None and c.ratio_std is not None
+        assert abs(c.ratio - truth[c.joint] / truth[c.relative_to]) < 4.0 * c.ratio_std
+        ours, other = used[c.joint], used[c.relative_to]
+        assert ours is not None and other is not None
+        assert ours / other == pytest.approx(c.ratio, rel=1e-6)
+    assert min(c.ratio_std / c.ratio for c in told if c.ratio and c.ratio_std) < 0.01  # those that carry the arm
+
+
+@pytest.mark.slow
+def test_torques_by_ratios_fit_one_tree_as_well_as_torques_in_newton_metres(tmp_path: Path) -> None:
+    """But for what the ratios are off; with all constants 1 the torques of several joints go together far worse."""
+    true = np.random.default_rng(1).uniform(0.7, 1.4, 7)
+    path = currents_of_an_arm(tmp_path, plain.panda(), true, ARMS["panda"][1])
+    raw = load_campaign(path)
+    campaign, found = constants_of(path)
+    logs = tuple(dataclasses.replace(r, torque=r.torque * true) for r in raw.recordings)
+    right = dataclasses.replace(raw, recordings=logs, torque_constants=tuple(map(float, true)))
+    errors = [np.array(rf.check(c).relative_error) for c in (raw, campaign, right)]
+    off = np.array([4.0 * c.ratio_std / c.ratio if c.ratio and c.ratio_std else 0.0 for c in found])
+    assert (errors[1] ** 2 <= (1.1 * errors[2]) ** 2 + off**2).all()
+    assert (errors[0] > 2.0 * errors[1]).sum() >= 2
 
 
 def test_closing_the_loop_on_currents_goes_by_the_constants_that_it_finds(tmp_path: Path) -> None:

@@ -16,15 +16,14 @@ ROUNDS = 20  # of weights that follow from the residuals
 EVALUATIONS = 25  # of a descent with one set of weights
 SETTLED = 1.0e-6  # relative change of the gains below which the rounds end
 WORTH = 1.0e-9  # of the squares, below which no further step is worth while
-# Standard deviation of a gain's logarithm about its start before the data: what they tell is told a hundred times as well, and of what
-# they do not it holds the start.
+# Standard deviation of a gain's logarithm about its start before the data: it holds what they do not tell, and yields to what they do.
 BROAD = 1.0
 LONGEST = 1.0  # step of a logarithm
 SURELY = 0.01  # of the log error of a joint's sample: by so much a start of other signs has to end lower
 
 
 @dataclass(frozen=True, eq=False)
-class Products:
+class CurrentProducts:
     """Of each joint's columns with its known torque as the last one, ``z_j``, and of its current.
 
     Attributes
@@ -44,21 +43,21 @@ class Products:
     precision: Array
 
     @staticmethod
-    def of(columns: Array, known: Array, current: Array, precision: Array) -> Products:
+    def of(columns: Array, known: Array, current: Array, precision: Array) -> CurrentProducts:
         """Sum up columns (N, joints, p), known torques and currents (N, joints)."""
         gram, cross = [], []
         for j in range(current.shape[1]):
             z = np.column_stack([columns[:, j], known[:, j]])
             gram.append(z.T @ z)
             cross.append(z.T @ current[:, j])
-        return Products(np.array(gram), np.array(cross), (current**2).sum(axis=0), len(current), precision)
+        return CurrentProducts(np.array(gram), np.array(cross), (current**2).sum(axis=0), len(current), precision)
 
 
 @dataclass(frozen=True, eq=False)
 class _Place(Iterate):
     """Gains (joints,) of which some move, weights 1/sigma^2 (joints,), and the coefficients that are best with both."""
 
-    products: Products
+    products: CurrentProducts
     gains: Array
     places: Sequence[int]
     start: Array
@@ -125,7 +124,7 @@ class _Place(Iterate):
 
 
 def gains_and_coefficients(
-    products: Products, starts: Sequence[Array], places: Sequence[int]
+    products: CurrentProducts, starts: Sequence[Array], places: Sequence[int]
 ) -> tuple[Array, Array, Array]:
     """Gains (joints,), of which those at `places` are fitted, coefficients (p,) and standard deviations of currents (joints,).
 
@@ -140,7 +139,7 @@ def gains_and_coefficients(
     return best.gains, best.theta, best.weight**-0.5
 
 
-def _settled(products: Products, start: Array, places: Sequence[int]) -> _Place:
+def _settled(products: CurrentProducts, start: Array, places: Sequence[int]) -> _Place:
     at = _Place(products, start, list(places), start, products.samples / products.power).weighted()
     for _ in range(ROUNDS):
         before = at.gains

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.effects.motion import Array, Mask
-from rx90b_flex.identify.bilinear import Products, gains_and_coefficients
+from rx90b_flex.identify.bilinear import CurrentProducts, gains_and_coefficients
 from rx90b_flex.identify.coloured import residual_spectra
 from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import CORRELATION_S, Identification, identify
@@ -36,6 +36,8 @@ class TorqueConstant:
     std : its standard deviation; zero for one that was stated.
     source : "stated", "torque sensor", "model" or "not determined".
     message : in a sentence.
+    relative_to : joint to whose constant that of this one has a `ratio`, where that is all that is told.
+    ratio, ratio_std : with its standard deviation.
     """
 
     joint: str
@@ -43,6 +45,9 @@ class TorqueConstant:
     std: float | None
     source: str
     message: str
+    relative_to: str | None = None
+    ratio: float | None = None
+    ratio_std: float | None = None
 
 
 def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueConstant, ...]]:
@@ -50,7 +55,8 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
 
     Constants that the campaign leaves out are identified: a joint's own torque sensor tells its constant directly; else the
     model does where something known fixes the scale (links that are known, a payload that is stated, joints whose torque is
-    known). Where nothing does, the constants of the joints are right among each other at most, and said to be not determined.
+    known). Where nothing does, they are said to be not determined; their ratios follow from links that several joints move, and
+    with these ratios about a mean of 1 the torques go on.
 
     Parameters
     ----------
@@ -106,25 +112,39 @@ def _from_model(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> list
     units = [f"{u.force}/A" for u in robot.units_of(joints)]
     sure = fit.sure
     together = _Together.of(fit, ~sure)
+    scales = _scales(fit, together)
     out = []
     for k, (joint, unit) in enumerate(zip(joints, units, strict=True)):
         value = float(1.0 / fit.gains[k])
         if sure[k]:
             error = float(fit.std[k] / fit.gains[k] ** 2)
             words = f"Torque constant of {joint}: {value:.4g} ± {error:.2g} {unit}, told by what is known of the load."
-            out.append((TorqueConstant(joint, value, error, "model", words), value))
+            out.append((TorqueConstant(joint, value, error, "model", words), scales[k]))
             continue
         words = (
             f"The torque constant of {joint} is not determined: nothing known fixes the scale of its torque. A payload of known "
             "mass in one of two recordings, links that are known or a torque sensor would; masses and torques hold up to that factor."
         )
+        open_one = TorqueConstant(joint, None, None, "not determined", words)
         if together.told[k]:
-            ratio = fit.gains[together.reference] / fit.gains[k]
-            spread = abs(ratio) * together.spread[k]
+            ratio = float(fit.gains[together.reference] / fit.gains[k])
+            spread = abs(ratio) * float(together.spread[k])
             other = joints[together.reference]
             words += f" It is {ratio:.3g} ± {spread:.1g} times that of {other}, as the links ask for that both move."
-        out.append((TorqueConstant(joint, None, None, "not determined", words), value))
+            open_one = TorqueConstant(joint, None, None, "not determined", words, other, ratio, spread)
+        out.append((open_one, scales[k]))
     return out
+
+
+def _scales(fit: _Gains, together: _Together) -> list[float]:
+    """Constants to go on with: of what nothing tells the mean of what is told, of ratios alone about that mean."""
+    values, sure, ratios = 1.0 / fit.gains, fit.sure, together.told.copy()
+    typical = float(np.exp(np.log(np.abs(values[sure])).mean())) if sure.any() else 1.0
+    out = np.where(sure, values, typical)
+    if ratios.any():
+        ratios[together.reference] = True
+        out[ratios] = typical * values[ratios] / np.exp(np.log(np.abs(values[ratios])).mean())
+    return [float(x) for x in out]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +225,7 @@ class _Bilinear:
             known = known + self.regression.link_torque(self.model.link_parameters)
         x = self.model.columns
         p = x.shape[2]
-        products = Products.of(x, known, logged, self.precision[:p, :p])
+        products = CurrentProducts.of(x, known, logged, self.precision[:p, :p])
         all_gains, theta, _ = gains_and_coefficients(products, self._starts(x, logged, known), self.places)
         gains = all_gains[list(self.places)]
         torque = known + x @ theta

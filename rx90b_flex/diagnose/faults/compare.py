@@ -13,8 +13,8 @@ from rx90b_flex.diagnose.faults.gains import torque_gains
 from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
 from rx90b_flex.diagnose.faults.kinematics import a_little_off, axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
-from rx90b_flex.diagnose.faults.ratios import angle_scales, gear_ratios
 from rx90b_flex.diagnose.faults.rates import sample_rates
+from rx90b_flex.diagnose.faults.ratios import angle_scales, gear_ratios
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, IMPOSSIBLE, RigidFit
 from rx90b_flex.diagnose.faults.shifts import shifted
 from rx90b_flex.diagnose.faults.signs import reversed_axes, reversed_positions, reversed_torques
@@ -30,7 +30,10 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
-RATIOS = (gear_ratios, angle_scales)  # a few per cent of an angle leave small errors, which links that are off would leave, too
+RATIOS = (
+    gear_ratios,
+    angle_scales,
+)  # a few per cent of an angle leave small errors, which links that are off would leave, too
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
@@ -93,7 +96,9 @@ class _Gain:
         return self.fitted + (OF_KNOWN * known if self.credible else 0.0)
 
 
-_Refined = tuple[_Gain, int, Hypothesis, float | None]  # what it gains, the rank of its kind, and its factor's standard deviation
+_Refined = tuple[
+    _Gain, int, Hypothesis, float | None
+]  # what it gains, the rank of its kind, and its factor's standard deviation
 
 
 class _Bases:
