@@ -16,8 +16,7 @@ ROUNDS = 20  # of weights that follow from the residuals
 EVALUATIONS = 25  # of a descent with one set of weights
 SETTLED = 1.0e-6  # relative change of the gains below which the rounds end
 WORTH = 1.0e-9  # of the squares, below which no further step is worth while
-# Standard deviation of a gain's logarithm about its start before the data: it holds what they do not tell, and yields to what they do.
-BROAD = 1.0
+BROAD = 1.0  # standard deviation of a gain's logarithm about its start before the data: holds what they do not tell
 LONGEST = 1.0  # step of a logarithm
 SURELY = 0.01  # of the log error of a joint's sample: by so much a start of other signs has to end lower
 

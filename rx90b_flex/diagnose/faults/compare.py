@@ -33,7 +33,7 @@ ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 RATIOS = (
     gear_ratios,
     angle_scales,
-)  # a few per cent of an angle leave small errors, which links that are off would leave, too
+)  # looked at where errors are small, too: so they are with a few per cent of an angle
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
@@ -96,9 +96,7 @@ class _Gain:
         return self.fitted + (OF_KNOWN * known if self.credible else 0.0)
 
 
-_Refined = tuple[
-    _Gain, int, Hypothesis, float | None
-]  # what it gains, the rank of its kind, and its factor's standard deviation
+_Refined = tuple[_Gain, int, Hypothesis, float | None]  # with the rank of its kind, and its factor's standard deviation
 
 
 class _Bases:
