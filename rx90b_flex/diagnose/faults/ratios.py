@@ -10,6 +10,7 @@ from rx90b_flex.diagnose.faults.sample import Reading
 RATIOS = (0.5, 0.7, 0.8, 0.87, 0.93, 0.97, 1.03, 1.08, 1.15, 1.25, 1.4, 2.0)  # a logged angle over the true one
 WITHIN = 1.2  # times a first guess
 SMALLEST = 0.02  # below it a link a little longer, a tilted base or a torque's law do as well
+STILL_FAR = 0.3**2  # squared error of its own torque, above which something else is missing there
 
 
 def gear_ratios(look: Look) -> Iterator[Hypothesis]:
@@ -39,12 +40,12 @@ def _of(look: Look, k: int, ratio: float, torque: bool) -> Hypothesis:
     text = f"The position of {joint} is <factor> times the true one, "
     if torque:
         text += (
-            "and its torque that much too small: both were converted with a wrong gear ratio. Multiply the ratio, its entry in "
-            "`gear_matrix`, by that."
+            "and its torque that much too small: both were converted with a wrong gear ratio. Multiply it (the joint's entry in "
+            "`gear_matrix`) by that, or divide the position's column by it and multiply the torque's."
         )
     else:
         text += "its torque is not: divide the column by that, or correct the ratio or counts a turn that it was converted with."
-    signal, bounds = "all" if torque else "motor_position", (ratio / WITHIN, ratio * WITHIN)
     return Hypothesis(
-        "unit", signal, (joint,), text, reading, ratio, bounds, neutral=1.0, smallest=SMALLEST, by_links=False
-    )
+        "unit", "all" if torque else "motor_position", (joint,), text, reading, ratio, (ratio / WITHIN, ratio * WITHIN),
+        smallest=SMALLEST, far=STILL_FAR, neutral=1.0, by_links=False,
+    )  # fmt: skip
