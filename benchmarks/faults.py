@@ -268,6 +268,21 @@ def wrong_motor_constant(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Ex
 
 
 @fault
+def wrong_gear_ratio(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = carrying_joint(logs, rng)
+    ratio = float(rng.choice([0.8, 0.9, 1.1, 1.25]))
+    position, torque = each(logs.position, times(k, ratio)), each(logs.torque, times(k, 1 / ratio))
+    return replace(logs, position=position, torque=torque), Expected("unit", (logs.joints[k],))
+
+
+@fault
+def wrong_scale_of_an_angle(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = carrying_joint(logs, rng)
+    ratio = float(rng.choice([0.8, 0.9, 1.1, 1.25]))
+    return replace(logs, position=each(logs.position, times(k, ratio))), Expected("unit", (logs.joints[k],))
+
+
+@fault
 def torques_late(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     late = round(float(rng.choice([-1.0, 1.0])) * rng.uniform(0.3, 1.0) * logs.rate_hz)
     return _later(logs, late, slice(None)), Expected("time_shift", logs.joints)

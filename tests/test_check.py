@@ -342,6 +342,64 @@ def test_a_stated_rate_that_the_time_column_contradicts_is_named(tmp_path: Path)
     assert fault.factor == pytest.approx(2.0, rel=1e-3)
 
 
+# ---- gear ratios --------------------------------------------------------------------------------------------------
+
+
+def with_ratio(runs: Runs, joint: int, factor: float, torque: float) -> Runs:
+    """A joint's angle logged so many times too large, and its torque."""
+    return with_torques(with_angles(runs, scaled(joint, factor)), scaled(joint, torque))
+
+
+@pytest.mark.parametrize(
+    ("joint", "factor"),
+    [
+        (LIFT, 1.1),
+        *(
+            pytest.param(*x, marks=pytest.mark.slow)
+            for x in ((LIFT, 0.9), (LIFT, 1.05), (ELBOW, 0.8), (ELBOW, 1.1), (ELBOW, 1.25))
+        ),
+    ],
+)
+def test_a_wrong_gear_ratio_is_told_with_its_joint_and_factor(tmp_path: Path, joint: int, factor: float) -> None:
+    """The angle too large and the torque too small by it: power is the same on both sides of a gear."""
+    result = checked(tmp_path, with_ratio(sound(), joint, factor, 1.0 / factor))
+    (fault,) = result.data_faults
+    assert (fault.kind, fault.signal, fault.joints) == ("unit", "all", (JOINTS[joint],))
+    assert fault.factor == pytest.approx(factor, rel=0.01) and fault.std is not None
+    assert "gear ratio" in fault.message and not result.usable
+    assert max(result.relative_error) < 0.2  # with it mended
+
+
+@pytest.mark.parametrize("factor", [1.1, pytest.param(0.9, marks=pytest.mark.slow)])
+def test_an_angle_in_another_scale_is_told_where_the_torque_is_right(tmp_path: Path, factor: float) -> None:
+    (fault,) = checked(tmp_path, with_ratio(sound(), ELBOW, factor, 1.0)).data_faults
+    assert (fault.kind, fault.signal, fault.joints) == ("unit", "motor_position", (JOINTS[ELBOW],))
+    assert fault.factor == pytest.approx(factor, rel=0.01)
+
+
+@pytest.mark.slow
+def test_an_angle_and_a_torque_that_are_both_off_by_their_own_factors_are_told_apart(tmp_path: Path) -> None:
+    found = checked(tmp_path, with_ratio(sound(), ELBOW, 1.1, 2.5)).data_faults
+    factors = {f.kind: f.factor for f in found if f.joints == (JOINTS[ELBOW],)}
+    assert len(found) == 2
+    assert factors["unit"] == pytest.approx(1.1, rel=0.01)
+    expected = 2.5 * (1.1 if found[0].signal == "all" else 1.0)
+    assert factors["torque_gain"] == pytest.approx(
+        expected, rel=0.1
+    )  # so much are the links heavier than the URDF says
+
+
+def test_a_wrong_gear_ratio_of_the_joint_that_stands_upright_is_not_named(tmp_path: Path) -> None:
+    """No torque depends on its angle, and another inertia and other friction stand for its scale."""
+    assert checked(tmp_path, with_ratio(sound(), PAN, 1.1, 1.0 / 1.1)).data_faults == ()
+
+
+@pytest.mark.parametrize("joint", [LIFT, pytest.param(ELBOW, marks=pytest.mark.slow)])
+def test_a_zero_of_the_urdf_that_is_some_degrees_off_is_no_gear_ratio(tmp_path: Path, joint: int) -> None:
+    off = with_angles(sound(), lambda q: q + 0.08 * (np.arange(6) == joint))
+    assert not [f for f in checked(tmp_path, off).data_faults if f.kind == "unit"]
+
+
 # ---- what the motion can tell -----------------------------------------------------------------------------------
 
 

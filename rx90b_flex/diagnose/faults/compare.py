@@ -185,8 +185,15 @@ def _in_doubt(bases: _Bases, beside: Look, refined: _Refined) -> bool:
 
 def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
     """Which joint's angle it is, and whether its torque goes with it, free links tell: the URDF's masses may be off."""
-    best = max((gain.fitted for gain, rank, *_ in refined if KINDS[rank] in RATIOS), default=0.0)
-    return [r for r in refined if KINDS[r[1]] not in RATIOS or r[0].fitted >= best]
+    ratios = sorted((r for r in refined if KINDS[r[1]] in RATIOS), key=lambda r: -r[0].fitted)
+    others = [r for r in refined if KINDS[r[1]] not in RATIOS]
+    if not ratios:
+        return others
+    gain, rank, best, std = ratios[0]
+    if any(h.joints == best.joints and g.fitted > gain.fitted - TIE for g, _, h, _ in ratios[1:]):
+        other = "its torque is right" if best.signal == "all" else "its torque is that much too small"
+        best = dataclasses.replace(best, text=f"{best.text} Or {other}: these data do not tell which of the two.")
+    return [*others, (gain, rank, best, std)]
 
 
 def _by_the_urdf(look: Look, ratio: Hypothesis) -> bool:
