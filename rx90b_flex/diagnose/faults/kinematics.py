@@ -25,13 +25,29 @@ def zeros(look: Look) -> Iterator[Hypothesis]:
 
 
 def a_little_off(look: Look) -> Iterator[Hypothesis]:
-    """Every zero and every length of the URDF by as much as it takes, as small errors of it are: what a small fault competes with."""
+    """Every zero, every length and the base's level by as much as it takes, as small errors are: what a small fault competes with."""
     angle, factor = LITTLE
+    down = np.array(look.reading.gravity)
+    across = np.eye(3)[np.argmin(np.abs(down))]
+    one_way, _ = look.refined(_tilt(look, look.reading, across, angle))
+    yield _tilt(look, one_way.reading, np.cross(down, across), angle)
     for k in _turning(look):
         yield _zero(look, k, 0.0, (-angle, angle))
     for joint in look.sample.joints:
         if _place(look, joint).any():
             yield _length(look, joint, 1.0, (1.0 / factor, factor))
+
+
+def _tilt(look: Look, before: Reading, towards: np.ndarray, largest: float) -> Hypothesis:
+    """Gravity of a reading leans in a direction across it."""
+
+    def reading(angle: float) -> Reading:
+        x, y, z = np.array(before.gravity) + np.tan(angle) * towards
+        length = float(np.sqrt(x**2 + y**2 + z**2))
+        return dataclasses.replace(before, gravity=(x / length, y / length, z / length))
+
+    text = "The base is not level: mount the URDF as the robot is."
+    return Hypothesis("kinematics", None, (), text, reading, 0.0, (-largest, largest))
 
 
 def _turning(look: Look) -> list[int]:
