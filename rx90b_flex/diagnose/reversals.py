@@ -29,6 +29,7 @@ from rx90b_flex.identify.segment import STANDING_S, Segment
 from rx90b_flex.pieces import AT_ONCE
 from rx90b_flex.signals.facts import counter_steps
 
+FEWEST_RESTS = 5  # of which something can be said of what friction holds at others
 MAD_TO_STD = 1.4826  # of a normal distribution; residuals near reversals are its outliers
 
 
@@ -43,11 +44,13 @@ def row_weights(regression: Regression, model: Identification) -> Array:
         Its friction steps by so much; its residual's median deviation is sigma.
     """
     motors = regression.motors
-    sigma = MAD_TO_STD * np.median(np.abs(model.residual_on(motors)), axis=0)
+    residual = model.residual_on(motors)
+    sigma = MAD_TO_STD * np.median(np.abs(residual), axis=0)
     steep = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
     seen = motors.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.segments, motors.segments, strict=True)
     doubt = np.concatenate([_doubt(s, first, steep) for s, first in pairs])[:, motors.rows]
+    doubt = np.hypot(doubt, _at_rests(seen, residual, steep))
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
@@ -69,6 +72,49 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     return np.asarray(envelope)
 
 
+def _at_rests(regression: Regression, residual: Array, effects: list[Effect]) -> Array:
+    """What friction may hold at rests beside what the model says of it, (N, joints), N m; elsewhere zero.
+
+    As much as the residual's mean differs from rest to rest, and no more than friction can hold.
+    """
+    ends, rows = np.cumsum([len(s) for s in regression.segments])[:-1], regression.rows
+    means: list[list[float]] = [[] for _ in rows]
+    near, may_hold = [], np.zeros(len(rows))
+    for s, left in zip(regression.segments, np.split(residual, ends), strict=True):
+        rest = s.motion.v == 0.0
+        near.append(_near(s, rest.astype(float))[:, rows])
+        may_hold = np.maximum(may_hold, _may_hold(s, effects)[rows])
+        for own, still, torque in zip(means, rest[:: s.factor][s.kept][:, rows].T, left.T, strict=True):
+            numbered, count = ndimage.label(still)
+            own += list(
+                ndimage.mean(torque, numbered, range(2 if still[0] else 1, count + 1))
+            )  # but for one as it begins
+    held = [np.sqrt(np.mean(np.square(own))) if len(own) >= FEWEST_RESTS else 0.0 for own in means]
+    return np.asarray(np.concatenate(near) * np.minimum(held, may_hold))
+
+
+def _near(segment: Segment, *unknown: Array) -> Array:
+    """Sum of what is unknown, each (N_working, n), behind the low-pass; (N, n).
+
+    An impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period.
+    """
+    size = sum(np.abs(segment.low_passed(off)) for off in unknown)
+    envelope = ndimage.maximum_filter1d(size, _width(segment), axis=0, mode="nearest")
+    return np.asarray(envelope[:: segment.factor][segment.kept])
+
+
+def _may_hold(segment: Segment, effects: list[Effect]) -> Array:
+    """Dry friction of each coordinate, (n,), N m."""
+    by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
+    moved = segment.motion.part(slice(0, 2))
+    ends = (
+        with_forces(np.zeros_like(moved.v), steep, dataclasses.replace(moved, stuck=way * np.ones_like(moved.v)))
+        for way in (1.0, -1.0)
+    )
+    at_once = 0.5 * np.abs(np.subtract(*ends)).max(axis=0)
+    return np.asarray(at_once + np.abs(_force(segment, by_angle)).max(axis=0) if by_angle else at_once)
+
+
 def _envelope(segment: Segment, measured: Segment, steep: list[Effect], still: Mask) -> Array:
     """The same for friction that goes by velocity alone."""
     there, here = _force(segment, steep, v=measured.wider[1]), _force(segment, steep)
@@ -80,10 +126,7 @@ def _envelope(segment: Segment, measured: Segment, steep: list[Effect], still: M
     if sticks.any():
         stuck = np.where(sticks, 1.0, np.nan)
         unknown.append(0.5 * (_force(segment, steep, stuck=stuck) - _force(segment, steep, stuck=-stuck)))
-    size = sum(np.abs(segment.low_passed(off)) for off in unknown)
-    # an impulse behind the low-pass rings, and is unknown between its zeros too: the envelope over half a period
-    envelope = ndimage.maximum_filter1d(size, _width(segment), axis=0, mode="nearest")
-    return np.asarray(envelope[:: segment.factor][segment.kept])
+    return _near(segment, *unknown)
 
 
 def _along_angles(segment: Segment, wider: Array, effects: list[Effect], still: Mask) -> Array:
