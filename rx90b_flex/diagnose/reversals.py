@@ -72,25 +72,25 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     return np.asarray(envelope)
 
 
-def _at_rests(regression: Regression, residual: Array, effects: list[Effect]) -> Array:
+def _at_rests(regression: Regression, residual: Array, effects: list[Effect]) -> Array | float:
     """What friction may hold at rests beside what the model says of it, (N, joints), N m; elsewhere zero.
 
     As much as the residual's mean differs from rest to rest, and no more than friction can hold.
     """
-    ends, rows = np.cumsum([len(s) for s in regression.segments])[:-1], regression.rows
+    segments, rows = regression.segments, regression.rows
     means: list[list[float]] = [[] for _ in rows]
-    near, may_hold = [], np.zeros(len(rows))
-    for s, left in zip(regression.segments, np.split(residual, ends), strict=True):
-        rest = s.motion.v == 0.0
-        near.append(_near(s, rest.astype(float))[:, rows])
-        may_hold = np.maximum(may_hold, _may_hold(s, effects)[rows])
-        for own, still, torque in zip(means, rest[:: s.factor][s.kept][:, rows].T, left.T, strict=True):
-            numbered, count = ndimage.label(still)
-            own += list(
-                ndimage.mean(torque, numbered, range(2 if still[0] else 1, count + 1))
-            )  # but for one as it begins
-    held = [np.sqrt(np.mean(np.square(own))) if len(own) >= FEWEST_RESTS else 0.0 for own in means]
-    return np.asarray(np.concatenate(near) * np.minimum(held, may_hold))
+    for s, left in zip(segments, np.split(residual, np.cumsum([len(s) for s in segments])[:-1]), strict=True):
+        still = (s.motion.v == 0.0)[:: s.factor][s.kept][:, rows]
+        for own, rest, torque in zip(means, still.T, left.T, strict=True):
+            numbered, count = ndimage.label(rest)
+            first = 2 if rest[0] else 1  # that with which the log begins is another matter
+            own += list(ndimage.mean(torque, numbered, range(first, count + 1)))
+    held = np.array([np.sqrt(np.mean(np.square(own))) if len(own) >= FEWEST_RESTS else 0.0 for own in means])
+    if not held.any():
+        return 0.0
+    parts = [part for s in segments for part in s.split()]
+    near = np.concatenate([_near(part, (part.motion.v == 0.0).astype(float))[:, rows] for part in parts])
+    return np.asarray(near * np.minimum(held, np.max([_may_hold(s, effects)[rows] for s in segments], axis=0)))
 
 
 def _near(segment: Segment, *unknown: Array) -> Array:
