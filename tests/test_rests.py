@@ -70,9 +70,11 @@ def closed(folder: Path, seed: int, hidden: str) -> rf.ClosedLoop:
         ("nothing", set()),
     ],
 )
-def test_what_joints_hold_at_rests_hides_no_effect_and_makes_none(tmp_path, seed, hidden, names):
+def test_what_joints_hold_at_rests_is_no_effect_of_motion_and_hides_none_of_load_or_angle(
+    tmp_path, seed, hidden, names
+):
     result = closed(tmp_path, seed, hidden)
     found = {e.effect.label for e in result.effects}
-    # what is fast shows little of a friction that falls with speed: that of the heavily loaded joint may stay hidden
-    assert found <= names and len(found) >= len(names) - (hidden == "speed")
-    assert result.verdict == ("partly_explained" if names else "unexplained")  # what they hold is left
+    # what is fast shows little of a friction that falls with speed: it may stay hidden
+    assert found == names or (hidden == "speed" and found < names)
+    assert result.verdict == ("partly_explained" if found else "unexplained")  # what they hold is left

@@ -50,7 +50,7 @@ def row_weights(regression: Regression, model: Identification) -> Array:
     seen = motors.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.segments, motors.segments, strict=True)
     doubt = np.concatenate([_doubt(s, first, steep) for s, first in pairs])[:, motors.rows]
-    doubt = np.hypot(doubt, _at_rests(seen, residual, steep))
+    doubt = np.maximum(doubt, _at_rests(seen, residual, steep))
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
