@@ -431,8 +431,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """
         steps = standing.steps
         older = len(steps) - latest
-        if any(s.trial.effect.traits.last_resort for s in steps[older:]):
-            return self._not_missed(standing.model, steps[:older])
+        newer = [s.trial.effect for s in steps[older:]]
+        if any(e.traits.last_resort for e in newer):
+            beside = [s for s in steps[:older] if any(meet(s.trial.effect, e) for e in newer)]
+            return self._not_missed(standing.model, beside)
         search = self.search(standing.model)
 
         added_ones = find_added(standing.model, steps)
@@ -446,7 +448,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 return step  # whatever stands on it: a robot file cannot hold it
             if (newest and latest == 1) or _leaned_on(effect, standing.model.effects):
                 continue
-            if not (newest or everywhere or any(meet(effect, s.trial.effect) for s in steps[older:])):
+            if not (newest or everywhere or any(meet(effect, e) for e in newer)):
                 continue
             if search.at_bound(effect):
                 return step  # which is why it would not be added now
