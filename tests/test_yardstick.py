@@ -104,7 +104,7 @@ def test_the_effect_that_is_there_reaches_what_a_free_form_does(spring):
 def test_the_share_is_that_of_the_drop_of_the_validation_error(spring, unnamed):
     for r in (spring[1], unnamed):
         before, after, free = (
-            e.told.relative_error for e in (r.before.validation, r.after.validation, r.explainable.validation)
+            e.relative_error for e in (r.before.validation, r.after.validation, r.explainable.validation)
         )
         assert after == pytest.approx(before - r.explainable.share * (before - free), rel=1e-9)
 

@@ -486,7 +486,7 @@ class _Ended:
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, happened, bool(drifts))
-        remains = Remains(campaign.joints, found, before.told, after.told, floor, known, *rest)
+        remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)
         return ClosedLoop(
@@ -524,7 +524,7 @@ class _Ended:
     ) -> Explainable | str:
         """What a free form leaves of the declared model's error, or why none says."""
         compared_with = [HeldOut(p.torque, p.before, p.waiting) for p in predictions]
-        after = self.standing.model.told.validation
+        after = self.standing.model.errors.validation
         return yardstick(self.declared.possible, held_out.weighted(None), compared_with, after, floor)
 
     def _beyond_model(self) -> tuple[str, ...]:

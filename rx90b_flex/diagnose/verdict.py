@@ -66,7 +66,8 @@ class Remains:
     def verdict(self) -> str:
         """``nothing_missing``, ``explained``, ``partly_explained`` or ``unexplained``."""
         # what helps on the fitted recordings alone explains nothing for certain
-        carried = self.after.validation.relative_error < self.before.validation.relative_error
+        pairs = (self.before, self.after), (self.before.told, self.after.told)
+        carried = all(a.validation.relative_error < b.validation.relative_error for b, a in pairs)
         return verdict(self.found, self.left, carried and not self.doubtful)
 
     @property
@@ -79,20 +80,26 @@ class Remains:
         if self.events or self.slow or any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
-            return self.explainable.share < ENOUGH or bool(self._above_free_form(self.explainable).any())
+            return self._share(self.explainable) < ENOUGH or bool(self._above_free_form(self.explainable).any())
         return True  # neither measure is known, so nobody can say that nothing is left
+
+    def _share(self, explainable: Explainable) -> float:
+        """Of what can be explained; of all rows that are reported, too, where effects are said to do so."""
+        share = explainable.told.of(self.before.told.validation, self.after.told.validation).share
+        return min(share, explainable.share) if self.found else share
 
     @property
     def _mostly_left(self) -> bool:
         """Whether a joint is left with so much that torques of other motions, or of another clock, would look the same."""
         if self.spread is None:
             return False
-        return bool((np.array(self.after.validation.torque_rms) > MOST_LEFT * self.spread).any())
+        return bool((np.array(self.after.told.validation.torque_rms) > MOST_LEFT * self.spread).any())
 
     def _above_free_form(self, explainable: Explainable) -> Mask:
         """Joints left with more than their free form leaves, part of its drop allowed for, shape (joints,)."""
         before, after, free = (
-            np.array(e.torque_rms) for e in (self.before.validation, self.after.validation, explainable.validation.told)
+            np.array(e.torque_rms)
+            for e in (self.before.told.validation, self.after.told.validation, explainable.validation.told)
         )
         room = (1.0 - ENOUGH) * np.maximum(before - free, 0.0)
         # where the free form found nothing, a signal that the residual depends on has found more
@@ -102,7 +109,7 @@ class Remains:
 
     def _above_floor(self, floor: Array) -> Mask:
         # friction that changes sign within one sample leaves spikes of up to a third of the noise that depend on nothing
-        ratio = np.array(self.after.identification.torque_rms) / np.maximum(floor, 1e-300)
+        ratio = np.array(self.after.told.identification.torque_rms) / np.maximum(floor, 1e-300)
         return np.asarray((ratio > FAR_FROM_FLOOR) | ((ratio > NEAR_FLOOR) & self._named))
 
     def _not_carried_over(self, floor: Array) -> Mask:
@@ -110,7 +117,7 @@ class Remains:
 
         Where a free form leaves as much it counts if it is none of motion, which nothing that was fitted knows of.
         """
-        far = np.array(self.after.validation.torque_rms) > FAR_FROM_FLOOR * floor
+        far = np.array(self.after.told.validation.torque_rms) > FAR_FROM_FLOOR * floor
         if self.explainable is None:
             return np.asarray(far)
         return np.asarray(far & (self._above_free_form(self.explainable) | self._among([e.joint for e in self.events])))

@@ -66,6 +66,11 @@ class Explainable:
         """The same measure for another final model, with its share of the drop."""
         return dataclasses.replace(self, share=_share(before, after, self.validation))
 
+    @property
+    def told(self) -> Explainable:
+        """But for rows up to joints' first moves; its share is that of no model yet (`of`)."""
+        return dataclasses.replace(self, validation=self.validation.told)
+
     def much_less(self, joints: Sequence[str], after: Errors) -> list[str]:
         """Joints of which the free forms leave much less than the final model does."""
         pairs = zip(joints, self.validation.told.torque_rms, after.told.torque_rms, strict=True)
@@ -140,7 +145,7 @@ def yardstick(
     ranges = _Ranges.of(here)
     parts = _layouts(fitted)
     noise = np.zeros(len(fitted.joints)) if floor is None else floor
-    more_left = np.array(after.torque_rms) > AT_NOISE * noise
+    more_left = np.array(after.told.torque_rms) > AT_NOISE * noise
     forms = [_form(here, there, ranges, residual[:, j], j, parts, more_left[j]) for j in range(len(fitted.joints))]
     said = _at_own_rate(np.stack([f.elsewhere for f in forms], axis=1), validation, held_out)
     errors, before = _errors(held_out, said), _errors(held_out, [0.0] * len(held_out))
@@ -165,7 +170,6 @@ def _of_the_whole(errors: Errors, before: Errors, whole: Errors) -> Errors:
 
 
 def _share(before: Errors, after: Errors, free: Errors) -> float:
-    before, after, free = before.told, after.told, free.told
     drop = before.relative_error - free.relative_error
     if drop < LEAST_DROP * before.relative_error:
         return float(after.relative_error <= before.relative_error)
