@@ -65,8 +65,8 @@ def begun(still: Mask, rate_hz: float) -> Mask:
 
 
 def unmoved(velocity: Array, rate_hz: float) -> Mask:
-    """Rows of one recording in which a joint has rested since it began, (N, joints): a creeping one, too, has yet to break away."""
-    return _longer(resting(velocity), rate_hz)
+    """Rows of one recording in which a joint has hardly moved since it began, (N, joints): a creeping one has yet to break away."""
+    return _longer(np.abs(velocity) < AT_REST_RAD_S, rate_hz)
 
 
 def waiting(velocity: Array, rate_hz: float) -> Mask:
