@@ -73,7 +73,11 @@ def names(result: rf.ClosedLoop) -> set[str]:
     return {e.effect.label for e in result.effects}
 
 
-SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))]
+SEEDS = [
+    1,
+    *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)),
+    *(pytest.param(seed, marks=pytest.mark.long) for seed in (4, 5)),
+]
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -61,7 +61,7 @@ def closed(folder: Path, seed: int, hidden: str) -> rf.ClosedLoop:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 @pytest.mark.parametrize(
     ("hidden", "names"),
     [
