@@ -1,4 +1,4 @@
-"""How far each row of a regression can be trusted where a log does not say what friction holds: near reversals, and at the start.
+"""How far each row of a regression can be trusted where a log does not say what friction holds: near reversals and at rests.
 
 Dry friction steps at a velocity that no log resolves: between filters, a drive that sticks for a tenth of a second and one
 that turns at once look much alike, and their torques differ by the whole step. The torque of the present model is asked for
@@ -9,7 +9,7 @@ they differ by behind the low-pass is a standard deviation that a row has beside
 model, not on what is tried beside it.
 
 Where a joint stands as its recording begins, nobody knows what friction holds until it has moved: anything between both
-directions' own.
+directions' own. At later rests it is what the model leaves there, if that differs from one to the next.
 """
 
 from __future__ import annotations
@@ -46,22 +46,22 @@ def row_weights(regression: Regression, model: Identification) -> Array:
     motors = regression.motors
     residual = model.residual_on(motors)
     sigma = MAD_TO_STD * np.median(np.abs(residual), axis=0)
-    steep = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
+    known = [e for e in model.effects if e.traits.in_dynamics and not (e.traits.virtual or e.traits.needs_model)]
+    by_angle, steep = ([e for e in known if e.traits.remembers is remembers] for remembers in (True, False))
     seen = motors.with_model(model.link_parameters, model.effects)
     pairs = zip(seen.segments, motors.segments, strict=True)
-    doubt = np.concatenate([_doubt(s, first, steep) for s, first in pairs])[:, motors.rows]
-    doubt = np.maximum(doubt, _at_rests(seen, residual, steep))
+    doubt = np.concatenate([_doubt(s, first, by_angle, steep) for s, first in pairs])[:, motors.rows]
+    doubt = np.maximum(doubt, _at_rests(seen, residual, by_angle, steep))
     return np.asarray(1.0 / np.sqrt(1.0 + (doubt / np.maximum(sigma, 1e-300)) ** 2))
 
 
-def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
+def _doubt(segment: Segment, measured: Segment, by_angle: list[Effect], steep: list[Effect]) -> Array:
     """What the torque may be off for want of the motion; after the low-pass, (N, n), N m.
 
     `measured` is the same segment whatever the model, with another guess at angle and velocity.
     """
     if segment.cutoff_hz is None:
         return np.zeros((len(segment), segment.motion.q.shape[1]))
-    by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
     still = unmoved(segment.motion.v, segment.rate_hz * segment.factor)
     pairs = zip(segment.split(), measured.split(), strict=True)
     envelope = np.concatenate([_envelope(part, first, steep, still[part.first :]) for part, first in pairs])
@@ -72,7 +72,7 @@ def _doubt(segment: Segment, measured: Segment, effects: list[Effect]) -> Array:
     return np.asarray(envelope)
 
 
-def _at_rests(regression: Regression, residual: Array, effects: list[Effect]) -> Array | float:
+def _at_rests(regression: Regression, residual: Array, by_angle: list[Effect], steep: list[Effect]) -> Array | float:
     """What friction may hold at rests beside what the model says of it, (N, joints), N m; elsewhere zero.
 
     As much as the residual's mean differs from rest to rest, and no more than friction can hold.
@@ -90,7 +90,7 @@ def _at_rests(regression: Regression, residual: Array, effects: list[Effect]) ->
         return 0.0
     parts = [part for s in segments for part in s.split()]
     near = np.concatenate([_near(part, (part.motion.v == 0.0).astype(float))[:, rows] for part in parts])
-    return np.asarray(near * np.minimum(held, np.max([_may_hold(s, effects)[rows] for s in segments], axis=0)))
+    return np.asarray(near * np.minimum(held, np.max([_may_hold(s, by_angle, steep)[rows] for s in segments], axis=0)))
 
 
 def _near(segment: Segment, *unknown: Array) -> Array:
@@ -103,9 +103,8 @@ def _near(segment: Segment, *unknown: Array) -> Array:
     return np.asarray(envelope[:: segment.factor][segment.kept])
 
 
-def _may_hold(segment: Segment, effects: list[Effect]) -> Array:
+def _may_hold(segment: Segment, by_angle: list[Effect], steep: list[Effect]) -> Array:
     """Dry friction of each coordinate, (n,), N m."""
-    by_angle, steep = ([e for e in effects if e.traits.remembers is known] for known in (True, False))
     moved = segment.motion.part(slice(0, 2))
     ends = (
         with_forces(np.zeros_like(moved.v), steep, dataclasses.replace(moved, stuck=way * np.ones_like(moved.v)))
