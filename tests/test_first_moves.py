@@ -11,6 +11,7 @@ import pytest
 import rx90b_flex as rf
 from rx90b_flex.diagnose.moving import unmoved, waiting
 from rx90b_flex.diagnose.residual import Errors
+from rx90b_flex.view.report import headline
 
 COULOMB, VISCOUS, STIFFNESS = np.array([1.0, 0.6]), np.array([1.5, 0.8]), np.array([150.0, 100.0])
 NOISE, RATE_HZ, LENGTH_S, RAMP_S, CUTOFF_HZ = (0.02, 0.02), 200.0, 20.0, 0.6, 20.0
@@ -105,6 +106,7 @@ def test_hysteresis_that_begins_anywhere_is_found_on_both_joints(tmp_path, seed)
         for e in sorted(result.effects, key=lambda e: e.effect.label, reverse=True)
     ]
     assert stiffness == pytest.approx(STIFFNESS, rel=0.05)
+    assert "since joints first move, from" in headline(result)
 
 
 def test_rows_wait_up_to_half_a_second_after_the_first_move_and_a_creeping_joint_has_yet_to_break_away():

@@ -141,8 +141,16 @@ def headline(result: ClosedLoop) -> str:
     change = "falls" if result.after.validation.relative_error < result.before.validation.relative_error else "goes"
     return (
         f"The model lacked {count} ({named}): with {them} the torque error on data that was not fitted {change} "
-        f"from {before} to {after}, and {_remains(result)}."
+        f"from {before} to {after}{_since_words(result)}, and {_remains(result)}."
     )
+
+
+def _since_words(result: ClosedLoop) -> str:
+    """The same error but for rows before joints first move; empty where there are none."""
+    before, after = result.before.validation.since_moved, result.after.validation.since_moved
+    if before is None or after is None:
+        return ""
+    return f" (since joints first move, from {percent(before.relative_error)} to {percent(after.relative_error)})"
 
 
 def step_note(result: ClosedLoop) -> str:
@@ -193,6 +201,8 @@ def _verdict_meaning(result: ClosedLoop) -> str:
         return "Something is left that is more than noise, and no effect that was tried explains it."
     if result.after.told.validation.relative_error >= result.before.told.validation.relative_error and result.effects:
         return "The effects found help on the recordings that were fitted, but not on those that were held out: they are doubtful."
+    if result.after.validation.relative_error >= result.before.validation.relative_error and result.effects:
+        return "The effects found help where joints move; what friction holds before they first do is left, which nobody knows."
     if result.verdict == "partly_explained":
         return "The effects found are significant, but something else is left that has no name yet."
     left = (
