@@ -30,6 +30,7 @@ VALUES: dict[str, dict[str, Any]] = {
     "backlash": {"gap": 1e-4},
     "base_flexibility": {"stiffness": (2e6, 2e6), "damping": (2e3, 2e3)},
     "base_tilt": {"angle_x": 0.01, "angle_y": -0.01},
+    "breakaway_friction": {"torque": 10.0, "distance": 0.01},
     "cable_torque": {"bends": (3.0, 1.0)},
     "coulomb_friction": {"torque": 10.0},
     "drive_efficiency": {"motoring": 0.06, "backdriving": 0.04},

@@ -21,14 +21,14 @@ RIPPLE = ("gear_ripple", 0, {"order": 30.0, "amplitude": 0.25, "phase": 0.4})
 STRIBECK = ("stribeck_friction", 1, {"torque": 0.4, "velocity": 0.1, "power": 1.0})
 
 
-def started(rng: np.random.Generator) -> tuple[ind.Motion, ind.Array]:
+def started(rng: np.random.Generator, ramp_s: float = RAMP_S) -> tuple[ind.Motion, ind.Array]:
     """Harmonics that each joint begins after a wait of its own, with its rate rising along a quintic; and the waits, s."""
     whole = ind.harmonics(rng, 2, period_s=LENGTH_S, rate_hz=RATE_HZ)
     wait = rng.uniform(*WAITS_S, 2)
     since = whole.time[:, None] - wait
-    s = np.clip(since / RAMP_S, 0.0, 1.0)
-    rate, rising = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * s**2 * (1 - s) ** 2 / RAMP_S
-    at = (2.5 * s**4 - 3 * s**5 + s**6) * RAMP_S + np.maximum(since - RAMP_S, 0.0)
+    s = np.clip(since / ramp_s, 0.0, 1.0)
+    rate, rising = 10 * s**3 - 15 * s**4 + 6 * s**5, 30 * s**2 * (1 - s) ** 2 / ramp_s
+    at = (2.5 * s**4 - 3 * s**5 + s**6) * ramp_s + np.maximum(since - ramp_s, 0.0)
     q, v, a = (
         np.stack([np.interp(x, whole.time, y) for x, y in zip(at.T, ys.T, strict=True)], 1)
         for ys in (whole.q, whole.v, whole.a)

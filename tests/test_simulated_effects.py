@@ -65,6 +65,7 @@ VALUES: dict[str, dict[str, object]] = {
     "resolver_error": {"joint": "elbow", "order": 9.0, "amplitude": 0.002, "phase": 0.5},
     "line_interference": {"joint": "elbow", "frequency_hz": 16.7, "amplitude": 0.4, "phase": 1.2},
     "held_friction": {"joint": "elbow", "torque": 0.8},
+    "breakaway_friction": {"joint": "elbow", "torque": 0.8, "distance": 0.4},
     # at the elbow's fastest, 3.15 rad/s, as much per load as the load friction above, which is what the tolerance is for
     "load_viscous_friction": {"joint": "elbow", "coefficient": 0.03},
     "drive_efficiency": {"joint": "elbow", "motoring": 0.06, "backdriving": 0.09},
@@ -164,6 +165,13 @@ def dahl(m: Moved, torque: float, stiffness: float) -> Array:
     return f[::40][1:-1]
 
 
+def breaking_away(m: Moved, torque: float, distance: float) -> Array:
+    """Friction that fades with the farthest from the start, its sign as Dahl's along 3 % of the distance."""
+    away = np.abs(m.run.q[:, ELBOW] - m.run.q[0, ELBOW])
+    left = np.exp(-np.maximum.accumulate(away) / distance)[1:-1]
+    return torque * left * dahl(m, 1.0, 1.0 / (0.03 * distance))
+
+
 def maxwell(m: Moved, torques: list[float], stiffnesses: list[float]) -> Array:
     """Elements that stick and slip, forty steps a sample, from rest."""
     fine = np.linspace(m.run.time[0], m.run.time[-1], 40 * (len(m.run.time) - 1) + 1)
@@ -199,6 +207,7 @@ EXPECTED: dict[str, Callable[[Moved, dict[str, float]], Array]] = {
         plain(m.drives) + elbow(p["coefficient"] * np.exp(-m.time / p["time_constant"]) * m.drives.v[:, ELBOW])
     ),
     "presliding_friction": lambda m, p: plain(m.drives) + elbow(dahl(m, p["torque"], p["stiffness"])),
+    "breakaway_friction": lambda m, p: plain(m.drives) + elbow(breaking_away(m, p["torque"], p["distance"])),
     "load_friction": lambda m, p: (
         plain(m.drives)
         + elbow(p["coefficient"] * np.abs(arm().torque(m.drives)[:, ELBOW]) * np.sign(m.drives.v[:, ELBOW]))
