@@ -84,8 +84,19 @@ def test_joints_that_break_away_at_what_slides_get_no_name_for_it(tmp_path, seed
     assert {e.effect.label for e in result.effects} == {"elbow.stribeck_friction"}
 
 
-def test_a_single_start_gets_no_name(tmp_path):
-    assert not of_type(closed(tmp_path, 11, TWO), "breakaway_friction")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_single_start_gets_no_name_and_is_told(tmp_path, seed):
+    result = closed(tmp_path, seed, TWO)
+    assert not of_type(result, "breakaway_friction")
+    assert result.verdict == "unexplained"
+    for joint in ("shoulder", "elbow"):
+        assert any(f"{joint} needs" in c and "as it first moves" in c for c in result.cautions)
+
+
+def test_single_starts_of_sound_joints_are_not_told(tmp_path):
+    result = closed(tmp_path, 11, TWO, stood_s=0.0)
+    assert result.verdict == "nothing_missing"
+    assert not any("as it first moves" in c for c in result.cautions)
 
 
 def test_it_is_tried_where_several_logs_begin_at_rest(tmp_path):

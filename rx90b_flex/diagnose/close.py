@@ -33,6 +33,7 @@ from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.side_by_side import worth_while
 from rx90b_flex.diagnose.slow import Slow, slow_errors
+from rx90b_flex.diagnose.starts import first_moves
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -483,9 +484,10 @@ class _Ended:
         beyond = self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
+        starts = first_moves(*left)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
-        rest = (where, doubtful, spread, happened, bool(drifts))
+        rest = (where, doubtful, spread, happened, bool(drifts or starts))
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)
@@ -515,6 +517,7 @@ class _Ended:
                 *beyond,
                 *said,
                 *_event_words(happened, campaign.joints, known, after.validation),
+                *(s.words for s in starts),
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
         )

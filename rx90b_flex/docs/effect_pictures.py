@@ -25,6 +25,7 @@ from rx90b_flex.view.axes import AFTER, BEFORE, MEASURED
 from rx90b_flex.view.plots import explained
 
 RATE_HZ = 400.0
+START_S = 1.5  # until the arm, which begins at rest, has its full speed
 REST_S = (6.0, 7.5)  # when the arm stands still
 PART = 0.1  # of the torque's root mean square, how large the effect is drawn
 BASIC = ("torque_offset", "coulomb_friction", "viscous_friction")
@@ -52,11 +53,11 @@ def save(cls: type[Effect], path: Path) -> bool:
 
 @cache
 def _scene() -> tuple[Robot, Motion]:
-    """The demonstration's robot; its joints slow down together, rest, and go on."""
+    """The demonstration's robot; its joints begin at rest, slow down together, rest, and go on."""
     robot = load_robot(ROBOT)
     time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
-    ends = np.array([REST_S[0] - 0.5, REST_S[0], REST_S[1], REST_S[1] + 0.5])
-    pace = np.interp(time, ends, [1.0, 0.0, 0.0, 1.0])
+    ends = np.array([0.0, START_S, REST_S[0] - 0.5, REST_S[0], REST_S[1], REST_S[1] + 0.5])
+    pace = np.interp(time, ends, [0.0, 1.0, 1.0, 0.0, 0.0, 1.0])
     pace = pace**2 * (3.0 - 2.0 * pace)
     along = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]))]) / RATE_HZ
     q, v, a = harmonic_motion(robot.tree, along, np.random.default_rng(3), period_s=PERIOD_S, lines=LINES, speed=SPEED)

@@ -96,8 +96,9 @@ class BreakawayFriction(RememberingLaw, breaks_away=True, repeats_with_motion=Fa
 
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
-        """Where it shows more than once."""
-        return [cls(joint=j) for j in sites.joints if sum(stood(m.joint(j)) for m in sites.motions) >= FEWEST_STARTS]
+        """Where it shows more than once, as far as motions are known."""
+        starts = {j: sum(stood(m.joint(j)) for m in sites.motions) for j in sites.joints}
+        return [cls(joint=j) for j, count in starts.items() if count >= FEWEST_STARTS or not sites.motions]
 
 
 def stood(at: JointMotion) -> bool:
