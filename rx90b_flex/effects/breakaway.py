@@ -19,7 +19,10 @@ from rx90b_flex.effects.reversal import SHARP, SLOWEST_PART, Resolution, reversa
 
 TURNS_ALONG = 0.03  # of the distance along which it fades: contacts bend by much less than they slide
 RESOLVED = 4.0  # times the angle that a log resolves: the least distance that it tells
-SHORTEST, LONGEST = 1e-5, 0.1  # of a joint's travel: what fades along more is no start
+SHORTEST, LONGEST = (
+    5e-4,
+    0.1,
+)  # of a joint's travel: what fades along less is held before the first move, along more it is no start
 FEWEST_STARTS = 2  # logs that begin with the joint at rest: one start says nothing of the next
 
 
@@ -92,7 +95,7 @@ class BreakawayFriction(RememberingLaw, breaks_away=True, repeats_with_motion=Fa
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
         low, high = self.shape_range(motion)[:, 0]
-        return ShapeSearch(np.geomspace(2.0 * low, 0.5 * high, 8)[:, None], independent=3, part=0.5)
+        return ShapeSearch(np.geomspace(1.5 * low, 0.7 * high, 7)[:, None], independent=3, part=0.5)
 
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:

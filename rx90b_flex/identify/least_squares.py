@@ -162,7 +162,7 @@ class Identification:
     @property
     def centre(self) -> Array:
         """What `precision` pulls to, (p + s,)."""
-        return _pulled_to(self._own_links, self.links_near, len(self.theta) + len(self.shapes))
+        return near_tree.pulled_to(self._own_links, self.links_near, len(self.theta) + len(self.shapes))
 
     @property
     def information(self) -> Array:
@@ -467,8 +467,11 @@ class _Fit:
     @property
     def follows(self) -> Mask:
         """Which coefficients follow from their effect's shape, shape (p,)."""
-        own = [np.full(len(e.coefficients), e.traits.coefficients_follow) for e in self.effects]
-        return np.concatenate([np.zeros(self._offset, bool), *own])
+        return self._of_effects([e.traits.coefficients_follow for e in self.effects])
+
+    def _of_effects(self, which: Sequence[bool]) -> Mask:
+        """Which coefficients are of those effects, (p,)."""
+        return np.repeat([False, *which], [self._offset, *(len(e.coefficients) for e in self.effects)])
 
     @cached_property
     def goal(self) -> Array:
@@ -540,7 +543,7 @@ class _Fit:
     @property
     def centre(self) -> Array:
         """What `precision` pulls to, (p,)."""
-        return _pulled_to(self._own_links, self.links_near, len(self.prior))
+        return near_tree.pulled_to(self._own_links, self.links_near, len(self.prior))
 
     def smoothed(self) -> _Fit:
         """With strengths of penalties that were not chosen yet, each by what is predicted of blocks that are held out."""
@@ -672,7 +675,16 @@ class _Fit:
 
     def _stepped(self, rounds: int, moving: Mask) -> _Fit:
         """Steps in some of the shape parameters (s,)."""
-        return lowest(_Shaped(self, moving & ~self.shapes.held, self.solution.sigma), rounds).fit
+        # what a robot file states, as it does when a loop is closed again, goes on to be possible
+        stated = {e.label for e in self.regression.robot.effects if e.known}
+        within = self._of_effects([e.label in stated for e in self.effects]) & ~self.beyond
+        return lowest(_Shaped(self, moving & ~self.shapes.held, self.solution.sigma, within), rounds).fit
+
+    @property
+    def beyond(self) -> Mask:
+        """Which coefficients lie below what they can be, (p,)."""
+        low = [p.lower for e in self.effects for p in e.coefficient_parameters.values()]
+        return self.solution.determined & (self.solution.theta < np.append(np.full(self._offset, -np.inf), low))
 
     def shape_equations(self, sigma: Array) -> tuple[Array, Array]:
         """Normal equations of a step in the shapes' fitted coordinates, (s, s) and (s,)."""
@@ -753,10 +765,12 @@ class _Shaped(Iterate):
     fit: _Fit
     moving: Mask
     sigma: Array
+    within: Mask  # stated coefficients that were within their bounds where it began, (p,): they stay there
 
     @cached_property
     def goal(self) -> float:
-        return self.fit.cost(self.sigma)
+        left = self.within.any() and (self.within & self.fit.beyond).any()
+        return np.inf if left else self.fit.cost(self.sigma)
 
     @property
     def enough(self) -> float:
@@ -779,12 +793,4 @@ def _with_links(effects: Sequence[Effect], links: Array, strength: float) -> Arr
     out = np.pad(prior_precision(effects), ((len(links), 0), (len(links), 0)))
     if strength:
         out[np.diag_indices(len(links))] = near_tree.precision(links, strength)
-    return out
-
-
-def _pulled_to(links: Array, strength: float, size: int) -> Array:
-    """What that precision pulls to, (size,): links with a strength to the tree's values, all else to zero."""
-    out = np.zeros(size)
-    if strength:
-        out[: len(links)] = links
     return out

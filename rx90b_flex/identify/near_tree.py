@@ -63,3 +63,11 @@ def chosen(normal: NormalEquations, sigma: Array, before: Array, links: Array) -
         left.append(squares_held_out(normal, none, sigma, whole, none))
     squares = np.array(left)
     return float(STRENGTHS[np.flatnonzero(squares <= AS_GOOD * squares.min())[0]])
+
+
+def pulled_to(links: Array, strength: float, size: int) -> Array:
+    """What that precision pulls to, (size,): links with a strength to the tree's values, all else to zero."""
+    out = np.zeros(size)
+    if strength:
+        out[: len(links)] = links
+    return out
