@@ -72,7 +72,7 @@ def test_friction_of_contacts_that_have_aged_is_found_on_both_joints_and_nothing
     result = closed(tmp_path, seed, THREE)
     assert {e.effect.label for e in result.effects} == {"shoulder.breakaway_friction", "elbow.breakaway_friction"}
     before, after = result.before.told.validation, result.after.told.validation
-    assert after.relative_error < 0.2 * before.relative_error
+    assert after.relative_error < 0.3 * before.relative_error
     # what it grew by while the joints stood
     for e, grows in zip(sorted(result.effects, key=lambda e: e.effect.label, reverse=True), GROWS, strict=True):
         assert e.effect.known_coefficients()[0] == pytest.approx(grows * np.log1p(STOOD_S / YOUNG_S), rel=0.15)

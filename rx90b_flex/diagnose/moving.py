@@ -12,6 +12,7 @@ from rx90b_flex.identify.segment import STANDING_S
 
 AT_REST = 0.01  # of a joint's largest speed, below which it rests
 AT_REST_RAD_S = 1e-3  # and below which any joint does; m/s for prismatic ones
+RINGS = 1e-5  # of it, below which a velocity is none but a filter's
 MOSTLY = 0.5  # of the squared error
 BEGINNING_S = 0.5  # from a joint's first move on: what friction does there depends on what was before the recording
 
@@ -72,9 +73,11 @@ def unmoved(velocity: Array, rate_hz: float) -> Mask:
 def waiting(velocity: Array, rate_hz: float) -> Mask:
     """Rows of one recording in which a joint has stood still since it began, and of the half second after, (N, joints).
 
-    What friction holds there follows from what was before. Velocities are zero where angles tell no motion (`segment.prepare`).
+    What friction holds there follows from what was before. Velocities are zero where angles tell no motion (`segment.prepare`), but
+    for what a filter lets ring before the first move.
     """
-    still = _longer(velocity == 0.0, rate_hz)
+    speed = np.abs(velocity)
+    still = _longer(speed <= RINGS * speed.max(axis=0), rate_hz)
     return np.asarray(~begun(still, rate_hz) & still[0])
 
 
