@@ -472,9 +472,9 @@ class _Ended:
         for regression in (residual.data.regression, declared.regression, model.regression):
             regression.forget(first_looks=True)
         held_out = residual.data.held_out.weighted(row_weights(residual.data.held_out, model))
-        of_motors = model.residual[:, : len(campaign.joints)]
-        left = ((model.regression.motors, of_motors), (held_out, model.residual_on(held_out)))
-        where = dependences(left, seed)
+        fitted = model.regression.motors, model.residual[:, : len(campaign.joints)]
+        left = fitted, (held_out, model.residual_on(held_out))
+        where, starts = dependences(left, seed), first_moves(*left)
         cautions = _cautions(self.source, campaign)
         links_off, in_doubt = self._if_links_are_off(after.told.validation.relative_error)
         predictions = self._predictions()
@@ -484,7 +484,6 @@ class _Ended:
         beyond = self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
-        starts = first_moves(*left)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, happened, bool(drifts or starts))

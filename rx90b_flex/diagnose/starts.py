@@ -55,14 +55,14 @@ def first_moves(fitted: tuple[Regression, Array], held_out: tuple[Regression, Ar
     """
     found = []
     for j in range(len(fitted[0].joints)):
-        own, others = ([p for p in _parts(*role, j) if p.stood] for role in (fitted, held_out))
+        own, others = ([p for p in _starts(*role, j) if p.stood] for role in (fitted, held_out))
         if others and 0 < len(own) < FEWEST_STARTS:
             found.append(_of(own, others))
     return tuple(f for f in found if f is not None)
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _Start:
     """One joint in one recording, and what is left of its torque, (N,)."""
 
     segment: Segment
@@ -87,12 +87,12 @@ class _Part:
         return np.where(still, 0.0, force)
 
 
-def _parts(regression: Regression, left: Array, joint: int) -> list[_Part]:
+def _starts(regression: Regression, left: Array, joint: int) -> list[_Start]:
     edges = np.cumsum([len(s) for s in regression.segments])[:-1]
-    return [_Part(s, joint, x[:, joint]) for s, x in zip(regression.segments, np.split(left, edges), strict=True)]
+    return [_Start(s, joint, x[:, joint]) for s, x in zip(regression.segments, np.split(left, edges), strict=True)]
 
 
-def _of(own: Sequence[_Part], others: Sequence[_Part]) -> FirstMove | None:
+def _of(own: Sequence[_Start], others: Sequence[_Start]) -> FirstMove | None:
     left = np.concatenate([p.left for p in own])
     plain = BreakawayFriction(joint=own[0].name, torque=1.0)
     candidates = []
@@ -109,7 +109,7 @@ def _of(own: Sequence[_Part], others: Sequence[_Part]) -> FirstMove | None:
     return FirstMove(effect, shares[1]) if min(shares) > TAKEN else None
 
 
-def _share(effect: BreakawayFriction, parts: Sequence[_Part]) -> float:
+def _share(effect: BreakawayFriction, parts: Sequence[_Start]) -> float:
     """Part of the squared error of first moves that an effect takes off; zero where these err little more than the rest."""
     column, left = (np.concatenate(x) for x in ([p.column(effect) for p in parts], [p.left for p in parts]))
     there = np.abs(column) > THERE * np.abs(column).max()
