@@ -135,6 +135,7 @@ OUTSIDE_KINDS: Mapping[str, Kind] = {
 }
 # why types of the catalogue are not hidden in this study
 ELSEWHERE = {
+    "breakaway_friction": "periodic motion has no first move; in `tests/test_breakaway.py`",
     "joint_flexibility": "in `closing_the_loop_over_frequency.py`",
     "base_flexibility": "in `closing_the_loop_over_frequency.py`",
     "stiffness_hardening": "beside a declared flexible drive; in the tests of deflecting drives",
