@@ -42,7 +42,7 @@ class BreakawayFriction(RememberingLaw, breaks_away=True, repeats_with_motion=Fa
     ----------
     `stribeck_friction` is there at every slow passage; `friction_drift` fades with time, in proportion to the velocity;
     `held_friction` and `presliding_friction` act at later rests and reversals too. Needs two logs or more that begin at rest, with
-    a first move that is slow.
+    a first move that is slow; where all first moves go the same way, a torque that settles as logs begin looks the same.
 
     Source
     ------
