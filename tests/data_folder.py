@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 
 import pytest
+
+from rx90b_flex.signals import Campaign, load_campaign
 
 VARIABLE = "RX90B_FLEX_DATA"
 
@@ -22,3 +25,11 @@ def data_folder(name: str) -> Path:
 def tx40_folder() -> Path:
     """Folder of the TX40 recording, or skip."""
     return data_folder("tx40")
+
+
+def kr300_without(held_out: str) -> Campaign:
+    """The KR300's campaign with that recording (A, B or C) held out and the others fitted."""
+    campaign = load_campaign(data_folder("kr300_encoders") / "campaign.toml")
+    roles = {True: "validation", False: "identification"}
+    recordings = tuple(dataclasses.replace(r, role=roles[r.name == held_out]) for r in campaign.recordings)
+    return dataclasses.replace(campaign, recordings=recordings)

@@ -31,9 +31,9 @@ from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors, replayed_errors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
+from rx90b_flex.diagnose.seldom import shown_seldom
 from rx90b_flex.diagnose.side_by_side import worth_while
 from rx90b_flex.diagnose.slow import Slow, slow_errors
-from rx90b_flex.diagnose.starts import first_moves
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -474,7 +474,7 @@ class _Ended:
         held_out = residual.data.held_out.weighted(row_weights(residual.data.held_out, model))
         fitted = model.regression.motors, model.residual[:, : len(campaign.joints)]
         left = fitted, (held_out, model.residual_on(held_out))
-        where, starts = dependences(left, seed), first_moves(*left)
+        where, seldom = dependences(left, seed), shown_seldom(*left)
         cautions = _cautions(self.source, campaign)
         links_off, in_doubt = self._if_links_are_off(after.told.validation.relative_error)
         predictions = self._predictions()
@@ -486,7 +486,7 @@ class _Ended:
         happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
-        rest = (where, doubtful, spread, happened, bool(drifts or starts))
+        rest = (where, doubtful, spread, happened, bool(drifts or seldom))
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)
@@ -516,7 +516,7 @@ class _Ended:
                 *beyond,
                 *said,
                 *_event_words(happened, campaign.joints, known, after.validation),
-                *(s.words for s in starts),
+                *(s.words for s in seldom),
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
         )

@@ -47,7 +47,7 @@ class Remains:
     events : sequence of Events
         Where most of a joint's error on validation lies in a few short times.
     slow : bool
-        Whether much of a joint's torque is left that is too slow for noise, or what joints need only as they first move.
+        Whether much of a joint's torque is left that is too slow for noise, or what shows too seldom for a name.
     """
 
     joints: tuple[str, ...]

@@ -100,8 +100,15 @@ class BreakawayFriction(RememberingLaw, breaks_away=True, repeats_with_motion=Fa
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         """Where it shows more than once, as far as motions are known."""
-        starts = {j: sum(stood(m.joint(j)) for m in sites.motions) for j in sites.joints}
-        return [cls(joint=j) for j, count in starts.items() if count >= FEWEST_STARTS or not sites.motions]
+        return [cls(joint=j) for j in sites.joints if not sites.motions or _starts(j, sites) >= FEWEST_STARTS]
+
+    @classmethod
+    def too_seldom(cls, sites: Sites) -> Sequence[Effect]:
+        return [cls(joint=j) for j in sites.joints if 0 < _starts(j, sites) < FEWEST_STARTS]
+
+
+def _starts(joint: str, sites: Sites) -> int:
+    return sum(stood(m.joint(joint)) for m in sites.motions)
 
 
 def stood(at: JointMotion) -> bool:

@@ -120,6 +120,11 @@ class Hints(Parametrized, ABC):
         """How many independent shapes that search tries, without where it begins."""
         return self.shape_search(motion).independent
 
+    @classmethod
+    def too_seldom(cls, sites: Sites) -> Sequence[Effect]:
+        """What of one joint and coefficient is not tried, for these motions show it too seldom to be judged by them alone."""
+        return ()
+
     def begun_otherwise(self) -> Sequence[Effect]:
         """The same with other guesses at what it held as a log begins, which no log tells."""
         return ()
