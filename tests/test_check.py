@@ -521,7 +521,8 @@ def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
     rows = [np.arange(12, 38, 3), np.arange(10, 30, 4)]
     tracks = tuple(Track(t, r, 10.0) for t, r in zip(logs, rows, strict=True))
     empty = np.zeros((14, 3))
-    sample = Sample(("a", "b", "c"), *[empty] * 4, np.zeros((14, 3, 3)), tracks, np.zeros(14, dtype=int), 1.0)
+    left, fold = np.ones((14, 3), dtype=bool), np.zeros(14, dtype=int)
+    sample = Sample(("a", "b", "c"), *[empty] * 4, np.zeros((14, 3, 3)), left, tracks, fold, 1.0)
     plain = Reading.of(rf.load_robot("rx90b_3dof"), 3, 2)
     reading = dataclasses.replace(
         plain,

@@ -29,6 +29,7 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
+BY_LINKS = (*ON_POSES, lengths, sample_rates)  # the same of these
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 RATIOS = (
     gear_ratios,
@@ -42,7 +43,9 @@ TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
 GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
+LACKING = 1.0  # of a joint's log error, which what its drive lacks takes, from where faults are looked for beside that, too
 STEADY = 4.0  # Student's t of the gains of the rows that are held out in turn: a fault is there all the time, chance now and then
+LARGE, STEADY_LARGE = 2.0, 2.0  # the same of gains that are hardly chance in a log that is long enough
 LOSS = 0.15  # that the fit with free links may lose at the same time
 THIN = 3  # rows of a first look at every hypothesis: one in so many
 SECOND_LOOKS = 2  # of each kind, at all rows and with the factor refined
@@ -67,7 +70,7 @@ def faults_of(look: Look) -> tuple[tuple[Found, ...], Look]:
     """Faults of columns, units, times and kinematics, one behind the other, and the look with them mended."""
     found: list[Found] = []
     for _ in range(MOST):
-        best = _best(look)
+        best = _best(look) or _beside_effects(look)
         if best is None:
             break
         found.append(best)
@@ -79,7 +82,7 @@ def faults_of(look: Look) -> tuple[tuple[Found, ...], Look]:
 class _Gain:
     """What a hypothesis gains: with the links fitted, and with those of the URDF, where these are worth a look.
 
-    `possible` is the part of `fitted` that comes of friction and inertias which no body has; `steady` is Student's t of what the rows
+    `possible` is the part of `fitted` that comes of friction and inertias which no body has, and of what is evident; `steady` is Student's t of what the rows
     gain that are held out in turn; links of the URDF that are off do not count against what goes `by_free_links`.
     """
 
@@ -107,7 +110,7 @@ class _Bases:
         self.near = (self.fitted, self.known) if first else (None, None)
 
     def fitted_gain(self, hypothesis: Hypothesis) -> float:
-        return self.fitted.score - self.look.fit(hypothesis.reading, self.near[0]).score
+        return self.fitted.score - self.look.fit(hypothesis.reading, self.near[0]).score + hypothesis.evident
 
     def gain(self, hypothesis: Hypothesis) -> _Gain:
         free = self.look.fit(hypothesis.reading, self.near[0])
@@ -117,10 +120,10 @@ class _Bases:
         if credible and hypothesis.by_links:
             folds = folds + OF_KNOWN * (self.known.scores - known.scores)
         return _Gain(
-            self.fitted.score - free.score,
+            self.fitted.score - free.score + hypothesis.evident,
             self.known.score - known.score,
             credible,
-            IMPOSSIBLE * float(self.fitted.impossible.sum() - free.impossible.sum()),
+            IMPOSSIBLE * float(self.fitted.impossible.sum() - free.impossible.sum()) + hypothesis.evident,
             _students_t(folds),
             not hypothesis.by_links,
         )
@@ -137,6 +140,17 @@ class _Bases:
         if not (better or (after.error[gaining] > SMALL).any()):
             return False
         return free.score - self.look.fit_of_free_links(hypothesis.reading).score < MODEST
+
+
+def _beside_effects(look: Look) -> Found | None:
+    """The same beside what drives may have and the robot file lacks, where that explains most of what a joint leaves: it hides
+    faults.
+    """
+    beside = look.beside
+    if not beside.tells():
+        return None
+    less = np.log((look.fit().error + FLOOR) / (beside.fit().error + FLOOR))
+    return _best(beside) if min(less.max(), less.sum()) > LACKING else None
 
 
 def _best(look: Look) -> Found | None:
@@ -156,13 +170,13 @@ def _best(look: Look) -> Found | None:
                 refined.append((bases.gain(better), rank, better, std))
     refined = _one_ratio(refined)
     accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
-    beside = look.beside(with_effects=True)
+    beside = look.beside
     while accepted:
         top = max(gain.total for gain, *_ in accepted)
         best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
         gain, _, chosen, std = best_one
         if not _in_doubt(bases, beside, best_one):
-            alike = [h for g, _, h, _ in accepted if g.total >= gain.total - TIE]
+            alike = [h for g, _, h, _ in accepted if g.total >= gain.total - MODEST]
             return Found(_or_else(chosen, alike), std, bases.fitted, look.fit(chosen.reading))
         accepted.remove(best_one)
     return None
@@ -175,6 +189,8 @@ def _in_doubt(bases: _Bases, beside: Look, refined: _Refined) -> bool:
     """
     gain, rank, chosen, _ = refined
     after, bare = bases.look.fit(chosen.reading), beside.fit()
+    if IMPOSSIBLE * float((bases.fitted.driven - after.driven).sum()) + chosen.evident >= GAIN:
+        return False  # no effect makes friction drive a joint
     without = gain.fitted >= MODEST and bare.score - beside.fit(chosen.reading).score < MODEST
     if KINDS[rank] not in RATIOS:
         return without
@@ -198,15 +214,16 @@ def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
 
 def _by_the_urdf(look: Look, ratio: Hypothesis) -> bool:
     """Whether a zero or a length of the URDF that is a little off does as well as another scale of an angle."""
-    thin = look.beside(THIN)
+    thin = look.thinned(THIN)
     least = thin.fit(ratio.reading).score + TIE
     return any(thin.fit(thin.refined(h)[0].reading).score < least for h in a_little_off(thin))
 
 
 def _or_else(chosen: Hypothesis, alike: list[Hypothesis]) -> Hypothesis:
-    """With what else of the same joints could have the wrong sign, as far as the data tell."""
-    others = [h for h in alike if (h.kind, h.joints) == (chosen.kind, chosen.joints) and h.signal != chosen.signal]
-    if chosen.kind != "reversed_sign" or not others:
+    """With what else of the same joints could have the wrong sign or place, as far as the data tell."""
+    same = (chosen.kind, set(chosen.joints))
+    others = [h for h in alike if (h.kind, set(h.joints)) == same and h.signal != chosen.signal]
+    if chosen.kind not in ("reversed_sign", "swapped_columns") or not others:
         return chosen
     other = {"torque": "torque", "motor_position": "position"}.get(others[0].signal or "", "position and torque")
     return dataclasses.replace(chosen, text=f"{chosen.text} Or the {other}: these data do not tell which of the two.")
@@ -214,13 +231,13 @@ def _or_else(chosen: Hypothesis, alike: list[Hypothesis]) -> Hypothesis:
 
 def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesis]]:
     """The best of each kind at a part of the rows, as (gain, rank of the kind, hypothesis)."""
-    bases = _Bases(look.beside(THIN), first=True)
+    bases = _Bases(look.thinned(THIN), first=True)
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
-        if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS)):
+        if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS)) or (look.with_effects and kind in RATIOS):
             continue
-        on_pose = kind in ON_POSES
-        tried = [(bases.gain(h).total if on_pose else bases.fitted_gain(h), rank, h) for h in kind(bases.look)]
+        by_links = kind in BY_LINKS
+        tried = [(bases.gain(h).total if by_links else bases.fitted_gain(h), rank, h) for h in kind(bases.look)]
         tried.sort(key=lambda t: -t[0])
         out += [t for t in tried[:SECOND_LOOKS] if t[0] > PROMISING]
     highest = max((gain for gain, *_ in out), default=0.0)
@@ -229,7 +246,8 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
 
 def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
     """Whether a hypothesis does so much better than no fault that chance and missing effects do not explain it."""
-    if gain.steady < STEADY and gain.possible < GAIN:
+    large = gain.fitted >= LARGE and bases.look.tells()
+    if gain.steady < (STEADY_LARGE if large else STEADY) and gain.possible < GAIN:
         return False
     on_pose = KINDS[rank] in ON_POSES
     before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
@@ -245,7 +263,7 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
     # another tree may explain a little more of torques that neither explains
     if gain.fitted >= GAIN and not (on_pose and (gaining > CREDIBLE).any()):
         return True
-    return on_pose and gain.credible and gain.known >= GAIN_KNOWN and gain.fitted > -LOSS
+    return KINDS[rank] in BY_LINKS and gain.credible and gain.known >= GAIN_KNOWN and gain.fitted > -LOSS
 
 
 def _students_t(values: Array) -> float:

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
-from rx90b_flex.diagnose.faults.rigid_fit import PER_JOINT
+from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE, PER_JOINT
 from rx90b_flex.diagnose.faults.sample import Reading
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 
 OTHER = 1.1  # times what the other recordings ask for, from which a torque is looked at
 WITHIN = 1.6  # times a first guess of a factor
 AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
 MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
 FRICTION = (1, 2, 4)  # viscous, dry, and viscous by direction, of a joint's own columns
+AGAINST = 0.3  # correlation of velocity and torque: so much in all recordings, and so much against it in one
 
 
 def reversed_in_one(look: Look) -> Iterator[Hypothesis]:
     """A joint's torque or position with the other sign in one recording."""
-    for r, k, ratio in _places(look):
-        if ratio < 0:
-            yield _reversed(look, "torque_scale_in", r, k)
-        yield _reversed(look, "scale_in", r, k)
+    places = list(_places(look))
+    driven = _driven_in_one(look) if places else None
+    for r, k, ratio in places:
+        evident = IMPOSSIBLE if driven is not None and driven[r, k] else 0.0
+        if ratio < 0 or evident:
+            yield _reversed(look, "torque_scale_in", r, k, evident)
+        yield _reversed(look, "scale_in", r, k, evident)
 
 
 def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
@@ -45,7 +49,7 @@ def other_loads(look: Look) -> Iterator[Hypothesis]:
     if len(tracks) < 2 or any(look.reading.other_load):
         return
     friction = _of_friction(look)
-    spread = look.sample.torque_seen(look.reading).var(axis=0) + 1e-300
+    spread = look.measured().var(axis=0) + 1e-300
     warm = (friction.left / spread).sum(axis=1) < MOSTLY * (friction.left_now / spread).sum(axis=1)
     for r in np.flatnonzero(~warm).tolist():
         text = (
@@ -74,7 +78,7 @@ def _of_friction(look: Look) -> _OfFriction:
     """Whether a recording that stands apart has another friction: a robot is warmer in one than in another."""
     sample, reading = look.sample, look.reading
     columns, theta = look.columns(reading), look.fit().theta.mean(axis=0)
-    measured, predicted = sample.torque_seen(reading), look.predicted()
+    measured, predicted = look.measured(), look.predicted()
     own = [[reading.links + PER_JOINT * j + i for i in FRICTION] for j in range(len(sample.joints))]
     rubs = np.stack([columns[:, j, at] @ theta[at] for j, at in enumerate(own)], axis=1)
 
@@ -90,6 +94,39 @@ def _of_friction(look: Look) -> _OfFriction:
     return _OfFriction(now, left(predicted), left(rubs))
 
 
+def _driven_in_one(look: Look) -> Mask:
+    """Where the torque, and what of it the links do not ask for, drives a joint, while both brake it in every other recording;
+    (recordings, joints).
+    """
+    sample, reading = look.sample, look.reading
+    columns, theta = look.columns(reading), look.fit().theta.mean(axis=0)
+    resisting = look.measured() - look.predicted()
+    for j in range(len(sample.joints)):
+        own = [reading.links + PER_JOINT * j + i for i in FRICTION]
+        resisting[:, j] += columns[:, j, own] @ theta[own]
+    velocity = sample.seen(reading)[1] * sample.left_seen(reading)
+    along = np.array([_along(sample.spans, velocity, x) for x in (resisting, look.measured())])
+    drives, brakes = along.max(axis=(0, 1)), along.min(axis=(0, 1))
+    others = np.array([np.delete(brakes, r, axis=0).min(axis=0) for r in range(len(brakes))])
+    return np.asarray((drives < -AGAINST) & (others > AGAINST))
+
+
+def _along(spans: Sequence[slice], velocity: Array, torque: Array) -> Array:
+    """Correlation of each recording's and joint's torque, less its mean, with its velocity, one way and the other,
+    (2, recordings, joints).
+    """
+    out = []
+    for span in spans:
+        v, swing = velocity[span], torque[span] - torque[span].mean(axis=0)
+        ways = [(np.maximum(sign * v, 0.0), sign * swing) for sign in (1.0, -1.0)]
+        out.append([(a * b).sum(axis=0) / np.maximum(_norm(a) * _norm(b * (a > 0)), 1e-300) for a, b in ways])
+    return np.array(out).swapaxes(0, 1)
+
+
+def _norm(x: Array) -> Array:
+    return np.asarray(np.linalg.norm(x, axis=0))
+
+
 def _places(look: Look) -> Iterator[tuple[int, int, float]]:
     """Every recording and joint, and what `_ratios` says of them; none of a single recording."""
     if len(look.sample.tracks) > 1:
@@ -101,8 +138,8 @@ def _ratios(look: Look) -> Array:
 
     Of a fit to all of them, which the wrong one bends: its sign and size beside the others' show all the same.
     """
-    sample, reading = look.sample, look.reading
-    predicted, measured = look.predicted(), sample.torque_seen(reading)
+    sample = look.sample
+    predicted, measured = look.predicted(), look.measured()
     out = np.array(
         [
             (predicted[span] * measured[span]).sum(axis=0) / np.maximum((predicted[span] ** 2).sum(axis=0), 1e-300)
@@ -120,13 +157,14 @@ def _name(look: Look, recording: int) -> str:
     return name if names.count(name) == 1 else f"{name} (recording {recording + 1})"
 
 
-def _reversed(look: Look, name: str, recording: int, joint: int) -> Hypothesis:
+def _reversed(look: Look, name: str, recording: int, joint: int, evident: float) -> Hypothesis:
     what, signal = ("torque", "torque") if name == "torque_scale_in" else ("position", "motor_position")
     said, where = look.sample.joints[joint], _name(look, recording)
     text = (
         f"The {what} of {said} has the wrong sign in {where}, and not in the other recordings: change it in that log."
     )
-    return Hypothesis.of("reversed_sign", signal, (said,), text, look.reading.changed_in(name, recording, joint, -1.0))
+    reading = look.reading.changed_in(name, recording, joint, -1.0)
+    return dataclasses.replace(Hypothesis.of("reversed_sign", signal, (said,), text, reading), evident=evident)
 
 
 def _scaled(look: Look, recording: int, joint: int, factor: float) -> Hypothesis:

@@ -16,6 +16,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 
 KEPT = 3  # motions whose columns are kept: the present one, and those that a refinement goes back to
+ENOUGH = 10.0  # times as many independent values of torques as columns
 STEPS = 14  # of a refinement
 
 
@@ -50,6 +51,8 @@ class Hypothesis:
         The factor at which nothing is wrong.
     by_links : bool
         Whether the factor goes by the URDF's links, too.
+    evident : float
+        What shows of it without a fit, as a gain.
     """
 
     kind: str
@@ -65,6 +68,7 @@ class Hypothesis:
     far: float = np.inf
     neutral: float = 0.0
     by_links: bool = True
+    evident: float = 0.0
 
     @staticmethod
     def of(
@@ -97,10 +101,19 @@ class Look:
     _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
     robots: dict[tuple[object, ...], Robot] = field(default_factory=dict, repr=False)  # with edited URDFs
 
-    def beside(self, factor: int = 1, with_effects: bool = False) -> Look:
-        """The same look at every so many-th row, or with fits that may have more effects."""
-        sample = self.sample.thinned(factor) if factor > 1 else self.sample
-        return dataclasses.replace(self, sample=sample, with_effects=with_effects, _columns={}, _products={})
+    def thinned(self, factor: int) -> Look:
+        """The same look at every so many-th row."""
+        return dataclasses.replace(self, sample=self.sample.thinned(factor), _columns={}, _products={})
+
+    @cached_property
+    def beside(self) -> Look:
+        """The same look with fits that may have what could be missing in a joint's drive."""
+        return dataclasses.replace(self, with_effects=True, _columns={}, _products={})
+
+    def tells(self) -> bool:
+        """Whether the log has many more independent values of torques than its fits have columns."""
+        values = self.sample.independent_rows * len(self.sample.joints)
+        return values >= ENOUGH * self.columns(self.reading).shape[2]
 
     def columns(self, reading: Reading) -> Array:
         """Columns of a reading's motion, (R, joints, p)."""
@@ -131,6 +144,10 @@ class Look:
         reading = reading or self.reading
         return RigidFit.of(self.products(reading), reading, near=near)
 
+    def measured(self) -> Array:
+        """Torques as the present reading has them, zero where a row does not count, (R, joints), N m."""
+        return self.sample.torque_seen(self.reading) * self.sample.left_seen(self.reading)
+
     def predicted(self) -> Array:
         """Torques that the fit of the present reading predicts, (R, joints), N m."""
         return np.asarray(self.columns(self.reading) @ self.fit().theta.mean(axis=0))
@@ -156,7 +173,7 @@ class Look:
         With links that are free and what a spring or a coupling would explain: that much has to do with the motion.
         """
         free = self.products(self.reading).held(range(self.reading.links), RIDGE)
-        fits = (self.fit(), RigidFit.of(free, self.reading), self.beside(with_effects=True).fit_of_free_links())
+        fits = (self.fit(), RigidFit.of(free, self.reading), self.beside.fit_of_free_links())
         return np.min([f.error for f in fits], axis=0), RigidFit.of(free, self.reading, held_out=False).error
 
     def refined(self, hypothesis: Hypothesis, of_known: float = 0.0) -> tuple[Hypothesis, float | None]:
@@ -182,9 +199,7 @@ class Look:
         best = scale.back(at)
         step = 0.02 * (high - low)
         bend = (score(at + step) - 2 * score(at) + score(at - step)) / step**2
-        # rows of a low-passed signal are worth about two a period of the cutoff
-        rows = sum(len(t.torque) / t.rate_hz for t in self.sample.tracks) * 2.0 * self.sample.cutoff_hz
-        std = float(1.0 / np.sqrt(max(0.5 * min(rows, len(self.sample.fold)) * bend, 1e-12)))
+        std = float(1.0 / np.sqrt(max(0.5 * self.sample.independent_rows * bend, 1e-12)))
         std = min(std, 1.0) * abs(best) if scale.logarithmic else std
         return dataclasses.replace(hypothesis, factor=best), std
 

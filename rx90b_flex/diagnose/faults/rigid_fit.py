@@ -23,6 +23,8 @@ POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
 DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
 ILL = 0.3**2  # squared relative error from which a fit tells nothing of a joint's inertia
+BEYOND_ERROR = 0.5, 1.0  # of a joint's relative error: driving friction that counts, and counts in full, however large that is
+AGAINST = 0.1, 0.3  # correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
 LINK = 10  # parameters of a body
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 
@@ -36,9 +38,11 @@ class Products:
     gram : array, shape (folds, joints, p, p)
     cross : array, shape (folds, joints, columns, p)
         Of joint j's rows with torque column k.
-    power, mean_sum : array, shape (folds, columns)
-        Sums of squares and of values of each torque column.
-    rows : array, shape (folds,)
+    power, mean_sum, work : array, shape (folds, joints, columns)
+        Sums of squares and of values of each torque column over joint j's rows, and of its product with that joint's velocity.
+    travel : array, shape (folds, joints)
+        Sums of velocity.
+    rows : array, shape (folds, joints)
     friction : array, shape (folds, joints, p)
         Mean of velocity times the friction columns.
     inertia : array, shape (joints, p)
@@ -52,6 +56,8 @@ class Products:
     cross: Array
     power: Array
     mean_sum: Array
+    work: Array
+    travel: Array
     rows: Array
     friction: Array
     inertia: Array
@@ -64,6 +70,7 @@ class Products:
     def of(sample: Sample, reading: Reading, columns: Array) -> Products:
         """From columns (R, joints, p) and the torques that the reading has."""
         torque, inside = sample.torque_of(reading)
+        counts = sample.left_seen(reading).astype(float)
         fold = np.where(inside, sample.fold, -1)
         _, v, a, _ = sample.seen(reading)
         links = reading.links
@@ -80,8 +87,10 @@ class Products:
             drive = np.zeros(columns.shape[1:])
             if here.any():
                 drive[:, drives] = (resisting[here] * v[here][:, :, None]).mean(axis=0)
-            parts.append((xt @ x, (xt @ y).transpose(0, 2, 1), (y**2).sum(axis=0), y.sum(axis=0), here.sum(), drive))
-        gram, cross, power, mean_sum, rows, friction = (np.array(p) for p in zip(*parts, strict=True))
+            c, cv = counts[here].T, (counts[here] * v[here]).T
+            sums = c @ y**2, c @ y, cv @ y, cv.sum(axis=1), c.sum(axis=1)
+            parts.append((xt @ x, (xt @ y).transpose(0, 2, 1), *sums, drive))
+        gram, cross, *sums, friction = (np.array(p) for p in zip(*parts, strict=True))
         gram = gram.swapaxes(0, 1).copy().swapaxes(0, 1)  # in memory as sums over the joints need it
         prior = np.zeros(columns.shape[2])
         prior[:links] = reading.robot.link_parameters
@@ -92,7 +101,7 @@ class Products:
             load = drives.stop + sum(len(e.coefficients) for e in other_effects(reading.robot))
             prior[load], ridge[load] = 1.0, KNOWN
         return Products(
-            gram, cross, power, mean_sum, rows, friction, _inertia(sample, reading, columns.shape[2], links),
+            gram, cross, *sums, friction, _inertia(sample, reading, columns.shape[2], links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
 
@@ -107,14 +116,26 @@ class Products:
         and squares about the mean of all rows (joints,).
         """
         order, scale = list(reading.torque_order), np.array(reading.torque_scale)
-        cross = self.cross[:, np.arange(self.gram.shape[1]), order] * scale[:, None]
-        power = self.power[:, order] * scale**2
-        total = power.sum(axis=0) - (self.mean_sum[:, order].sum(axis=0) * scale) ** 2 / self.rows.sum()
+        cross = self.cross[:, np.arange(len(order)), order] * scale[:, None]
+        joints = np.arange(len(order))
+        power = self.power[:, joints, order] * scale**2
+        sums = self.mean_sum[:, joints, order].sum(axis=0) * scale
+        total = power.sum(axis=0) - sums**2 / np.maximum(self.rows.sum(axis=0), 1.0)
         return cross, power, np.maximum(total, 1e-300)
+
+    def against(self, reading: Reading) -> Array:
+        """How surely each joint's torque drives it, 0 to 1, by the correlation of torque and velocity, shape (joints,)."""
+        order, scale = list(reading.torque_order), np.array(reading.torque_scale)
+        joints, rows = np.arange(len(order)), np.maximum(self.rows.sum(axis=0), 1.0)
+        _, _, total = self.read(reading)
+        mean = self.mean_sum[:, joints, order].sum(axis=0) * scale / rows
+        work = self.work[:, joints, order].sum(axis=0) * scale - mean * self.travel.sum(axis=0)
+        along = work / (np.sqrt(total * rows) * self.speed + 1e-300)
+        return np.asarray(np.interp(-along, AGAINST, (0.0, 1.0)))
 
 
 def columns_of(sample: Sample, reading: Reading) -> Array:
-    """Columns (R, joints, p): links, then five a joint, then what else is declared, then the torque of stated loads, then a last
+    """Columns (R, joints, p), zero where a row does not count: links, then five a joint, then what else is declared, then the torque of stated loads, then a last
     link of some recordings' own.
     """
     robot, joints = reading.robot, sample.joints
@@ -138,7 +159,7 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
         more.append(links[:, :, -LINK:] * sample.by_rows(reading.other_load)[:, None, None])
     if reading.carried:
         links, *more = (np.einsum("kj,rjp->rkp", reading.torques_to_motors, x) for x in (links, *more))
-    return np.concatenate([links, own, *more], axis=2)
+    return np.concatenate([links, own, *more], axis=2) * sample.left_seen(reading)[:, :, None]
 
 
 def effects_of(sample: Sample, reading: Reading) -> Array:
@@ -159,7 +180,7 @@ def effects_of(sample: Sample, reading: Reading) -> Array:
         block = np.zeros((len(q), n, len(own)))
         block[:, j] = np.stack(own, axis=1)
         blocks.append(block)
-    return np.concatenate(blocks, axis=2)
+    return np.concatenate(blocks, axis=2) * sample.left_seen(reading)[:, :, None]
 
 
 def _under(reading: Reading, seen: Motion) -> Array:
@@ -212,7 +233,9 @@ class RigidFit:
         Of each fold's training rows.
     impossible : array, shape (joints,)
         How surely friction would drive a joint, or its inertia be negative, 0 to 1; zero where its torque is fitted badly, for
-        then what is missing in the model decides such signs.
+        then what is missing in the model decides such signs: but of friction that drives it with more than what is missing.
+    driven : array, shape (joints,)
+        How surely friction would drive a joint, whatever is missing, for all of its torque does.
     by_fold : array, shape (folds, joints)
         The error of each fold's rows.
     """
@@ -220,6 +243,7 @@ class RigidFit:
     error: Array
     theta: Array
     impossible: Array
+    driven: Array
     by_fold: Array
 
     @cached_property
@@ -246,11 +270,13 @@ class RigidFit:
             seen = (products.gram @ aside[..., None])[..., 0]
             left = power + ((seen - 2 * cross) * aside).sum(axis=2)
             error = np.maximum(left.sum(axis=0), 0.0) / total
-        rms = np.sqrt(total / products.rows.sum())
+        rows = np.maximum(products.rows.sum(axis=0), 1.0)
+        rms = np.sqrt(total / rows)
         told = np.clip(1.0 - error / ILL, 0.0, 1.0)
-        share = products.rows / products.rows.sum()
-        by_fold = np.maximum(left, 0.0) / (total * np.maximum(share, 1e-9)[:, None])
-        return RigidFit(error, theta, told * _impossible(products, theta, rms), by_fold)
+        drives, falls = _impossible(products, theta, rms)
+        driven = np.interp(drives / np.sqrt(error + FLOOR), BEYOND_ERROR, (0.0, 1.0)) * _counted(drives) * products.against(reading)
+        by_fold = np.maximum(left, 0.0) / (total * np.maximum(products.rows / rows, 1e-9))
+        return RigidFit(error, theta, np.maximum(told * _counted(np.maximum(drives, falls)), driven), driven, by_fold)
 
 
 def _log(error: Array) -> Array:
@@ -278,9 +304,16 @@ def _held(gram: Array, right: Array, products: Products) -> Array:
     return np.asarray(solved / size)
 
 
-def _impossible(products: Products, theta: Array, rms: Array) -> Array:
+def _impossible(products: Products, theta: Array, rms: Array) -> tuple[Array, Array]:
+    """How much friction drives each joint, and how negative its inertia is, over its torque's size; zero where any fold has it
+    otherwise.
+    """
     driving = (products.friction * theta[:, None, :]).sum(axis=2) / (rms * products.speed + 1e-300)
     inertia = theta @ products.inertia.T * products.push / (rms + 1e-300)
-    below = [np.where((x < 0).all(axis=0), -x.mean(axis=0), 0.0) for x in (driving, inertia)]
+    drives, falls = (np.where((x < 0).all(axis=0), -x.mean(axis=0), 0.0) for x in (driving, inertia))
+    return drives, falls
+
+
+def _counted(below: Array) -> Array:
     # no step: whether a joint lies just below it or just above would decide between hypotheses that do not touch it
-    return np.asarray(np.interp(np.maximum(*below), DRIVES, (0.0, 1.0)))
+    return np.asarray(np.interp(below, DRIVES, (0.0, 1.0)))

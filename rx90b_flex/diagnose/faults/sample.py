@@ -12,7 +12,7 @@ import numpy as np
 
 from rx90b_flex.compiled.signals import dahl
 from rx90b_flex.effects import Effect, Motion
-from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, motion
 from rx90b_flex.signals.facts import quiet_cutoff_hz, sensible_cutoff_hz
@@ -24,6 +24,7 @@ FOLDS = 4  # each is held out once
 BLOCKS = 12  # contiguous segments of which a fold gets every fourth
 HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
+LEFT = 0.01  # of a joint's travel, which it is to move before its rows count: what friction held till then nobody knows
 WINDINGS = (1e-3, 3e-3, 1e-2)  # of a joint's travel, over which friction winds up before it slides
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
@@ -164,6 +165,8 @@ class Sample:
         Angles, velocities, accelerations, and the low-passed sign of velocity; rad, s.
     wound : array, shape (R, joints, len(WINDINGS))
         Low-passed friction that winds up over a part of a joint's travel before it slides, over its torque.
+    left : array of bool, shape (R, joints)
+        Whether a joint has left the place where its recording began; everywhere in one that it stays at rest in.
     tracks : tuple of Track
     fold : array of int, shape (R,)
         Which block a row is held out with.
@@ -176,6 +179,7 @@ class Sample:
     a: Array
     dry: Array
     wound: Array
+    left: Mask
     tracks: tuple[Track, ...]
     fold: Indices
     cutoff_hz: float
@@ -199,7 +203,8 @@ class Sample:
             [np.arange(len(t.rows)) * n // max(1, len(t.rows)) for t, n in zip(tracks, blocks, strict=True)]
         )
         starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
-        return Sample(campaign.joints, q, v, a, dry, wound, tracks, (fold + starts) % FOLDS, cutoff)
+        left = _left(q, _spans(tracks))
+        return Sample(campaign.joints, q, v, a, dry, wound, left, tracks, (fold + starts) % FOLDS, cutoff)
 
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
         """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool.
@@ -237,14 +242,19 @@ class Sample:
         """Every so many-th row."""
         tracks = tuple(dataclasses.replace(t, rows=t.rows[::factor]) for t in self.tracks)
         rows = np.concatenate([np.arange(span.start, span.stop)[::factor] for span in self.spans])
-        arrays = {name: getattr(self, name)[rows] for name in ("q", "v", "a", "dry", "wound", "fold")}
+        arrays = {name: getattr(self, name)[rows] for name in ("q", "v", "a", "dry", "wound", "left", "fold")}
         return dataclasses.replace(self, **arrays, tracks=tracks)
+
+    @property
+    def independent_rows(self) -> float:
+        """Rows of a low-passed signal are worth about two a period of the cutoff."""
+        seconds = sum(len(t.torque) / t.rate_hz for t in self.tracks)
+        return min(2.0 * self.cutoff_hz * seconds, float(len(self.fold)))
 
     @property
     def spans(self) -> tuple[slice, ...]:
         """Rows of each recording."""
-        ends = np.cumsum([0, *(len(t.rows) for t in self.tracks)])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+        return _spans(self.tracks)
 
     def seen(self, reading: Reading) -> tuple[Array, Array, Array, Array]:
         """Angle, velocity, acceleration and dry friction's sign of each joint as a reading has them, each (R, joints).
@@ -263,6 +273,10 @@ class Sample:
         """`wound` of each joint as a reading has it."""
         return self.wound[:, list(reading.order)] * np.sign(self.scale_of(reading))[:, :, None]
 
+    def left_seen(self, reading: Reading) -> Mask:
+        """`left` of each joint as a reading has it: the rows that count."""
+        return self.left[:, list(reading.order)]
+
     def scale_of(self, reading: Reading) -> Array:
         """Factor of each angle, (R, joints)."""
         return np.array(reading.scale) * self.by_rows(reading.scale_in)
@@ -276,6 +290,20 @@ class Sample:
         columns = [self.joints.index(j) for j in reading.robot.joints]
         to_joints = reading.to_joints[columns].T
         return reading.robot.motion(*(x @ to_joints for x in self.seen(reading)[:3]))
+
+
+def _spans(tracks: Sequence[Track]) -> tuple[slice, ...]:
+    ends = np.cumsum([0, *(len(t.rows) for t in tracks)])
+    return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+
+def _left(q: Array, spans: Sequence[slice]) -> Mask:
+    out = np.ones(q.shape, dtype=bool)
+    reach = np.ptp(q, axis=0)
+    for span in spans:
+        left = np.maximum.accumulate(np.abs(q[span] - q[span][0]) > LEFT * reach, axis=0)
+        out[span] = left | ~left[-1]
+    return out
 
 
 def _of_columns(reading: Reading) -> Array:

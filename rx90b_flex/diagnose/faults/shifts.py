@@ -42,16 +42,17 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     sample, reading = look.sample, look.reading
     n, tracks = len(sample.joints), len(sample.tracks)
     x = np.ascontiguousarray(look.columns(reading).transpose(1, 0, 2))
+    counts = sample.left_seen(reading).T[:, None]
 
     def at(lags: Array) -> tuple[Array, Array]:
         """Products with the columns (tracks, joints, lags, p), and squares (tracks, joints, lags), of torques so much later."""
-        y = sample.torque_later(reading, lags)
+        y = sample.torque_later(reading, lags) * counts
         parts = [(y[..., span] @ x[:, span], (y[..., span] ** 2).sum(axis=2)) for span in sample.spans]
         products, squares = (np.array(p) for p in zip(*parts, strict=True))
         return products, squares
 
     still = at(np.zeros(1))
-    torque = sample.torque_seen(reading)
+    torque = look.measured()
     variance = torque.var(axis=0) * len(torque) + 1e-300
     weight = 1.0 / (variance * (look.fit().error + FLOOR))
     gram = x.transpose(0, 2, 1) @ x

@@ -55,7 +55,7 @@ def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
     heavy = size > 1e-3 * size.max()
     part = np.sqrt((torque**2).mean(axis=0)) / np.maximum(size, 1e-300)
     # one joint's links cannot be far lighter than the file says while those that carry them are not
-    unfit = look.fit_of_known_links().error >= CREDIBLE
+    unfit = np.minimum(look.fit_of_known_links().error, look.beside.fit_of_known_links().error) >= CREDIBLE
     alone = (part < TOO_SMALL_ALONE) & unfit & (unfit.sum() == 1) & (len(part) > 1)
     small = heavy & ((part < TOO_SMALL) | alone)
     large = stated & (largest > TOO_LARGE * effort)

@@ -52,7 +52,7 @@ def stuck(recordings: Sequence[Recording], errors: Array) -> Iterator[DataFault]
 
 def stuck_in_one(recordings: Sequence[Recording], look: Look) -> Iterator[DataFault]:
     """Joints whose position keeps one number all through a recording, while their torque swings as that of none at rest does."""
-    predicted, measured = look.predicted(), look.sample.torque_seen(look.reading)
+    predicted, measured = look.predicted(), look.measured()
     swing, left = (
         np.array([x[span].std(axis=0) for span in look.sample.spans]) for x in (measured, measured - predicted)
     )
