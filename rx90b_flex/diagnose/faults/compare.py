@@ -29,7 +29,7 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
-BY_LINKS = (*ON_POSES, lengths, sample_rates)  # the same of these
+BY_LINKS = (*ON_POSES, sample_rates)  # the same of these
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 RATIOS = (
     gear_ratios,

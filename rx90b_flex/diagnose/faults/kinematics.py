@@ -13,7 +13,6 @@ from rx90b_flex.diagnose.faults.sample import Reading
 
 ZEROS = tuple(np.radians([-90.0, -40.0, 40.0, 90.0, 180.0]).tolist())
 LENGTHS = (0.1, 0.5, 0.75, 1.33, 2.0, 10.0)  # the URDF's over the true one
-LEAST = 0.2  # off one, of a length: a URDF may be off by less
 LITTLE = 0.2, 1.2  # rad of a zero, and times a length, that a URDF may be off by
 DIRECTIONS = ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -114,7 +113,7 @@ def _length(look: Look, joint: str, factor: float, bounds: tuple[float, float]) 
         return _with(look, ("length", joint, factor), moved)
 
     text = f"The link before {joint} is <factor> times too long in the URDF: correct the joint's origin."
-    return Hypothesis("kinematics", None, (joint,), text, reading, factor, bounds, smallest=LEAST, neutral=1.0)
+    return Hypothesis("kinematics", None, (joint,), text, reading, factor, bounds)
 
 
 def mountings(look: Look) -> Iterator[Hypothesis]:
