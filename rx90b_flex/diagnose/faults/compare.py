@@ -29,7 +29,8 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
-BY_LINKS = (*ON_POSES, sample_rates)  # the same of these
+BY_LINKS = (*ON_POSES, lengths, sample_rates)  # compared with these links, too
+BY_LINKS_ALONE = (*ON_POSES, sample_rates)  # believed by them alone: other lengths are much like masses that are a little off
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 RATIOS = (
     gear_ratios,
@@ -128,6 +129,11 @@ class _Bases:
             not hypothesis.by_links,
         )
 
+    def gaining(self, hypothesis: Hypothesis) -> Array:
+        """Squared errors with a hypothesis of the joints whose error it brings down."""
+        after = self.look.fit(hypothesis.reading).error
+        return after[after < GAINING * self.fitted.error]
+
     def links_instead(self, hypothesis: Hypothesis, gaining: Mask) -> bool:
         """Whether links that the robot file calls known would explain without the fault what it explains, if they were free.
 
@@ -169,7 +175,10 @@ def _best(look: Look) -> Found | None:
             if better.factor is None or abs(better.factor - better.neutral) >= max(better.smallest, std or 0.0):
                 refined.append((bases.gain(better), rank, better, std))
     refined = _one_ratio(refined)
-    accepted = [r for r in refined if _accepted(bases, r[0], r[1], r[2])]
+    least = max((gain.total for gain, *_ in refined), default=0.0) - TIE
+    accepted = [
+        r for r in refined if _accepted(bases, *r[:3]) or (r[0].total >= least and _accepted_by_links(bases, *r[:3]))
+    ]
     beside = look.beside
     while accepted:
         top = max(gain.total for gain, *_ in accepted)
@@ -246,24 +255,32 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
 
 def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
     """Whether a hypothesis does so much better than no fault that chance and missing effects do not explain it."""
-    large = gain.fitted >= LARGE and bases.look.tells()
-    if gain.steady < (STEADY_LARGE if large else STEADY) and gain.possible < GAIN:
+    if not _conceivable(bases, gain, hypothesis):
         return False
-    on_pose = KINDS[rank] in ON_POSES
-    before, after = bases.fitted.error, bases.look.fit(hypothesis.reading).error
-    gains = after < GAINING * before
-    gaining = after[gains]
-    own = [bases.look.sample.joints.index(j) for j in hypothesis.joints]
-    if own and np.median(after[own]) > hypothesis.far:
-        return False
-    if bases.links_instead(hypothesis, gains):
-        return False
+    gaining = bases.gaining(hypothesis)
     if gain.fitted >= MODEST and not (gaining > SMALL).any():
         return True
     # another tree may explain a little more of torques that neither explains
-    if gain.fitted >= GAIN and not (on_pose and (gaining > CREDIBLE).any()):
-        return True
-    return KINDS[rank] in BY_LINKS and gain.credible and gain.known >= GAIN_KNOWN and gain.fitted > -LOSS
+    return gain.fitted >= GAIN and not (KINDS[rank] in ON_POSES and (gaining > CREDIBLE).any())
+
+
+def _accepted_by_links(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
+    """The same with the links of the URDF, where free links take up as much without a fault."""
+    if KINDS[rank] not in BY_LINKS_ALONE or not _conceivable(bases, gain, hypothesis):
+        return False
+    return gain.credible and gain.known >= GAIN_KNOWN and gain.fitted > -LOSS
+
+
+def _conceivable(bases: _Bases, gain: _Gain, hypothesis: Hypothesis) -> bool:
+    """Whether the gain is no chance, its joints go with it, and free links would not do as well."""
+    large = gain.fitted >= LARGE and bases.look.tells()
+    if gain.steady < (STEADY_LARGE if large else STEADY) and gain.possible < GAIN:
+        return False
+    after = bases.look.fit(hypothesis.reading).error
+    own = [bases.look.sample.joints.index(j) for j in hypothesis.joints]
+    if own and np.median(after[own]) > hypothesis.far:
+        return False
+    return not bases.links_instead(hypothesis, after < GAINING * bases.fitted.error)
 
 
 def _students_t(values: Array) -> float:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
-from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE, PER_JOINT
+from rx90b_flex.diagnose.faults.rigid_fit import FRICTION, IMPOSSIBLE, PER_JOINT
 from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.effects.motion import Array, Mask
 
@@ -17,7 +17,6 @@ OTHER = 1.1  # times what the other recordings ask for, from which a torque is l
 WITHIN = 1.6  # times a first guess of a factor
 AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
 MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
-FRICTION = (1, 2, 4)  # viscous, dry, and viscous by direction, of a joint's own columns
 AGAINST = 0.3  # correlation of velocity and torque: so much in all recordings, and so much against it in one
 
 

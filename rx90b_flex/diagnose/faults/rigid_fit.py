@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
@@ -27,6 +28,7 @@ BEYOND_ERROR = 0.5, 1.0  # of a joint's relative error: driving friction that co
 AGAINST = 0.1, 0.3  # correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
 LINK = 10  # parameters of a body
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
+FRICTION = (1, 2, 4)  # of these
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,38 +72,40 @@ class Products:
     def of(sample: Sample, reading: Reading, columns: Array) -> Products:
         """From columns (R, joints, p) and the torques that the reading has."""
         torque, inside = sample.torque_of(reading)
-        counts = sample.left_seen(reading).astype(float)
-        fold = np.where(inside, sample.fold, -1)
         _, v, a, _ = sample.seen(reading)
-        links = reading.links
-        drives = slice(links, links + PER_JOINT * len(sample.joints))
-        resisting = columns[:, :, drives].copy()
-        for j in range(len(sample.joints)):  # inertia and offset are no friction
-            resisting[:, j, [PER_JOINT * j, PER_JOINT * j + 3]] = 0.0
-        parts = []
-        for f in range(FOLDS):
-            here = fold == f
-            x = np.ascontiguousarray(columns[here].transpose(1, 0, 2))
-            y = torque[here]
-            xt = x.transpose(0, 2, 1)
-            drive = np.zeros(columns.shape[1:])
-            if here.any():
-                drive[:, drives] = (resisting[here] * v[here][:, :, None]).mean(axis=0)
-            c, cv = counts[here].T, (counts[here] * v[here]).T
-            sums = c @ y**2, c @ y, cv @ y, cv.sum(axis=1), c.sum(axis=1)
-            parts.append((xt @ x, (xt @ y).transpose(0, 2, 1), *sums, drive))
-        gram, cross, *sums, friction = (np.array(p) for p in zip(*parts, strict=True))
-        gram = gram.swapaxes(0, 1).copy().swapaxes(0, 1)  # in memory as sums over the joints need it
-        prior = np.zeros(columns.shape[2])
+        links, (_, n, p) = reading.links, columns.shape
+        # rows of a fold after each other, those outside the log first
+        fold = np.where(inside, sample.fold, -1)
+        order = np.argsort(fold, kind="stable")
+        ends = np.searchsorted(fold[order], np.arange(FOLDS + 1))
+        spans = [slice(int(i), int(k)) for i, k in pairwise(ends)]
+        y, counts = torque[order], sample.left_seen(reading)[order].astype(float)
+        along = counts * v[order]
+        # in memory as sums over the joints need it
+        gram = np.zeros((n, FOLDS, p, p)).swapaxes(0, 1)
+        cross, friction = np.zeros((FOLDS, n, n, p)), np.zeros((FOLDS, n, p))
+        for j in range(n):
+            own = np.flatnonzero(columns[:, j].any(axis=0))
+            rubs = [links + PER_JOINT * j + i for i in FRICTION]
+            some = columns[:, j, own][order]
+            resisting = columns[:, j, rubs][order] * along[:, j, None]
+            for f, span in enumerate(spans):
+                x = some[span]
+                gram[f, j][np.ix_(own, own)] = x.T @ x
+                cross[f, j][:, own] = y[span].T @ x
+                friction[f, j, rubs] = resisting[span].sum(axis=0) / max(1, len(x))
+        each = ((counts[span].T, along[span].T, y[span]) for span in spans)
+        sums = (np.array(x) for x in zip(*((c @ z**2, c @ z, m @ z, m.sum(1), c.sum(1)) for c, m, z in each), strict=True))
+        prior = np.zeros(p)
         prior[:links] = reading.robot.link_parameters
         ridge = np.full(len(prior), RIDGE)
         if reading.robot.inertial_parameters == "known":
             ridge[:links] = KNOWN
         if any(t.load for t in sample.tracks):
-            load = drives.stop + sum(len(e.coefficients) for e in other_effects(reading.robot))
+            load = links + PER_JOINT * n + sum(len(e.coefficients) for e in other_effects(reading.robot))
             prior[load], ridge[load] = 1.0, KNOWN
         return Products(
-            gram, cross, *sums, friction, _inertia(sample, reading, columns.shape[2], links),
+            gram, cross, *sums, friction, _inertia(sample, reading, p, links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
 
