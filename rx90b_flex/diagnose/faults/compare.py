@@ -30,7 +30,10 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
 BY_LINKS = (*ON_POSES, lengths, sample_rates)  # compared with these links, too
-BY_LINKS_ALONE = (*ON_POSES, sample_rates)  # believed by them alone: other lengths are much like masses that are a little off
+BY_LINKS_ALONE = (
+    *ON_POSES,
+    sample_rates,
+)  # believed by them alone: other lengths are much like masses that are a little off
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 RATIOS = (
     gear_ratios,
@@ -44,7 +47,9 @@ TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
 GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
-LACKING = 1.0  # of a joint's log error, which what its drive lacks takes, from where faults are looked for beside that, too
+LACKING = (
+    1.0  # of a joint's log error, which what its drive lacks takes, from where faults are looked for beside that, too
+)
 STEADY = 4.0  # Student's t of the gains of the rows that are held out in turn: a fault is there all the time, chance now and then
 LARGE, STEADY_LARGE = 2.0, 2.0  # the same of gains that are hardly chance in a log that is long enough
 LOSS = 0.15  # that the fit with free links may lose at the same time
@@ -182,13 +187,20 @@ def _best(look: Look) -> Found | None:
     beside = look.beside
     while accepted:
         top = max(gain.total for gain, *_ in accepted)
-        best_one = min((r for r in accepted if r[0].total >= top - TIE), key=lambda r: (r[1], -r[0].total))
+        alike = [r for r in accepted if r[0].total >= top - TIE]
+        best_one = min(alike, key=lambda r: (r[1], _plain(look, r[2]), -r[0].total))
         gain, _, chosen, std = best_one
         if not _in_doubt(bases, beside, best_one):
-            alike = [h for g, _, h, _ in accepted if g.total >= gain.total - MODEST]
-            return Found(_or_else(chosen, alike), std, bases.fitted, look.fit(chosen.reading))
+            others = [h for g, _, h, _ in accepted if g.total >= gain.total - MODEST]
+            return Found(_or_else(chosen, others), std, bases.fitted, look.fit(chosen.reading))
         accepted.remove(best_one)
     return None
+
+
+def _plain(look: Look, hypothesis: Hypothesis) -> int:
+    """How many joints differ from the others by it, which is what a joint that tells nothing leaves open."""
+    among = len(hypothesis.joints)
+    return min(among, len(look.sample.joints) - among)
 
 
 def _in_doubt(bases: _Bases, beside: Look, refined: _Refined) -> bool:

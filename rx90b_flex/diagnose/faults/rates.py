@@ -20,4 +20,6 @@ def sample_rates(look: Look) -> Iterator[Hypothesis]:
         return dataclasses.replace(look.reading, rate=look.reading.rate / factor)
 
     for factor in GRID:
-        yield Hypothesis("sample_rate", None, (), text, reading, factor, (factor / 1.6, factor * 1.6), smallest=LEAST, neutral=1.0)
+        yield Hypothesis(
+            "sample_rate", None, (), text, reading, factor, (factor / 1.6, factor * 1.6), smallest=LEAST, neutral=1.0
+        )

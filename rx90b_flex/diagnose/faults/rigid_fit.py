@@ -24,8 +24,14 @@ POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
 DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
 ILL = 0.3**2  # squared relative error from which a fit tells nothing of a joint's inertia
-BEYOND_ERROR = 0.5, 1.0  # of a joint's relative error: driving friction that counts, and counts in full, however large that is
-AGAINST = 0.1, 0.3  # correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
+BEYOND_ERROR = (
+    0.5,
+    1.0,
+)  # of a joint's relative error: driving friction that counts, and counts in full, however large that is
+AGAINST = (
+    0.1,
+    0.3,
+)  # correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
 LINK = 10  # parameters of a body
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 FRICTION = (1, 2, 4)  # of these
@@ -95,7 +101,9 @@ class Products:
                 cross[f, j][:, own] = y[span].T @ x
                 friction[f, j, rubs] = resisting[span].sum(axis=0) / max(1, len(x))
         each = ((counts[span].T, along[span].T, y[span]) for span in spans)
-        sums = (np.array(x) for x in zip(*((c @ z**2, c @ z, m @ z, m.sum(1), c.sum(1)) for c, m, z in each), strict=True))
+        sums = (
+            np.array(x) for x in zip(*((c @ z**2, c @ z, m @ z, m.sum(1), c.sum(1)) for c, m, z in each), strict=True)
+        )
         prior = np.zeros(p)
         prior[:links] = reading.robot.link_parameters
         ridge = np.full(len(prior), RIDGE)
@@ -278,7 +286,11 @@ class RigidFit:
         rms = np.sqrt(total / rows)
         told = np.clip(1.0 - error / ILL, 0.0, 1.0)
         drives, falls = _impossible(products, theta, rms)
-        driven = np.interp(drives / np.sqrt(error + FLOOR), BEYOND_ERROR, (0.0, 1.0)) * _counted(drives) * products.against(reading)
+        driven = (
+            np.interp(drives / np.sqrt(error + FLOOR), BEYOND_ERROR, (0.0, 1.0))
+            * _counted(drives)
+            * products.against(reading)
+        )
         by_fold = np.maximum(left, 0.0) / (total * np.maximum(products.rows / rows, 1e-9))
         return RigidFit(error, theta, np.maximum(told * _counted(np.maximum(drives, falls)), driven), driven, by_fold)
 

@@ -25,6 +25,7 @@ BLOCKS = 12  # contiguous segments of which a fold gets every fourth
 HIGHEST = 0.4  # of the sample rate: the highest low-pass
 POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so that columns are low-passed once
 LEFT = 0.01  # of a joint's travel, which it is to move before its rows count: what friction held till then nobody knows
+BEGINNING = 0.25  # of a recording at the most: rows of a joint that stands for longer tell of its links, too
 WINDINGS = (1e-3, 3e-3, 1e-2)  # of a joint's travel, over which friction winds up before it slides
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
@@ -166,7 +167,7 @@ class Sample:
     wound : array, shape (R, joints, len(WINDINGS))
         Low-passed friction that winds up over a part of a joint's travel before it slides, over its torque.
     left : array of bool, shape (R, joints)
-        Whether a joint has left the place where its recording began; everywhere in one that it stays at rest in.
+        Whether a joint has left the place where its recording began; everywhere in one that it stands in for long.
     tracks : tuple of Track
     fold : array of int, shape (R,)
         Which block a row is held out with.
@@ -302,7 +303,7 @@ def _left(q: Array, spans: Sequence[slice]) -> Mask:
     reach = np.ptp(q, axis=0)
     for span in spans:
         left = np.maximum.accumulate(np.abs(q[span] - q[span][0]) > LEFT * reach, axis=0)
-        out[span] = left | ~left[-1]
+        out[span] = left | (left.mean(axis=0) < 1.0 - BEGINNING)
     return out
 
 
