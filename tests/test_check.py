@@ -236,6 +236,32 @@ def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said
     assert not fault.usable and not result.usable
 
 
+@pytest.mark.parametrize("joint", [ELBOW, pytest.param(WRIST_2, marks=pytest.mark.slow)])
+def test_a_reversed_torque_is_named_where_joints_move_one_after_another(tmp_path: Path, joint: int) -> None:
+    rng, runs = np.random.default_rng(0), []
+    for role in ROLES:
+        m = one_after_another(ind.harmonics(rng, 6, period_s=5.0, rate_hz=RATE_HZ, speed=1.0))
+        runs.append(ind.run(ARM, role, m, [ind.friction(COULOMB, VISCOUS)], ind.white(rng, len(m.time), NOISE)))
+    assert checked(tmp_path, runs).data_faults == ()
+    turned = np.where(np.arange(6) == joint, -1.0, 1.0)
+    found = checked(tmp_path, with_torques(runs, lambda x: turned * x)).data_faults
+    assert [(f.kind, f.signal, f.joints) for f in found] == [("reversed_sign", "torque", (JOINTS[joint],))]
+
+
+def one_after_another(m: ind.Motion) -> ind.Motion:
+    """A motion of all joints as one of each in turn, which begins and ends at rest while the others stand."""
+    step, n = m.time[1] - m.time[0], len(m.time)
+    part = m.time / m.time[-1]
+    rise, fall = (10 * x**3 - 15 * x**4 + 6 * x**5 for x in np.clip([part / 0.2, (1 - part) / 0.2], 0, 1))
+    q, v, a = np.tile(m.q[0], (6 * n, 1)), np.zeros((6 * n, 6)), np.zeros((6 * n, 6))
+    for k in range(6):
+        own = slice(k * n, (k + 1) * n)
+        way = (m.q[:, k] - m.q[0, k]) * rise * fall
+        speed = np.gradient(way, step)
+        q[own, k], v[own, k], a[own, k] = m.q[0, k] + way, speed, np.gradient(speed, step)
+    return ind.Motion(step * np.arange(6 * n), q, v, a)
+
+
 def test_what_is_fitted_twice_is_told(tmp_path: Path) -> None:
     runs = sound()
     result = checked(tmp_path, [runs[0], runs[0], *runs[1:]])

@@ -83,7 +83,7 @@ def of(name: str) -> Campaign:
 
 
 FAULTS: dict[str, tuple[str, Change, str, set[str]]] = {
-    "every torque reversed": ("kr300_encoders", torque_times(slice(None), -1.0), "reversed_sign", set("A1 A2 A3 A4 A5 A6".split())),
+    "every torque reversed": ("kr300_encoders", torque_times(slice(None), -1.0), "reversed_sign", {f"A{k}" for k in range(1, 7)}),
     "a torque reversed": ("kr300_encoders", torque_times(4, -1.0), "reversed_sign", {"A5"}),
     "a torque reversed in one": ("kr300_encoders", torque_times(4, -1.0, "B"), "reversed_sign", {"A5"}),
     "torques exchanged": ("kr300_encoders", torques_exchanged(3, 4), "swapped_columns", {"A4", "A5"}),

@@ -88,8 +88,9 @@ def faults_of(look: Look) -> tuple[tuple[Found, ...], Look]:
 class _Gain:
     """What a hypothesis gains: with the links fitted, and with those of the URDF, where these are worth a look.
 
-    `possible` is the part of `fitted` that comes of friction and inertias which no body has, and of what is evident; `steady` is Student's t of what the rows
-    gain that are held out in turn; links of the URDF that are off do not count against what goes `by_free_links`.
+    `possible` is the part of `fitted` that comes of friction and inertias which no body has, and of what is evident; `steady` is
+    Student's t of what the rows gain that are held out in turn; links of the URDF that are off do not count against what goes
+    `by_free_links`.
     """
 
     fitted: float

@@ -100,10 +100,12 @@ class Products:
                 gram[f, j][np.ix_(own, own)] = x.T @ x
                 cross[f, j][:, own] = y[span].T @ x
                 friction[f, j, rubs] = resisting[span].sum(axis=0) / max(1, len(x))
-        each = ((counts[span].T, along[span].T, y[span]) for span in spans)
-        sums = (
-            np.array(x) for x in zip(*((c @ z**2, c @ z, m @ z, m.sum(1), c.sum(1)) for c, m, z in each), strict=True)
-        )
+        power, mean_sum, work = np.zeros((3, FOLDS, n, n))
+        travel, rows = np.zeros((2, FOLDS, n))
+        for f, span in enumerate(spans):
+            c, m, z = counts[span].T, along[span].T, y[span]
+            power[f], mean_sum[f], work[f] = c @ z**2, c @ z, m @ z
+            travel[f], rows[f] = m.sum(axis=1), c.sum(axis=1)
         prior = np.zeros(p)
         prior[:links] = reading.robot.link_parameters
         ridge = np.full(len(prior), RIDGE)
@@ -113,7 +115,7 @@ class Products:
             load = links + PER_JOINT * n + sum(len(e.coefficients) for e in other_effects(reading.robot))
             prior[load], ridge[load] = 1.0, KNOWN
         return Products(
-            gram, cross, *sums, friction, _inertia(sample, reading, p, links),
+            gram, cross, power, mean_sum, work, travel, rows, friction, _inertia(sample, reading, p, links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
 
@@ -147,8 +149,8 @@ class Products:
 
 
 def columns_of(sample: Sample, reading: Reading) -> Array:
-    """Columns (R, joints, p), zero where a row does not count: links, then five a joint, then what else is declared, then the torque of stated loads, then a last
-    link of some recordings' own.
+    """Columns (R, joints, p), zero where a row does not count: links, then five a joint, then what else is declared, then the torque
+    of stated loads, then a last link of some recordings' own.
     """
     robot, joints = reading.robot, sample.joints
     seen = sample.motion(reading)
