@@ -118,6 +118,34 @@ def test_an_axis_of_the_urdf_beside_coupled_joints_is_named(tmp_path: Path) -> N
     assert [(f.kind, f.joints) for f in found] == [("kinematics", ("joint_4",))]
 
 
+@pytest.mark.parametrize(
+    ("signals", "i", "j"),
+    [
+        (("motor_tau",), 4, 5),
+        pytest.param(("motor_q",), 1, 2, marks=pytest.mark.slow),
+        pytest.param(("motor_tau", "motor_q"), 2, 3, marks=pytest.mark.slow),
+    ],
+)
+def test_columns_of_motors_are_exchanged_with_their_gears(
+    tmp_path: Path, signals: tuple[str, ...], i: int, j: int
+) -> None:
+    # of other ratios, signs and zeros, or coupled: at the joints none of their columns is another's
+    folder = data_folder("tx40")
+    text = (folder / "campaign.toml").read_text()
+    for name in ("tx40.toml", "tx40.csv.gz"):
+        text = text.replace(f'"{name}"', f'"{folder / name}"')
+    for signal in signals:
+        one, other = f'"{signal}{i}"', f'"{signal}{j}"'
+        text = text.replace(one, "<one>").replace(other, one).replace("<one>", other)
+    path = tmp_path / "campaign.toml"
+    path.write_text(text)
+    found = rf.check(path).data_faults
+    signal = {("motor_tau",): "torque", ("motor_q",): "motor_position"}.get(signals, "all")
+    assert [(f.kind, f.signal, set(f.joints)) for f in found] == [
+        ("swapped_columns", signal, {f"joint_{i}", f"joint_{j}"})
+    ]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("start_s", [0.5, 3.0, 6.0])
 def test_three_seconds_of_sound_recordings_have_no_wrong_sign(start_s: float) -> None:

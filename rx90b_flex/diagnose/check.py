@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from rx90b_flex.diagnose.faults.clipped import clipped
 from rx90b_flex.diagnose.faults.compare import Found, faults_of
 from rx90b_flex.diagnose.faults.glitch import glitches
-from rx90b_flex.diagnose.faults.look import Look
+from rx90b_flex.diagnose.faults.look import Look, Motors
 from rx90b_flex.diagnose.faults.repeated import repeated
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
@@ -41,6 +41,7 @@ from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
 from rx90b_flex.signals.data_fault import DataFault, DataFaultError
 from rx90b_flex.signals.facts import counter_steps, found_period_s, sensible_cutoff_hz
+from rx90b_flex.signals.stated import JOINT_SIDES
 
 SCHEMA = 1
 AT_REST = 0.01  # of a joint's fastest velocity in the recording: slower is at rest
@@ -254,7 +255,14 @@ def _look(campaign: Campaign, recordings: Sequence[Recording], robot: Robot) -> 
         Reading.of(robot, len(campaign.joints), len(recordings)),
         limits,
         tuple(slides[j] for j in campaign.joints),
+        _motors(campaign),
     )
+
+
+def _motors(campaign: Campaign) -> Motors | None:
+    if campaign.gear_matrix is None:
+        return None
+    return Motors(np.array(campaign.gear_matrix), np.array(campaign.offset), campaign.torque_side not in JOINT_SIDES)
 
 
 def _fault(found: Found) -> DataFault:

@@ -196,6 +196,9 @@ class Campaign:
     torque_constants : n values, N m/A at the joint, where torques come from currents, else None; None for one that is left out:
         the torque of that joint stands in A until the constant is identified.
     accelerometers : sensors on links, in the order of the recordings' `acceleration`.
+    gear_matrix : n rows of n, where the file's columns are those of motors, else None: motor angle = gear_matrix @ (joint angle -
+        `offset`).
+    offset : n values, rad, beside a `gear_matrix`.
     """
 
     path: Path
@@ -209,6 +212,8 @@ class Campaign:
     torque_constants: tuple[float | None, ...] | None = None
     torque_side: str | None = None
     accelerometers: tuple[Accelerometer, ...] = ()
+    gear_matrix: tuple[tuple[float, ...], ...] | None = None
+    offset: tuple[float, ...] = ()
 
     @property
     def identification(self) -> tuple[Recording, ...]:
@@ -442,6 +447,9 @@ def _read_layout(root: TomlTable, path: Path) -> _CampaignLayout:
             raise root.problem("accelerometer", f"column {name!r} is already used by {used[name]}")
     robot = root.text("robot")
     stated = Campaign(path, robot, named_beside(path, robot), rate, joints, (), cutoff, noise, constants, side, sensors)
+    if gear_matrix is not None:
+        gears = tuple(tuple(row) for row in gear_matrix.tolist())
+        stated = dataclasses.replace(stated, gear_matrix=gears, offset=tuple(offset.tolist()))
     return _CampaignLayout(stated, columns, gear_matrix, offset, acceleration)
 
 

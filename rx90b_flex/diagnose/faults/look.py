@@ -89,6 +89,24 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
+class Motors:
+    """What brought a log's columns from the motors' side to the joints'.
+
+    Attributes
+    ----------
+    gear : array, shape (joints, joints)
+        Motor angles over joint angles.
+    offset : array, shape (joints,)
+    torques : bool
+        Whether the torques' columns are the motors', too.
+    """
+
+    gear: Array
+    offset: Array
+    torques: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Look:
     """A sample of a campaign and the reading that is taken as right so far."""
 
@@ -96,6 +114,7 @@ class Look:
     reading: Reading
     limits: Array  # (2, joints), rad, as the URDF has them
     prismatic: tuple[bool, ...]
+    motors: Motors | None = None  # where the log's columns are theirs
     with_effects: bool = False  # whether fits may have what could be missing in a joint's drive
     _columns: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
     _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
@@ -132,7 +151,7 @@ class Look:
         # shifts and factors of one recording follow the joints, so that with one the order of the torques counts too
         own = any(x != 1.0 for factors in reading.torque_scale_in for x in factors)
         order = reading.torque_order if own or any(reading.shift_s) else None
-        key = (reading.motion_key, reading.shift_key, reading.torque_scale_in, order)
+        key = (reading.motion_key, reading.shift_key, reading.torque_scale_in, order, reading.torque_mix)
         if key not in self._products:
             while len(self._products) >= KEPT:
                 del self._products[next(iter(self._products))]

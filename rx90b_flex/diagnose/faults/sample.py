@@ -54,6 +54,8 @@ class Reading:
         True over stated sample rate.
     gravity : tuple of 3 float
         Direction in the base frame.
+    torque_mix : tuple of tuple of float, or None
+        Torque columns, as those above count them, over those of the log, where motors' columns stand under other motors' names.
     carried : tuple of (int, int, float, bool)
         Joints (a, b), a factor, and whether torques are the motors': what is b's angle above is that of its motor, which also turns
         with a, factor times.
@@ -73,6 +75,7 @@ class Reading:
     rate: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
     carried: tuple[tuple[int, int, float, bool], ...] = ()
+    torque_mix: tuple[tuple[float, ...], ...] | None = None
 
     @property
     def to_joints(self) -> Array:
@@ -215,7 +218,7 @@ class Sample:
         columns, out, inside = np.arange(len(self.joints)), [], []
         for (track, at), factor in zip(self._rows(reading, np.zeros(1)), _of_columns(reading), strict=True):
             inside.append(((at >= 0) & (at < len(track.torque))).all(axis=(0, 1)))
-            out.append(factor * track.torque[np.clip(at[:, 0].T, 0, len(track.torque) - 1), columns])
+            out.append(factor * _torque(track, reading)[np.clip(at[:, 0].T, 0, len(track.torque) - 1), columns])
         return np.concatenate(out), np.concatenate(inside)
 
     def _rows(self, reading: Reading, lags: Array) -> Iterator[tuple[Track, Indices]]:
@@ -234,7 +237,7 @@ class Sample:
         """The same at some times (L,), s, after those that the reading has, shape (joints, L, R), N m."""
         columns, order = np.arange(len(self.joints))[:, None, None], list(reading.torque_order)
         out = [
-            factor[:, None, None] * t.torque[np.clip(at, 0, len(t.torque) - 1), columns]
+            factor[:, None, None] * _torque(t, reading)[np.clip(at, 0, len(t.torque) - 1), columns]
             for (t, at), factor in zip(self._rows(reading, lags), _of_columns(reading), strict=True)
         ]
         return np.asarray(np.concatenate(out, axis=2)[order] * np.array(reading.torque_scale)[:, None, None])
@@ -291,6 +294,11 @@ class Sample:
         columns = [self.joints.index(j) for j in reading.robot.joints]
         to_joints = reading.to_joints[columns].T
         return reading.robot.motion(*(x @ to_joints for x in self.seen(reading)[:3]))
+
+
+def _torque(track: Track, reading: Reading) -> Array:
+    """Torque columns as a reading counts them, (N, joints)."""
+    return track.torque if reading.torque_mix is None else track.torque @ np.array(reading.torque_mix).T
 
 
 def _spans(tracks: Sequence[Track]) -> tuple[slice, ...]:
