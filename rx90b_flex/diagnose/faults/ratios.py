@@ -32,9 +32,11 @@ def _best_of_each(look: Look, torque: bool) -> Iterator[Hypothesis]:
 
 def _of(look: Look, k: int, ratio: float, torque: bool) -> Hypothesis:
     joint = look.sample.joints[k]
+    zero = float(look.motors.offset[k]) if look.motors is not None else 0.0  # where a motor counts none
 
     def reading(factor: float) -> Reading:
         angles = look.reading.changed("scale", (k,), lambda x: x / factor)
+        angles = angles.changed("offset", (k,), lambda x: zero + (x - zero) / factor)
         return angles.changed("torque_scale", (k,), lambda x: x * factor) if torque else angles
 
     text = f"The position of {joint} is <factor> times the true one, "
