@@ -117,7 +117,16 @@ class _Bases:
         self.near = (self.fitted, self.known) if first else (None, None)
 
     def fitted_gain(self, hypothesis: Hypothesis) -> float:
-        return self.fitted.score - self.look.fit(hypothesis.reading, self.near[0]).score + hypothesis.evident
+        return self._gained(self.fitted, self.look.fit(hypothesis.reading, self.near[0])) + hypothesis.evident
+
+    def _gained(self, before: RigidFit, after: RigidFit) -> float:
+        return _errors(before) - _errors(after) + self._possible(before, after)
+
+    def _possible(self, before: RigidFit, after: RigidFit) -> float:
+        """None beside other effects: there basic friction and inertia are a part of a joint's, whose sign says nothing."""
+        if self.look.with_effects:
+            return 0.0
+        return IMPOSSIBLE * float(before.impossible.sum() - after.impossible.sum())
 
     def gain(self, hypothesis: Hypothesis) -> _Gain:
         free = self.look.fit(hypothesis.reading, self.near[0])
@@ -127,10 +136,10 @@ class _Bases:
         if credible and hypothesis.by_links:
             folds = folds + OF_KNOWN * (self.known.scores - known.scores)
         return _Gain(
-            self.fitted.score - free.score + hypothesis.evident,
-            self.known.score - known.score,
+            self._gained(self.fitted, free) + hypothesis.evident,
+            self._gained(self.known, known),
             credible,
-            IMPOSSIBLE * float(self.fitted.impossible.sum() - free.impossible.sum()) + hypothesis.evident,
+            self._possible(self.fitted, free) + hypothesis.evident,
             _students_t(folds),
             not hypothesis.by_links,
         )
@@ -294,6 +303,11 @@ def _conceivable(bases: _Bases, gain: _Gain, hypothesis: Hypothesis) -> bool:
     if own and np.median(after[own]) > hypothesis.far:
         return False
     return not bases.links_instead(hypothesis, after < GAINING * bases.fitted.error)
+
+
+def _errors(fit: RigidFit) -> float:
+    """The score without what is impossible."""
+    return fit.score - IMPOSSIBLE * float(fit.impossible.sum())
 
 
 def _students_t(values: Array) -> float:
