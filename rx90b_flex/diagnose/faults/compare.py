@@ -30,15 +30,11 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
 BY_LINKS = (*ON_POSES, lengths, sample_rates)  # compared with these links, too
-BY_LINKS_ALONE = (
-    *ON_POSES,
-    sample_rates,
-)  # believed by them alone: other lengths are much like masses that are a little off
+# believed by them alone: other lengths are much like masses that are a little off
+BY_LINKS_ALONE = (*ON_POSES, sample_rates)
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
-RATIOS = (
-    gear_ratios,
-    angle_scales,
-)  # looked at where errors are small, too: so they are with a few per cent of an angle
+# looked at where errors are small, too: so they are with a few per cent of an angle
+RATIOS = (gear_ratios, angle_scales)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
@@ -48,7 +44,7 @@ OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
 GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
 LACKING = (
-    1.0  # of a joint's log error, which what its drive lacks takes, from where faults are looked for beside that, too
+    1.0  # of a joint's log error, that what its drive lacks takes: from there on faults are looked for beside it, too
 )
 STEADY = 4.0  # Student's t of the gains of the rows that are held out in turn: a fault is there all the time, chance now and then
 LARGE, STEADY_LARGE = 2.0, 2.0  # the same of gains that are hardly chance in a log that is long enough

@@ -75,11 +75,8 @@ class _OfFriction(NamedTuple):
 
 def _of_friction(look: Look) -> _OfFriction:
     """Whether a recording that stands apart has another friction: a robot is warmer in one than in another."""
-    sample, reading = look.sample, look.reading
-    columns, theta = look.columns(reading), look.fit().theta.mean(axis=0)
-    measured, predicted = look.measured(), look.predicted()
-    own = [[reading.links + PER_JOINT * j + i for i in FRICTION] for j in range(len(sample.joints))]
-    rubs = np.stack([columns[:, j, at] @ theta[at] for j, at in enumerate(own)], axis=1)
+    sample = look.sample
+    measured, predicted, rubs = look.measured(), look.predicted(), _rubs(look)
 
     def left(part: Array) -> Array:
         out = []
@@ -93,16 +90,19 @@ def _of_friction(look: Look) -> _OfFriction:
     return _OfFriction(now, left(predicted), left(rubs))
 
 
+def _rubs(look: Look) -> Array:
+    """Basic friction of the present fit, (R, joints), N m."""
+    columns, theta, links = look.columns(look.reading), look.fit().theta.mean(axis=0), look.reading.links
+    own = [[links + PER_JOINT * j + i for i in FRICTION] for j in range(len(look.sample.joints))]
+    return np.stack([columns[:, j, at] @ theta[at] for j, at in enumerate(own)], axis=1)
+
+
 def _driven_in_one(look: Look) -> Mask:
     """Where the torque, and what of it the links do not ask for, drives a joint, while both brake it in every other recording;
     (recordings, joints).
     """
     sample, reading = look.sample, look.reading
-    columns, theta = look.columns(reading), look.fit().theta.mean(axis=0)
-    resisting = look.measured() - look.predicted()
-    for j in range(len(sample.joints)):
-        own = [reading.links + PER_JOINT * j + i for i in FRICTION]
-        resisting[:, j] += columns[:, j, own] @ theta[own]
+    resisting = look.measured() - look.predicted() + _rubs(look)
     velocity = sample.seen(reading)[1] * sample.left_seen(reading)
     along = np.array([_along(sample.spans, velocity, x) for x in (resisting, look.measured())])
     drives, brakes = along.max(axis=(0, 1)), along.min(axis=(0, 1))

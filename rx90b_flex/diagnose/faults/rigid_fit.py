@@ -24,14 +24,10 @@ POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
 DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
 ILL = 0.3**2  # squared relative error from which a fit tells nothing of a joint's inertia
-BEYOND_ERROR = (
-    0.5,
-    1.0,
-)  # of a joint's relative error: driving friction that counts, and counts in full, however large that is
-AGAINST = (
-    0.1,
-    0.3,
-)  # correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
+# of a joint's relative error: driving friction that counts, and counts in full, however large that is
+BEYOND_ERROR = 0.5, 1.0
+# correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
+AGAINST = 0.1, 0.3
 LINK = 10  # parameters of a body
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 FRICTION = (1, 2, 4)  # of these
