@@ -83,6 +83,17 @@ def test_a_drive_that_gets_stiffer_as_it_twists_does_so_on_the_rigid_tree_too(be
     assert np.linalg.norm(linear - true) > 0.05 * np.linalg.norm(true)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("joint", [SHOULDER, ELBOW])
+def test_however_hard_a_drive_gets_its_torque_is_a_number(bench, joint):
+    """A fit on its way asks for cubic parts that no drive has: one whose steps grew beyond numbers stopped the loop."""
+    for stiffness in (2.0, SOFT[joint]):
+        for cubic in np.geomspace(1e2, 1e16, 15):
+            torque = bench.said({joint: stiffness}, {joint: float(cubic)})
+            assert np.isfinite(torque).all()
+            assert np.abs(torque).max() < 1e8
+
+
 def test_a_stiff_drive_is_felt_in_proportion_to_its_compliance(bench):
     once, twice = (bench.said({SHOULDER: k})[ENDS:-ENDS] for k in (4e6, 2e6))
     assert np.linalg.norm(twice - 2 * once) < 1e-3 * np.linalg.norm(twice)

@@ -182,8 +182,8 @@ def by_links(motion: Motion, springs: Sequence[Spring], load: Array, calm: Calm 
     by = motion.on_tree.derivatives()
     more = there[:, places] if calm is None else calm(there[:, places], places)
     further = _Steps.of(*_with_springs(springs, *_among(by, places)), time_step(motion.time)).solve(-more)
-    if not np.isfinite(further).all() or np.abs(further).max() > 1e3 * LARGEST:
-        return np.zeros_like(there)  # a swing that grows: values from which a fit turns back
+    if _runs_away(further):
+        return np.zeros_like(there)
     out = there - motion.on_tree.link_regressor()
     for slope, x in zip(by, (further, *rates_in_time(further, motion.time)), strict=True):
         add_torques(out, slope, places, x)
@@ -234,15 +234,20 @@ def _torsion(springs: Sequence[Spring], load: Array, by_q: Array, by_v: Array, b
     if cubic.any():
         begun = steps.begun(wide, cubic) - steps.begun(wide, 0.0 * cubic)
     for _ in range(CORRECTIONS):
-        if not np.isfinite(torsion).all() or np.abs(torsion).max() > 1e3 * LARGEST:
-            return np.zeros_like(load)
+        if _runs_away(torsion):
+            break
         left = asked(load, at_angle, at_rate, by_a, cubic, torsion, *rates_in_time(torsion, time))
         if cubic.any():  # Newton's steps
             stiffer = at_angle + 3.0 * (cubic * torsion**2)[:, :, None] * np.eye(len(springs))
             steps = _Steps.of(stiffer, at_rate, by_a, time_step(time), swings)
         torsion = torsion + steps.solve(-left, begun)
         begun = np.zeros_like(begun)
-    return torsion
+    return np.zeros_like(load) if _runs_away(torsion) else torsion
+
+
+def _runs_away(torsion: Array) -> bool:
+    """Whether a swing grows as no drive's does: values from which a fit turns back."""
+    return not np.isfinite(torsion).all() or bool(np.abs(torsion).max() > 1e3 * LARGEST)
 
 
 def begun_slowly(
