@@ -18,7 +18,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex import tree_derivatives
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
-from rx90b_flex.effects.effect import shared_shapes
+from rx90b_flex.effects.effect import FrameEffect, shared_shapes
 from rx90b_flex.effects.elements import PointMass
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
@@ -437,7 +437,20 @@ class Robot:
     # ---- other robots from this one ---------------------------------------------------------------------
 
     def with_effects(self, effects: Sequence[Effect]) -> Robot:
-        """The same tree with other effects."""
+        """The same tree with other effects.
+
+        Raises
+        ------
+        ValueError
+            One on a joint or a frame that the robot does not have.
+        """
+        for effect in effects:
+            for joint in effect.joints:
+                if joint not in self.joints:
+                    raise ValueError(f"{effect.label}: unknown joint {joint!r}; {close_match(joint, self.joints)}")
+            if isinstance(effect, FrameEffect) and not self.tree.existFrame(effect.frame):
+                frames = [f.name for f in self.tree.frames]
+                raise ValueError(f"{effect.label}: unknown frame {effect.frame!r}; {close_match(effect.frame, frames)}")
         return dataclasses.replace(self, effects=tuple(effects))
 
     def rigid(self) -> Robot:

@@ -256,3 +256,19 @@ def test_effects_that_move_coordinates_or_need_others_say_so():
         "joint_flexibility",
     ]
     assert types["stiffness_hardening"].traits.needs == ("drive_flexibility",)
+
+
+@pytest.mark.parametrize(
+    ("effect", "told"),
+    [
+        (("payload", {"frame": "tol0", "mass": 1.0, "centre": (0.0, 0.0, 0.0)}), r"tol0\.payload: unknown frame 'tol0'"),
+        (("coulomb_friction", {"joint": "joint_7", "torque": 1.0}), r"joint_7\.coulomb_friction: unknown joint 'joint_7'"),
+        (("joint_coupling", {"joint_pair": ("joint_1", "joint_7")}), r"joint_coupling: unknown joint 'joint_7'"),
+    ],
+    ids=lambda x: x[0] if isinstance(x, tuple) else "",
+)
+def test_an_effect_on_what_the_robot_does_not_have_is_refused_before_the_engine_is_asked(effect, told):
+    """The engine would read beyond its frames, and take the interpreter with it."""
+    robot, (name, values) = load_robot("rx90b"), effect
+    with pytest.raises(ValueError, match=told):
+        robot.with_effects([*robot.effects, catalogue()[name](**values)])
