@@ -18,7 +18,7 @@ import pinocchio as pin
 from rx90b_flex import flexify as virtual
 from rx90b_flex import tree_derivatives
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
-from rx90b_flex.effects.effect import FrameEffect, shared_shapes
+from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.elements import PointMass
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
@@ -448,9 +448,10 @@ class Robot:
             for joint in effect.joints:
                 if joint not in self.joints:
                     raise ValueError(f"{effect.label}: unknown joint {joint!r}; {close_match(joint, self.joints)}")
-            if isinstance(effect, FrameEffect) and not self.tree.existFrame(effect.frame):
+            frame = effect.place[0] if effect.traits.on == "frame" else "universe"
+            if not self.tree.existFrame(frame):
                 frames = [f.name for f in self.tree.frames]
-                raise ValueError(f"{effect.label}: unknown frame {effect.frame!r}; {close_match(effect.frame, frames)}")
+                raise ValueError(f"{effect.label}: unknown frame {frame!r}; {close_match(frame, frames)}")
         return dataclasses.replace(self, effects=tuple(effects))
 
     def rigid(self) -> Robot:

@@ -13,6 +13,7 @@ import rx90b_flex as rf
 from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
 from rx90b_flex.diagnose.carried import rise
 from rx90b_flex.diagnose.output import closed_loop_json
+from rx90b_flex.diagnose.residual import Errors
 
 RATE_HZ, CUTOFF_HZ, PERIOD_S = 100.0, 15.0, 8.0
 JOINTS = tuple(ind.ur10().joints)
@@ -119,3 +120,13 @@ def test_what_chance_alone_raises_seldom_counts_as_raised(seed):
     assert rise([torque], [torque], [100.0], [predicted[0]], [torque]) is None  # a perfect prediction raises nothing
     worst = rise([torque], [torque], [100.0], [torque], [predicted[0]])
     assert worst is not None and worst[0] == 0 and worst[1] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("shoulder", "wrist", "worse"), [(1.003, 0.75, False), (1.003, 1.01, True), (1.01, 0.75, True), (0.99, 1.2, False)]
+)
+def test_a_wrist_that_is_explained_is_no_matter_of_a_shoulders_noise(shoulder, wrist, worse):
+    rng = np.random.default_rng(0)
+    torque, noise = 50.0 * rng.normal(size=(2000, 2)), rng.normal(size=(2000, 2)) * [1.0, 0.05]
+    before, after = (Errors.of([torque], [torque - noise * grown]) for grown in ([1.0, 1.0], [shoulder, wrist]))
+    assert after.worse_than(before) == worse

@@ -261,8 +261,14 @@ def test_effects_that_move_coordinates_or_need_others_say_so():
 @pytest.mark.parametrize(
     ("effect", "told"),
     [
-        (("payload", {"frame": "tol0", "mass": 1.0, "centre": (0.0, 0.0, 0.0)}), r"tol0\.payload: unknown frame 'tol0'"),
-        (("coulomb_friction", {"joint": "joint_7", "torque": 1.0}), r"joint_7\.coulomb_friction: unknown joint 'joint_7'"),
+        (
+            ("payload", {"frame": "tol0", "mass": 1.0, "centre": (0.0, 0.0, 0.0)}),
+            r"tol0\.payload: unknown frame 'tol0'",
+        ),
+        (
+            ("coulomb_friction", {"joint": "joint_7", "torque": 1.0}),
+            r"joint_7\.coulomb_friction: unknown joint 'joint_7'",
+        ),
         (("joint_coupling", {"joint_pair": ("joint_1", "joint_7")}), r"joint_coupling: unknown joint 'joint_7'"),
     ],
     ids=lambda x: x[0] if isinstance(x, tuple) else "",

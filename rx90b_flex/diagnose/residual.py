@@ -16,6 +16,8 @@ from rx90b_flex.identify.segment import Segment
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, periods
 
+WORSE = 1.005  # error over another's that is none where the joints' own errors fall on average
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -53,6 +55,11 @@ class Errors:
     def told(self) -> Errors:
         """What says something of a model: what friction holds before a joint first moves nobody knows."""
         return self.since_moved or self
+
+    def worse_than(self, other: Errors) -> bool:
+        """Whether more is left over; a small joint's name is no matter of a large one's noise."""
+        own, before = (float(np.log(np.maximum(e.torque_rms, 1e-300)).sum()) for e in (self, other))
+        return self.relative_error > (WORSE if own < before else 1.0) * other.relative_error
 
     def partly(self, other: Errors, joints: Sequence[bool]) -> Errors:
         """With another model's errors on some joints, of the same recordings."""

@@ -36,10 +36,8 @@ from rx90b_flex.signals import Campaign
 MOST_EFFECTS, MOST_A_JOINT = 24, 3  # and so many a joint, its basics: a loop that adds more than both explains noise
 AT_FLOOR = 1.02  # residual over noise floor at which nothing is left to look for
 WORSE = 1.02  # error on the fitted recordings, every row counted, that an addition may leave over the one before
-WORSE_UNTOLD = (
-    1.1  # the same of its joints without an effect whose values beside a curve are not those that it was added for
-)
-WORSE_HELD_OUT = 1.005  # the same held out, over the declared model's, where the joints' own errors fall on average
+# the same of its joints without an effect whose values beside a curve are not those that it was added for
+WORSE_UNTOLD = 1.1
 MUCH = 0.1  # of the squared error of the joints it touches: an effect that explains so much, yet not for certain, may have company
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
@@ -507,17 +505,14 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             if any(step.trial is t for t in harmless):
                 continue
             model, back = self.without(standing, step)
-            found = self.data.rise(model, standing.model)
+            less, more = (m.told.validation for m in (model, standing.model))
+            found = self.data.rise(model, standing.model) if more.worse_than(less) else None
             if found is None:
                 self._harmless.append(step.trial)
             if found is not None and (worst is None or found[1] < worst[0]):
                 self._lesser[:] = [(standing.model, step.trial, (model, back))]
-                less, more = (m.told.validation.relative_error for m in (model, standing.model))
-                worst = (
-                    found[1],
-                    step,
-                    f"it raises the error of {found[0]}, which was not fitted: {less:.4f} -> {more:.4f}",
-                )
+                between = f"{less.relative_error:.4f} -> {more.relative_error:.4f}"
+                worst = found[1], step, f"it raises the error of {found[0]}, which was not fitted: {between}"
         if worst is None:
             worst = self._too_much(standing)
         if worst is None:
@@ -529,16 +524,14 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         self, standing: Standing[TorqueModel, TorqueTrial]
     ) -> tuple[float, Addition[TorqueTrial], str] | None:
         """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
-        known = self._beginning.told.validation, standing.model.told.validation
-        declared, now = (e.relative_error for e in known)
-        # a small joint's name is no matter of a large one's noise
-        each = np.log(np.maximum([e.torque_rms for e in known], 1e-300)).sum(axis=1)
-        if now <= declared or (now <= WORSE_HELD_OUT * declared and each[1] < each[0]):
+        before, after = self._beginning.told.validation, standing.model.told.validation
+        if not after.worse_than(before):
             return None
         lesser = [(standing.model, s.trial, self.without(standing, s)) for s in standing.steps]
         errors = [model.told.validation.relative_error for _, _, (model, _) in lesser]
         best = int(np.argmin(errors))
         self._lesser[:] = [lesser[best]]
+        declared, now = (e.relative_error for e in (before, after))
         why = f"what was added left more than the declared model where it was not fitted: {declared:.4f} -> {now:.4f}"
         return errors[best], standing.steps[best], f"{why}; {errors[best]:.4f} without it"
 

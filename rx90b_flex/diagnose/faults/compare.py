@@ -43,9 +43,8 @@ TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
 GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
-LACKING = (
-    1.0  # of a joint's log error, that what its drive lacks takes: from there on faults are looked for beside it, too
-)
+# of a joint's log error, that what its drive lacks takes: from there on faults are looked for beside it, too
+LACKING = 1.0
 STEADY = 4.0  # Student's t of the gains of the rows that are held out in turn: a fault is there all the time, chance now and then
 LARGE, STEADY_LARGE = 2.0, 2.0  # the same of gains that are hardly chance in a log that is long enough
 LOSS = 0.15  # that the fit with free links may lose at the same time
