@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -436,7 +436,7 @@ class Robot:
 
     # ---- other robots from this one ---------------------------------------------------------------------
 
-    def with_effects(self, effects: Sequence[Effect]) -> Robot:
+    def with_effects(self, effects: Iterable[Effect]) -> Robot:
         """The same tree with other effects.
 
         Raises
@@ -444,6 +444,7 @@ class Robot:
         ValueError
             One on a joint or a frame that the robot does not have.
         """
+        effects = tuple(effects)
         for effect in effects:
             for joint in effect.joints:
                 if joint not in self.joints:
@@ -452,7 +453,7 @@ class Robot:
             if not self.tree.existFrame(frame):
                 frames = [f.name for f in self.tree.frames]
                 raise ValueError(f"{effect.label}: unknown frame {frame!r}; {close_match(frame, frames)}")
-        return dataclasses.replace(self, effects=tuple(effects))
+        return dataclasses.replace(self, effects=effects)
 
     def rigid(self) -> Robot:
         """The robot without the effects that add coordinates."""
