@@ -449,10 +449,10 @@ class Robot:
             for joint in effect.joints:
                 if joint not in self.joints:
                     raise ValueError(f"{effect.label}: unknown joint {joint!r}; {close_match(joint, self.joints)}")
-            frame = effect.place[0] if effect.traits.on == "frame" else "universe"
-            if not self.tree.existFrame(frame):
-                frames = [f.name for f in self.tree.frames]
-                raise ValueError(f"{effect.label}: unknown frame {frame!r}; {close_match(frame, frames)}")
+            for frame in effect.place if effect.traits.on == "frame" else ():
+                if not self.tree.existFrame(frame):
+                    frames = [f.name for f in self.tree.frames]
+                    raise ValueError(f"{effect.label}: unknown frame {frame!r}; {close_match(frame, frames)}")
         return dataclasses.replace(self, effects=effects)
 
     def rigid(self) -> Robot:

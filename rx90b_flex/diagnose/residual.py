@@ -16,7 +16,7 @@ from rx90b_flex.identify.segment import Segment
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, periods
 
-WORSE = 1.005  # error over another's that is none where the joints' own errors fall on average
+NOISE_ALONE = 1.005  # error over another's that is none where the joints' own errors fall on average
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Errors:
     def worse_than(self, other: Errors) -> bool:
         """Whether more is left over; a small joint's name is no matter of a large one's noise."""
         own, before = (float(np.log(np.maximum(e.torque_rms, 1e-300)).sum()) for e in (self, other))
-        return self.relative_error > (WORSE if own < before else 1.0) * other.relative_error
+        return self.relative_error > (NOISE_ALONE if own < before else 1.0) * other.relative_error
 
     def partly(self, other: Errors, joints: Sequence[bool]) -> Errors:
         """With another model's errors on some joints, of the same recordings."""
