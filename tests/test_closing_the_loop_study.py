@@ -306,6 +306,8 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
         study.Case("hidden", "line_interference", 10.0, 10113, "z1", "sign", "ar"),
         # one drive whose twist explains what others' would, beside a resolver that bends the links as much
         study.Case("pair", "resolver_error+drive_flexibility", 10.0, 22011, "z1", "tanh_1", "white"),
+        # a spring that only a curve explains until the tilt is in the model
+        study.Case("pair", "gravity_spring+base_tilt", 10.0, 28405, "ur10", "sign", "white"),
     ],
     ids=lambda case: case.name,
 )

@@ -480,14 +480,28 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return less, back
 
     def instead(self, model: TorqueModel, step: Addition[TorqueTrial]) -> tuple[TorqueTrial, TorqueModel] | None:
+        named = find(model, step.trial.effect)
+        if named.traits.last_resort:
+            return self._law_instead(model, named)
         better = [c for c in self.compared(model, step) if c.rival_wins]
         if not better:
             return None
         best = min(better, key=lambda c: c.behind)
-        named = find(model, step.trial.effect)
         effects = swapped(model.effects, named, best, self.search(model))
         new = self._identified(effects, model, best.rival.effects)
         return (best.rival, new) if _weighted_better(new, model) and not self.spoils(new, model) else None
+
+    def _law_instead(self, model: TorqueModel, curve: Effect) -> tuple[TorqueTrial, TorqueModel] | None:
+        """What has a law and leaves as little as a curve in its place: other causes, which are in the model now, may have hidden it."""
+        less = self._less(model, curve)[0]
+        best = self.choose(self.search(less).run(company_of=curve))
+        if best is None:
+            return None
+        new, found = self.refit(less, best)
+        if new is None:
+            return None
+        after, before = (np.array(m.told.identification.torque_rms) for m in (new, model))
+        return (found, new) if (after <= WORSE * before).all() else None
 
     def burden(self, standing: Standing[TorqueModel, TorqueTrial]) -> tuple[Addition[TorqueTrial], TorqueTrial] | None:
         """Of the additions after which the held-out error was larger than before, the one that raises it most surely; where all
