@@ -78,12 +78,15 @@ class Search:
         Which types are tried; `laws` unless something else is given.
     jobs : int
         Processes.
+    gains : frozenset of str
+        Joints whose torque has another gain, as the look at the data found.
     """
 
     model: Identification
     sites: Sites
     kinds: Callable[[type[Effect]], bool] = laws
     jobs: int = 1
+    gains: frozenset[str] = frozenset()
 
     def after(self, other: Search) -> Search:
         """This one with what another one has worked out of the same model."""
@@ -230,7 +233,10 @@ class Search:
                 if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):
                     break  # neither this one nor those behind it can win
                 tried[type(item.effect), item.effect.label] = next(found)
-            trials = [*tried.values(), *(self._families(rough, tried, beside) if company_of is None else [])]
+            # nor what a first look at the model's torque says of a gain that the data asked for: that torque is bent for want of it
+            said = [r.effect for r in rough if r.effect.traits.multiplies and set(r.effect.joints) <= self.gains]
+            more = [self._fitted(e) for e in said if (type(e), e.label) not in tried]
+            trials = [*tried.values(), *more, *(self._families(rough, tried, beside) if company_of is None else [])]
         self.regression.round_over()
         return sorted(trials, key=lambda t: -t.gain)
 

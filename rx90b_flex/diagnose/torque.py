@@ -212,7 +212,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def search(self, model: TorqueModel, kinds: Callable[[type[Effect]], bool] = laws) -> Search:
         """Everything that could be missing from a model."""
-        new = Search(model.identified, self.sites, kinds, self.jobs)
+        new = Search(model.identified, self.sites, kinds, self.jobs, self.gains)
         for latest in self._searches:
             if latest.model is new.model:
                 new = latest if latest.kinds is kinds else new.after(latest)
@@ -492,7 +492,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return (best.rival, new) if _weighted_better(new, model) and not self.spoils(new, model) else None
 
     def _law_instead(self, model: TorqueModel, curve: Effect) -> tuple[TorqueTrial, TorqueModel] | None:
-        """What has a law and leaves as little as a curve in its place: other causes, which are in the model now, may have hidden it."""
+        """What has a law and leaves as little as a curve in its place: other causes, in the model by now, may have hidden it."""
         less = self._less(model, curve)[0]
         best = self.choose(self.search(less).run(company_of=curve))
         if best is None:
