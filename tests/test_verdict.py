@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +83,15 @@ def test_at_the_noise_where_fitted_and_far_above_it_elsewhere_is_not_explained()
     fitted, elsewhere = roles(1.0, 1.0).identification, roles(1.0, 1.6).validation
     left = Remains(JOINTS, True, roles(2.0, 2.0), RoleErrors(elsewhere, fitted), np.ones(2), None, ())
     assert left.verdict == "partly_explained"
+
+
+def test_a_curve_that_does_not_carry_over_explains_nothing_though_a_free_form_carries_no_further():
+    fitted, elsewhere = roles(1.0, 1.0).identification, roles(1.0, 1.6).validation
+    as_much = explained_to(1.0, 1.6, share=1.0)
+    left = Remains(JOINTS, True, roles(2.0, 2.0), RoleErrors(elsewhere, fitted), np.ones(2), as_much, ())
+    assert left.verdict == "explained"
+    assert replace(left, curved=JOINTS[:1]).verdict == "explained"
+    assert replace(left, curved=JOINTS[1:]).verdict == "partly_explained"
 
 
 def test_a_little_above_the_noise_floor_it_takes_a_signal_that_the_residual_depends_on():

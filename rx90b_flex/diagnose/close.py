@@ -486,7 +486,8 @@ class _Ended:
         happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
-        rest = (where, doubtful, spread, happened, bool(drifts or seldom))
+        curved = [j for s in standing.steps if s.trial.effect.traits.last_resort for j in s.trial.effect.joints]
+        rest = (where, doubtful, spread, happened, bool(drifts or seldom), curved)
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)

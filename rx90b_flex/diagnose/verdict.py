@@ -48,6 +48,8 @@ class Remains:
         Where most of a joint's error on validation lies in a few short times.
     slow : bool
         Whether much of a joint's torque is left that is too slow for noise, or what shows too seldom for a name.
+    curved : sequence of str
+        Joints to which a curve of no known law was added.
     """
 
     joints: tuple[str, ...]
@@ -61,6 +63,7 @@ class Remains:
     spread: Array | None = None
     events: Sequence[Events] = ()
     slow: bool = False
+    curved: Sequence[str] = ()
 
     @property
     def verdict(self) -> str:
@@ -115,12 +118,14 @@ class Remains:
     def _not_carried_over(self, floor: Array) -> Mask:
         """Joints whose error on validation is far above the noise, shape (joints,).
 
-        Where a free form leaves as much it counts if it is none of motion, which nothing that was fitted knows of.
+        Where a free form leaves as much it counts if it is none of motion, which nothing that was fitted knows of, or if the model
+        has a curve of no known law there, which is a free form itself.
         """
         far = np.array(self.after.told.validation.torque_rms) > FAR_FROM_FLOOR * floor
         if self.explainable is None:
             return np.asarray(far)
-        return np.asarray(far & (self._above_free_form(self.explainable) | self._among([e.joint for e in self.events])))
+        others = self._among([*(e.joint for e in self.events), *self.curved])
+        return np.asarray(far & (self._above_free_form(self.explainable) | others))
 
     @property
     def _named(self) -> Mask:
