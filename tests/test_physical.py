@@ -242,3 +242,15 @@ def test_estimates_of_any_condition_end_with_bodies_that_can_exist(name: str) ->
         result = consistent_parameters(estimate, rows.T @ rows, prior)
         assert result.status in ("optimal", "consistent")
         assert not inconsistencies(result.parameters, [str(i) for i in range(size // 10)])
+
+
+def test_an_estimate_far_from_any_body_that_the_data_is_very_sure_of_ends_with_bodies_that_can_exist() -> None:
+    """As of a model that is tried without what it cannot do without: some combinations known to 1e-12, none of them possible."""
+    rng = np.random.default_rng(11)
+    prior = np.concatenate([cloud(rng) for _ in range(3)])
+    estimate = prior + 20.0 * np.abs(prior).max() * rng.normal(size=30)
+    axes = np.linalg.qr(rng.normal(size=(30, 30)))[0]
+    information = (axes * np.geomspace(1e24, 1e6, 30)) @ axes.T
+    result = consistent_parameters(estimate, 0.5 * (information + information.T), prior)
+    assert not inconsistencies(result.parameters, ["a", "b", "c"])
+    assert np.abs(result.parameters).max() < 10.0 * np.abs(estimate).max()
