@@ -143,16 +143,25 @@ def run(name: str, out: Path | None) -> Row:
         return closed(arranged(name, folder / "again", folder / "written" / name / "robot.toml"), out)
 
 
+def line(name: str, out: Path | None) -> str:
+    """A row of the table, or what went wrong: the others are run all the same."""
+    try:
+        row = run(name, out)
+    except Exception as error:
+        return f"| {name} | failed: {error} |"
+    return f"{table([row]).splitlines()[-1]} {row.processor_s:.0f} s"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=sorted(ARRANGED), default=sorted(ARRANGED))
     parser.add_argument("--out", type=Path, help="folder for the results: reports, robots, predictions")
     parser.add_argument("--jobs", type=int, default=1, help="campaigns at a time")
     arguments = parser.parse_args()
-    for row in joblib.Parallel(arguments.jobs, return_as="generator")(
-        joblib.delayed(run)(name, arguments.out) for name in arguments.only
+    for said in joblib.Parallel(arguments.jobs, return_as="generator")(
+        joblib.delayed(line)(name, arguments.out) for name in arguments.only
     ):
-        print(table([row]).splitlines()[-1], f"{row.processor_s:.0f} s", flush=True)
+        print(said, flush=True)
 
 
 if __name__ == "__main__":

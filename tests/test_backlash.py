@@ -94,3 +94,10 @@ def test_a_column_of_a_gap_is_seen_behind_the_low_pass_of_the_angles(robot: Robo
     left = (kick - found)[INNER]
     assert np.sum(kick[INNER] * found[INNER]) / np.sum(found[INNER] ** 2) == pytest.approx(1.0, abs=0.05)
     assert np.linalg.norm(left) < 0.3 * np.linalg.norm(kick[INNER])
+
+
+@pytest.mark.parametrize("rate", [4.0, 5.0, 10.0, 20.0])
+def test_a_load_of_which_a_log_has_few_samples_stays_what_it_is(rate: float) -> None:
+    time = np.arange(200) / rate
+    load = 100.0 * np.sin(2.0 * time)
+    assert np.abs(between_crossings(load, time) - load).max() < 0.1

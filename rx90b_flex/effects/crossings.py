@@ -27,6 +27,7 @@ CLEARED = 2  # times that crossings are looked for in what the one before has cl
 LEFT_OF_IT = 1.0e-3  # weight of what lies within a crossing
 KNOTS_S = 2.0 * KICK_S  # between those of a spline that a link's load is
 CUBIC, FEWEST_OF_SPAN = 3, 4  # its degree; samples between its knots
+FEWEST_ASIDE = 2  # samples of a parabola's on either side: at the ends there are three in all
 GIVEN_BACK = 2  # times that a smoothed load gets back what the gap took from it, before
 STEPS = 3  # of Gauss and Newton's method,
 PARTS = (1.0, 0.3, 0.1)  # each as far as it leaves less
@@ -52,9 +53,14 @@ def between_crossings(load: Array, time: Array) -> Array:
 
 
 def smoothed(load: Array, time: Array, weight: Array | None = None) -> Array:
-    """A load (N,), uniform in time, by local parabolas over `KICK_S`; its samples count by a weight (N,) or alike."""
+    """A load (N,), uniform in time, by local parabolas over `KICK_S`; its samples count by a weight (N,) or alike.
+
+    As it is where samples are so far apart that at its ends too few lie on a parabola.
+    """
     weight = np.ones_like(load) if weight is None else weight
-    reach = max(1, round(4.0 * KICK_S / time_step(time)))
+    reach = round(4.0 * KICK_S / time_step(time))
+    if reach < FEWEST_ASIDE:
+        return load
     return in_pieces(partial(_parabolas, reach=reach), np.column_stack([weight, weight * load]), reach)
 
 
