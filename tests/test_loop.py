@@ -204,3 +204,28 @@ def test_a_loop_that_a_limit_ends_says_so(most, said):
     assert text.startswith(said) and bool(text) == bool(said)
     loop.visited.update(frozenset({str(i)}) for i in range(2 * most))
     assert "as many as are looked at" in loop.stopped(Standing(frozenset()))[0]
+
+
+class LookAlike(Names):
+    """In the end a look-alike would take a name's place, and seems needless there; a model with neither is worse, if it `leans`."""
+
+    def __init__(self, leans: bool) -> None:
+        super().__init__("name", "other", helps=frozenset({"name", "other"}))
+        self.leans = leans
+
+    def instead(self, model: Model, step: Addition[Tried]) -> tuple[Tried, Model] | None:
+        alike = Tried("alike", 1.0)
+        return (alike, model - {"name"} | {"alike"}) if step.trial.label == "name" else None
+
+    def needless(
+        self, standing: Standing[Model, Tried], latest: int, everywhere: bool = True
+    ) -> Addition[Tried] | None:
+        return next((s for s in standing.steps if s.trial.label == "alike"), None)
+
+    def spoils(self, new: Model, old: Model) -> bool:
+        return self.leans and "alike" in old and "alike" not in new
+
+
+@pytest.mark.parametrize(("leans", "left"), [(True, {"name", "other"}), (False, {"other"})])
+def test_a_look_alike_that_is_needless_and_without_which_all_is_worse_does_not_take_a_place(leans, left):
+    assert closed(LookAlike(leans)).model == left

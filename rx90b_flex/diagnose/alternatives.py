@@ -80,7 +80,7 @@ def worth_comparing(search: Search, named: Effect, winner: TorqueTrial, rivals: 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The final model with a rival in the place of an effect that was named; all coefficients fitted again.
+    """The final model with a rival that would be accepted in the place of an effect that was named; all coefficients fitted again.
 
     Attributes
     ----------
@@ -100,11 +100,11 @@ class Comparison:
 
     @property
     def undecided(self) -> bool:
-        """Whether both are lawful, explain much the same, and neither does so better than chance allows."""
+        """Whether both explain much the same, and neither does so better than chance allows."""
         mostly = self.rival.gain >= MOST_OF_IT * self.named.gain
         # a freer form of the same law, which holds it as a special case, is no other explanation
         other = self.named.effect.type_name() not in self.rival.effect.traits.stands_for
-        return mostly and other and self.rival.accepted and abs(self.behind) <= APART
+        return mostly and other and abs(self.behind) <= APART
 
     @property
     def rival_wins(self) -> bool:
@@ -113,12 +113,14 @@ class Comparison:
         One with more parameters has to explain more than a trifle: the named effect was preferred for having less.
         """
         trifle = self.rival.size > self.named.size and self.named.gain >= JUST_AS_GOOD * self.rival.gain
-        return self.rival.accepted and self.behind < -APART and not trifle
+        return self.behind < -APART and not trifle
 
 
-def compare(beside: _Beside, rival: Effect) -> Comparison:
-    """Put a rival in the place of a named effect and compare the errors on held-out blocks."""
+def compare(beside: _Beside, rival: Effect) -> Comparison | None:
+    """Put a rival in the place of a named effect and compare the errors on held-out blocks; None where it would not be accepted."""
     first, second = beside.trial_of_named, beside.trial(rival)
+    if not second.accepted:
+        return None
     difference = first.block_gains - second.block_gains
     blocks = float(difference.std(ddof=1) * np.sqrt(len(difference)))
     apart = (beside.left(second.effect) - beside.left(first.effect)).T[:, :, None]
@@ -133,7 +135,8 @@ def compare(beside: _Beside, rival: Effect) -> Comparison:
 def compared(search: Search, named: Effect, winner: TorqueTrial, rivals: Sequence[TorqueTrial]) -> list[Comparison]:
     """The named effect of the final model against each rival of its round that is worth it."""
     beside = _Beside(search, named)
-    return [compare(beside, r) for r in worth_comparing(search, named, winner, rivals)]
+    every = (compare(beside, r) for r in worth_comparing(search, named, winner, rivals))
+    return [c for c in every if c is not None]
 
 
 def alternatives(search: Search, named: Effect, comparisons: Sequence[Comparison]) -> tuple[Alternative, ...]:

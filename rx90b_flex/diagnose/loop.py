@@ -223,8 +223,15 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                     break
                 standing = less
             self.visited.add(self.residual.signature(standing.model))
+        return self._carried(self._renamed(standing))
+
+    def _renamed(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
+        """With look-alikes in place of additions, less what these make needless; as it was where it does worse without that."""
         swapped = self._swapped(standing)
-        return self._carried(standing if swapped is standing else self._pruned(swapped, 0, everywhere=True))
+        if swapped is standing:
+            return standing
+        less = self._pruned(swapped, 0, everywhere=True)
+        return standing if self.residual.spoils(less.model, swapped.model) else less
 
     def stopped(self, standing: Standing[ModelT, TrialT]) -> tuple[str, ...]:
         """Sentence that a limit ends it and no want of candidates; none where it goes on, or ended by itself before."""
