@@ -486,8 +486,7 @@ class _Ended:
         happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
-        curved = [j for s in standing.steps if s.trial.effect.traits.last_resort for j in s.trial.effect.joints]
-        rest = (where, doubtful, spread, happened, bool(drifts or seldom), curved)
+        rest = (where, doubtful, spread, happened, bool(drifts or seldom), self._curved)
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         said = *_sensor_words(declared, model), *_held_words(model), *self._beyond_fitted(), *_before_moves(predictions)
         tell("done", 1.0)
@@ -521,6 +520,12 @@ class _Ended:
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
         )
+
+    @property
+    def _curved(self) -> list[str]:
+        """Joints to which a curve of no known law was added."""
+        named = [s.trial.effect for s in self.standing.steps]
+        return [j for e in named if e.traits.last_resort for j in e.joints]
 
     def _explainable(
         self, held_out: Regression, predictions: Sequence[Prediction], floor: Array | None
