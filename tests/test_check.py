@@ -236,6 +236,34 @@ def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said
     assert not fault.usable and not result.usable
 
 
+@pytest.mark.parametrize("seen", [0.0, pytest.param(0.25, marks=pytest.mark.slow)])
+def test_a_torque_that_keeps_one_value_in_motion_is_said_not_to_be_measured(tmp_path: Path, seen: float) -> None:
+    """Of two wrist joints nothing but zeros, or zeros with some noise in between, as of drives without a current sensor."""
+    rng = np.random.default_rng(0)
+
+    def change(x: np.ndarray) -> np.ndarray:
+        x[:, WRIST_2:] = 0.05 * rng.normal(size=(len(x), 2)) * (rng.random((len(x), 2)) < seen)
+        return x
+
+    result = checked(tmp_path, with_torques(sound(), change))
+    (fault,) = result.data_faults
+    assert (fault.kind, fault.joints) == ("unrelated", JOINTS[WRIST_2:])
+    assert "measured" in fault.message and not result.usable
+
+
+@pytest.mark.parametrize("low", [(LIFT, ELBOW), pytest.param(range(6), marks=pytest.mark.slow)])
+def test_torques_far_below_what_links_ask_for_are_said_whose_and_how_far(tmp_path: Path, low: Sequence[int]) -> None:
+    """Amperes in the place of torques fit links that are lighter: no fault for certain, yet nothing to pass over."""
+
+    def change(x: np.ndarray) -> np.ndarray:
+        x[:, list(low)] /= 12.0
+        return x
+
+    result = checked(tmp_path, with_torques(sound(), change))
+    said = [*(f.message for f in result.data_faults), result.torque_side.message]
+    assert any((JOINTS[LIFT] in x and JOINTS[ELBOW] in x) or "gear_matrix" in x for x in said), said
+
+
 @pytest.mark.parametrize("joint", [ELBOW, pytest.param(WRIST_2, marks=pytest.mark.slow)])
 def test_a_reversed_torque_is_named_where_joints_move_one_after_another(tmp_path: Path, joint: int) -> None:
     rng, runs = np.random.default_rng(0), []

@@ -13,6 +13,7 @@ import rx90b_flex as rf
 
 NOISE = (0.05, 0.05)  # N m
 DECLARED = ("torque_offset", "coulomb_friction", "viscous_friction")
+RATE_HZ, MOVES_S, RESTS_S = 200.0, 10.0, 10.0
 Hidden = Callable[[Motion, Array, int], Array]
 
 
@@ -60,3 +61,35 @@ def test_what_is_slow_is_not_called_noise(tmp_path: Path, hidden: Hidden, said: 
 def test_noise_is_no_such_error(tmp_path: Path, memory: float) -> None:
     result = closed(tmp_path, nothing, memory, (0.5, 0.3))
     assert result.verdict == "nothing_missing" and not any("slow" in c for c in result.cautions)
+
+
+def stopping(rng: np.random.Generator) -> Motion:
+    """Harmonics that fade in and out, and a rest as long as they last."""
+    m = harmonics(rng, 2, period_s=MOVES_S, rate_hz=RATE_HZ, lines=8)
+    s = np.clip(np.minimum(m.time, MOVES_S - m.time) / 2.0, 0.0, 1.0)[:, None]
+    fade = s**3 * (10 - 15 * s + 6 * s**2)
+    q = np.vstack([fade * m.q, np.repeat((fade * m.q)[-1:], round(RESTS_S * RATE_HZ), axis=0)])
+    v = np.gradient(q, 1 / RATE_HZ, axis=0)
+    return Motion(np.arange(len(q)) / RATE_HZ, q, v, np.gradient(v, 1 / RATE_HZ, axis=0))
+
+
+@pytest.mark.parametrize("creeps", [2.0, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_a_torque_that_creeps_while_joints_stand_is_told_from_noise(tmp_path: Path, creeps: float) -> None:
+    """As under a controller that integrates: within what friction holds it goes where it likes."""
+    arm, rng, runs = two_joints(tmp_path), np.random.default_rng(3), []
+    for i, role in enumerate(("identification", "identification", "validation")):
+        m = stopping(rng)
+
+        def held(m: Motion, load: Array, i: int = i) -> Array:
+            rest = np.where(m.time > MOVES_S, m.time - MOVES_S, 0.0)[:, None]
+            return np.asarray(creeps * np.sin(rest * np.array([0.7, 0.9]) + i * (rest > 0)) * (rest > 0))
+
+        runs.append(run(arm, role, m, [friction((3.0, 2.0), (1.5, 0.8)), held], white(rng, len(m.time), NOISE)))
+    declared = [{"type": t, "joint": j} for j in arm.joints for t in DECLARED]
+    result = rf.close_loop(write_files(tmp_path, arm, declared, runs, cutoff_hz=20.0))
+    said = [c for c in result.cautions if "stand still" in c]
+    assert bool(said) == (creeps > 0.0)
+    assert (result.verdict in ("unexplained", "partly_explained")) == (creeps > 0.0)
+    if said:
+        moving = result.moving.after
+        assert f"{moving:.2g}"[:4] in said[0] or moving < result.after.validation.relative_error / 2

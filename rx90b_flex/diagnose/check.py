@@ -23,10 +23,10 @@ from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import (
     NEVER,
     frozen,
+    hardly_changes,
     moves,
     moves_within,
     no_excitation,
-    range_of,
     stuck,
     stuck_in_one,
 )
@@ -189,7 +189,7 @@ def _checked(
     still = no_excitation(mended)
     faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
     moving = moves(mended) > NEVER
-    constant = range_of([r.torque for r in mended]) == 0.0
+    constant = hardly_changes(mended)
     parameters: tuple[ParameterStatus, ...] = ()
     basics: tuple[str, ...] = ()
     errors: tuple[float, ...] = ()
@@ -199,7 +199,7 @@ def _checked(
         look, faults = _compared(campaign, mended, rigid, faults, constant)
         errors = tuple(float(x) for x in np.sqrt(look.fit().error))
         tell("looking at what the motion can tell", 0.9)
-        side = torque_side(campaign.torque_side, look, faults, moving)
+        side = torque_side(campaign.torque_side, look, faults, moving, _of_open_size(campaign))
         parameters = statuses(look, rigid, moving)
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
@@ -230,11 +230,11 @@ def _compared(
     """What may be wrong beside what shows in the log itself, and the look at the data with it mended."""
     found, look = faults_of(_look(campaign, recordings, rigid))
     faults = [*faults, *map(_fault, found)]
-    faults += list(impossible_sizes(look, faults))
-    faults = [f for f in faults if not _gain_is_open(f, campaign)]
-    faults += [*stuck(recordings, np.sqrt(look.fit().error)), *stuck_in_one(recordings, look)]
     goes = moves_within(recordings) > NEVER
     lost = unrelated(campaign.joints, *look.errors_at_least(), goes, constant)
+    faults += list(impossible_sizes(look, [*faults, *lost]))
+    faults = [f for f in faults if not _gain_is_open(f, campaign)]
+    faults += [*stuck(recordings, np.sqrt(look.fit().error)), *stuck_in_one(recordings, look)]
     return look, [f for f in faults if not _of_no_use(f, lost, campaign.joints)] + lost + sensor_faults(campaign)
 
 
@@ -273,9 +273,14 @@ def _fault(found: Found) -> DataFault:
 
 def _gain_is_open(fault: DataFault, campaign: Campaign) -> bool:
     """Whether it is about the size of torques whose constant is left out."""
+    of_size = fault.signal == "torque" and fault.kind in ("torque_gain", "unit")
+    return of_size and set(fault.joints) <= _of_open_size(campaign)
+
+
+def _of_open_size(campaign: Campaign) -> set[str]:
+    """Joints whose torque is a current, its constant left out."""
     stated = campaign.torque_constants or (1.0,) * len(campaign.joints)
-    left_out = {j for j, constant in zip(campaign.joints, stated, strict=True) if constant is None}
-    return fault.signal == "torque" and fault.kind in ("torque_gain", "unit") and set(fault.joints) <= left_out
+    return {j for j, constant in zip(campaign.joints, stated, strict=True) if constant is None}
 
 
 def _of_no_use(fault: DataFault, lost: Sequence[DataFault], joints: Sequence[str]) -> bool:

@@ -33,7 +33,7 @@ from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.seldom import shown_seldom
 from rx90b_flex.diagnose.side_by_side import worth_while
-from rx90b_flex.diagnose.slow import Slow, slow_errors
+from rx90b_flex.diagnose.slow import Slow, SlowAtRest, slow_at_rest, slow_errors
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -446,7 +446,12 @@ def _closed(
     return ended.result(
         seed,
         checked,
-        (*(c.message for c in constants if c.source != "stated"), *scaled, *loop.stopped(ended.standing)),
+        (
+            *(c.message for c in constants if c.source != "stated"),
+            *scaled,
+            *loop.stopped(ended.standing),
+            *_size_words(checked),
+        ),
         tell,
     )
 
@@ -635,10 +640,12 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
     return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
 
 
-def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow, ...]:
+def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow | SlowAtRest, ...]:
     rates = [p.recording.sample_rate_hz for p in predictions]
     torque, left = [p.torque for p in predictions], [p.torque - p.after for p in predictions]
-    return slow_errors(campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions])
+    data = campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions]
+    at_rest = slow_at_rest(*data)
+    return (*slow_errors(*data), *([] if at_rest is None else [at_rest]))
 
 
 def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:
@@ -655,6 +662,11 @@ def _event_words(
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
     return MovingErrors.of(*zip(*((p.torque, p.before, p.after, p.velocity) for p in predictions), strict=True))
+
+
+def _size_words(checked: Checked) -> tuple[str, ...]:
+    """What is odd about the side of the gears or the size of torques that went on all the same."""
+    return (checked.torque_side.message,) if checked.torque_side.message else ()
 
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:

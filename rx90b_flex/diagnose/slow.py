@@ -1,4 +1,7 @@
-"""Whether what is left of held-out torques is slow: no noise of a torque is, and no law of the joint's motion need hold it."""
+"""Whether what is left of held-out torques is slow: no noise of a torque is, and no law of the joint's motion need hold it.
+
+At rest nothing holds it but dry friction: a controller that integrates lets a torque creep while nothing moves.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,12 @@ import numpy as np
 from scipy import signal
 
 from rx90b_flex.diagnose.moving import begun, resting_each
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 
 SLOW_HZ = 2.0  # below which noise has little of its power
 PASSED = 0.25  # of the cutoff of a low-pass: of white noise no more than that share lies below
-MOSTLY = 0.85  # of a joint's squared error in motion below that frequency; of first-order noise with 0.1 s of memory it is 0.65
+MOSTLY = 0.85  # of a joint's squared error below that frequency; of first-order noise with 0.1 s of memory it is 0.65
+AT_REST = 0.5  # of the squared error of all joints in which slow rests have to be said
 LARGE = 0.05  # of the torque's standard deviation: what is smaller may be a sensor's drift
 CONSTANT = 0.7  # of the squared error that each recording's mean takes off
 ORDER = 4  # of the low-pass that parts slow from fast
@@ -54,6 +58,78 @@ class Slow:
         )
 
 
+@dataclass(frozen=True)
+class SlowAtRest:
+    """Joints whose torque creeps while they stand still, held out.
+
+    Attributes
+    ----------
+    joints : tuple of str
+    share : float
+        Part of the squared error of all joints in those rests, 0 to 1.
+    elsewhere : float
+        2-norm of the torque error over the 2-norm of the torque, without them.
+    """
+
+    joints: tuple[str, ...]
+    share: float
+    elsewhere: float
+
+    @property
+    def words(self) -> str:
+        """One caution."""
+        return (
+            f"{self.share:.0%} of the squared error held out lies where {', '.join(self.joints)} stand still, and is slow there: "
+            "friction holds what a controller builds up, and which part of it follows from no motion. Elsewhere the relative error "
+            f"is {self.elsewhere:.3g}."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """Errors (N, joints) of all held-out recordings, from when joints first moved on, what of them is slow, and rows at rest."""
+
+    torque: Array
+    error: Array
+    smooth: Array
+    mean: Array
+    still: Mask
+    since: Mask
+    hz: float
+
+    @staticmethod
+    def of(
+        rates_hz: Sequence[float],
+        cutoff_hz: float | None,
+        torque: Sequence[Array],
+        left: Sequence[Array],
+        velocity: Sequence[Array],
+    ) -> _Left:
+        hz = SLOW_HZ if cutoff_hz is None else min(SLOW_HZ, PASSED * cutoff_hz)
+        rest = resting_each(velocity)
+        since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
+        left = [np.where(there, error, 0.0) for there, error in zip(since, left, strict=True)]
+        smooth, mean = [], []
+        for rate, error in zip(rates_hz, left, strict=True):
+            passes = signal.butter(ORDER, min(hz, 0.45 * rate), fs=rate, output="sos")
+            padding = min(len(error) - 1, int(rate / hz))
+            smooth.append(signal.sosfiltfilt(passes, error, axis=0, padtype="even", padlen=padding))
+            mean.append(np.broadcast_to(error.mean(axis=0), error.shape))
+        errors = np.concatenate(torque), np.concatenate(left), np.concatenate(smooth), np.concatenate(mean)
+        return _Left(*errors, np.concatenate(rest), np.concatenate(since), hz)
+
+    def share(self, part: Array, rows: Mask) -> Array:
+        """Of the squared error in some rows, which a part of it makes up, shape (joints,)."""
+        whole, own = ((x**2 * rows).sum(axis=0) for x in (self.error, part))
+        return np.asarray(np.minimum(own / np.maximum(whole, 1e-300), 1.0))
+
+    def slow(self, rows: Mask) -> Mask:
+        """Joints whose error in some rows is slow, and large, shape (joints,)."""
+        rms = np.sqrt((self.error**2 * rows).sum(axis=0) / np.maximum(rows.sum(axis=0), 1))
+        large = rms > LARGE * self.torque.std(axis=0)
+        return np.asarray(large & (self.share(self.smooth, rows) > MOSTLY))
+
+
 def slow_errors(
     joints: Sequence[str],
     rates_hz: Sequence[float],
@@ -75,26 +151,32 @@ def slow_errors(
     torque, left, velocity : sequence of arrays, each (N, joints)
         Torque and its error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
     """
-    hz = SLOW_HZ if cutoff_hz is None else min(SLOW_HZ, PASSED * cutoff_hz)
-    rest = resting_each(velocity)
-    since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
-    left = [np.where(there, error, 0.0) for there, error in zip(since, left, strict=True)]
-    moving = ~np.concatenate(rest) & np.concatenate(since)
-    smooth, mean = [], []
-    for rate, error in zip(rates_hz, left, strict=True):
-        passes = signal.butter(ORDER, min(hz, 0.45 * rate), fs=rate, output="sos")
-        padding = min(len(error) - 1, int(rate / hz))
-        smooth.append(signal.sosfiltfilt(passes, error, axis=0, padtype="even", padlen=padding))
-        mean.append(np.broadcast_to(error.mean(axis=0), error.shape))
-
-    def squares(some: Sequence[Array]) -> Array:
-        return np.asarray((np.concatenate(some) ** 2 * moving).sum(axis=0))
-
-    whole, spread = squares(left), np.concatenate(torque).std(axis=0)
-    large = np.sqrt(whole / np.maximum(moving.sum(axis=0), 1)) > LARGE * spread
-    share, constant = (squares(x) / np.maximum(whole, 1e-300) for x in (smooth, mean))
+    all_left = _Left.of(rates_hz, cutoff_hz, torque, left, velocity)
+    moving = ~all_left.still & all_left.since
+    share, constant = (all_left.share(x, moving) for x in (all_left.smooth, all_left.mean))
     return tuple(
-        Slow(joint, hz, min(float(share[j]), 1.0), float(constant[j]))
+        Slow(joint, all_left.hz, float(share[j]), float(constant[j]))
         for j, joint in enumerate(joints)
-        if large[j] and share[j] > MOSTLY
+        if all_left.slow(moving)[j]
     )
+
+
+def slow_at_rest(
+    joints: Sequence[str],
+    rates_hz: Sequence[float],
+    cutoff_hz: float | None,
+    torque: Sequence[Array],
+    left: Sequence[Array],
+    velocity: Sequence[Array],
+) -> SlowAtRest | None:
+    """Whether most of the error lies in rests, and is slow there; parameters as those of `slow_errors`."""
+    all_left = _Left.of(rates_hz, cutoff_hz, torque, left, velocity)
+    resting = all_left.still & all_left.since
+    slow = all_left.slow(resting)
+    there = resting & slow
+    squares, size = np.concatenate(left) ** 2, all_left.torque**2
+    share = float(squares[there].sum() / max(squares.sum(), 1e-300))
+    if share <= AT_REST:
+        return None
+    elsewhere = float(np.sqrt(squares[~there].sum() / max(size[~there].sum(), 1e-300)))
+    return SlowAtRest(tuple(j for j, creeps in zip(joints, slow, strict=True) if creeps), share, elsewhere)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, OUT, PER_JOINT
 from rx90b_flex.diagnose.faults.sample import BASICS
-from rx90b_flex.diagnose.faults.sizes import torque_sizes
+from rx90b_flex.diagnose.faults.sizes import far_below, torque_sizes
 from rx90b_flex.effects.motion import Mask
 from rx90b_flex.signals.data_fault import DataFault
 
@@ -40,24 +40,30 @@ class TorqueSide:
 NOT_LOOKED_AT = TorqueSide(None, None, "")
 
 
-def torque_side(stated: str | None, look: Look, faults: Sequence[DataFault], moving: Mask) -> TorqueSide:
+def torque_side(
+    stated: str | None, look: Look, faults: Sequence[DataFault], moving: Mask, of_open_size: Collection[str] = ()
+) -> TorqueSide:
     """Work out the side from a look with every fault mended, and hold it against what is stated.
 
     Parameters
     ----------
     moving : array of bool, shape (joints,)
+    of_open_size : collection of str
+        Joints whose torque is a current, its constant to be identified.
     """
-    small = [f for f in faults if f.kind == "unit" and f.signal == "torque" and (f.factor or 1.0) < 1.0]
-    if small or torque_sizes(look)[1]:
-        return TorqueSide(
-            stated,
-            "motor",
-            "Torques are far too small for the links: those of the motors, it seems. State gear_matrix.",
-        )
+    known = {j for f in faults if f.kind == "unrelated" for j in f.joints}
+    small = {
+        j for f in faults if f.kind == "unit" and f.signal == "torque" and (f.factor or 1.0) < 1.0 for j in f.joints
+    }
+    small |= {look.sample.joints[k] for k in torque_sizes(look)[1]} - known
+    if small:
+        whose = "Torques are" if len(small) == len(moving) else f"The torque of {', '.join(sorted(small))} is"
+        text = f"{whose} far too small for the links: the motors', it seems. State gear_matrix."
+        return TorqueSide(stated, "motor", text)
     if not moving.any():
         return TorqueSide(stated, None, "")
     found = "joint" if _drives_show(look, moving) else "behind_gear"
-    return TorqueSide(stated, found, _words(stated, found))
+    return TorqueSide(stated, found, _words(stated, found) or far_below(look, of_open_size))
 
 
 def _words(stated: str | None, found: str) -> str:

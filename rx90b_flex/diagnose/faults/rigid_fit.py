@@ -20,6 +20,7 @@ KNOWN = 1e2  # the same where the links are known
 OUT = 1e9  # the same of what is left out
 ROUNDS = 3  # fits with weights from the last one's errors
 FLOOR = 1e-4  # squared relative error below which a difference is no matter of the data's columns
+CHANGES = 1e-12  # of a torque's square, which rounding leaves of the variance of a constant
 POSES = 24  # at which the mass matrix's diagonal is looked at
 IMPOSSIBLE = 3.0  # added to the score of a joint whose friction drives it, or whose inertia is negative
 DRIVES = 0.03, 0.06  # of the torque's size: from where a negative inertia or driving friction counts, and where in full
@@ -274,12 +275,15 @@ class RigidFit:
         """
         cross, power, total = products.read(reading)
         error = np.ones(len(total)) if near is None else near.error
+        changes = (
+            total > CHANGES * power.sum(axis=0) + 1e-250
+        )  # a torque of one value asks nothing of links that others tell
         for _ in range(ROUNDS if near is None else 1):
-            theta = _solved(products, cross, 1.0 / (total * (error + FLOOR)), held_out)
+            theta = _solved(products, cross, changes / (total * (error + FLOOR)), held_out)
             aside = theta[:, None, :]
             seen = (products.gram @ aside[..., None])[..., 0]
             left = power + ((seen - 2 * cross) * aside).sum(axis=2)
-            error = np.maximum(left.sum(axis=0), 0.0) / total
+            error = np.divide(np.maximum(left.sum(axis=0), 0.0), total, out=np.ones(len(total)), where=changes)
         rows = np.maximum(products.rows.sum(axis=0), 1.0)
         rms = np.sqrt(total / rows)
         told = np.clip(1.0 - error / ILL, 0.0, 1.0)
@@ -289,7 +293,10 @@ class RigidFit:
             * _counted(drives)
             * products.against(reading)
         )
-        by_fold = np.maximum(left, 0.0) / (total * np.maximum(products.rows / rows, 1e-9))
+        size = total * np.maximum(products.rows / rows, 1e-9)
+        by_fold = np.divide(
+            np.maximum(left, 0.0), size, out=np.ones(left.shape), where=np.broadcast_to(changes, left.shape)
+        )
         return RigidFit(error, theta, np.maximum(told * _counted(np.maximum(drives, falls)), driven), driven, by_fold)
 
 

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
 from rx90b_flex.diagnose.faults.compare import CREDIBLE
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.units import outside
+from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.signals.data_fault import DataFault
 
 TOO_SMALL = 0.04  # of the torque that the URDF's links alone ask for: no links are so much lighter than their CAD model
 TOO_SMALL_ALONE = 0.25  # the same for one joint, where the URDF's links fit every other joint
 TOO_LARGE = 3.0  # times the URDF's effort limit
+BEARS_MUCH = (
+    0.1  # of the largest torque that the links ask of a joint, for a joint whose torque's size is held against theirs
+)
 DEGREES = 180.0 / np.pi
 
 
 def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFault]:
-    """Positions beyond their limits and torques beyond reason, of joints whose unit is not yet in doubt."""
+    """Positions beyond their limits and torques beyond reason, of joints whose signal is not yet in doubt."""
     joints = look.sample.joints
-    known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain") for j in f.joints}
+    known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain", "unrelated") for j in f.joints}
     beyond = np.flatnonzero(outside(look, 1.0)).tolist()
     degrees = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
     other = [k for k in beyond if k not in degrees]
@@ -43,20 +47,52 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFau
 
 def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
     """Numbers of the joints whose torque is too large for the URDF's limits, and too small for its links."""
-    reading, robot = look.reading, look.reading.robot
-    at = np.array([robot.layout.index(j) for j in look.sample.joints])
-    expected = robot.link_torque(look.sample.motion(reading))[:, at] @ reading.torques_to_motors.T
-    torque = look.sample.torque_seen(reading)
-    effort = robot.tree.effortLimit[at]
+    expected, torque = _of_links(look), look.sample.torque_seen(look.reading)
+    effort = look.reading.robot.tree.effortLimit[_places(look)]
     largest = np.abs(torque).max(axis=0)
     # a limit below what the links ask for is a placeholder
     stated = np.isfinite(effort) & (effort > np.abs(expected).max(axis=0))
-    size = np.sqrt((expected**2).mean(axis=0))
+    size, part = _parts(look)
     heavy = size > 1e-3 * size.max()
-    part = np.sqrt((torque**2).mean(axis=0)) / np.maximum(size, 1e-300)
     # one joint's links cannot be far lighter than the file says while those that carry them are not
     unfit = np.minimum(look.fit_of_known_links().error, look.beside.fit_of_known_links().error) >= CREDIBLE
     alone = (part < TOO_SMALL_ALONE) & unfit & (unfit.sum() == 1) & (len(part) > 1)
     small = heavy & ((part < TOO_SMALL) | alone)
     large = stated & (largest > TOO_LARGE * effort)
     return [int(k) for k in np.flatnonzero(large)], [int(k) for k in np.flatnonzero(small)]
+
+
+def far_below(look: Look, but: Collection[str] = ()) -> str:
+    """Which joints' torques are a small part of what the URDF's links alone ask for, in words; empty where none is.
+
+    That may be so on a sound robot: links may be lighter than the file says, or a spring may carry them.
+    """
+    size, part = _parts(look)
+    few = np.flatnonzero((size > BEARS_MUCH * size.max()) & (part < TOO_SMALL_ALONE)).tolist()
+    found = [k for k in few if look.sample.joints[k] not in but]
+    if not found:
+        return ""
+    names, times = (
+        ", ".join(x) for x in ([look.sample.joints[k] for k in found], [f"{1 / part[k]:.2g}" for k in found])
+    )
+    return (
+        f"What the URDF's links alone ask of {names} is {times} times the measured torque: amperes, another torque constant, a "
+        "spring that carries them, or links that are lighter than the file says?"
+    )
+
+
+def _places(look: Look) -> Indices:
+    return np.array([look.reading.robot.layout.index(j) for j in look.sample.joints])
+
+
+def _of_links(look: Look) -> Array:
+    """Torque (N, joints) that the URDF's links ask for."""
+    reading = look.reading
+    every = reading.robot.link_torque(look.sample.motion(reading))
+    return np.asarray(every[:, _places(look)] @ reading.torques_to_motors.T)
+
+
+def _parts(look: Look) -> tuple[Array, Array]:
+    """Root mean square of that, and which part of it the measured torque's is, each of shape (joints,)."""
+    size, torque = (np.sqrt((x**2).mean(axis=0)) for x in (_of_links(look), look.sample.torque_seen(look.reading)))
+    return size, torque / np.maximum(size, 1e-300)

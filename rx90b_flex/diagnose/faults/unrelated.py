@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.signals.data_fault import DataFault
 
@@ -23,14 +21,23 @@ def unrelated(joints: Sequence[str], error: Array, seen: Array, moving: Mask, co
     seen : array, shape (joints,)
         The same of a fit to these very rows.
     moving, constant : array of bool, shape (joints,)
-        Joints that move; joints whose torque never changes.
+        Joints that move; joints whose torque keeps one value.
     """
-    chosen = np.flatnonzero((constant | ((error > NOTHING) & (seen > NOTHING_SEEN))) & moving)
-    if len(chosen) == 0:
-        return []
-    names = tuple(joints[int(k)] for k in chosen)
-    message = (
-        f"The torque of {', '.join(names)} has nothing to do with the motion (nothing of it can be predicted from position): "
-        "check that the columns are torques, and of the same run."
+    strange = (error > NOTHING) & (seen > NOTHING_SEEN) & ~constant
+    found = (
+        (
+            constant,
+            "keeps one value for most of the motion: was it measured? Without such joints in `joints` the others can be used.",
+        ),
+        (
+            strange,
+            "has nothing to do with the motion (nothing of it can be predicted from position): check that the columns are torques, "
+            "and of the same run.",
+        ),
     )
-    return [DataFault("unrelated", "torque", names, message)]
+    out = []
+    for chosen, what in found:
+        names = tuple(j for j, here in zip(joints, chosen & moving, strict=True) if here)
+        if names:
+            out.append(DataFault("unrelated", "torque", names, f"The torque of {', '.join(names)} {what}"))
+    return out
