@@ -50,6 +50,8 @@ LARGE, STEADY_LARGE = 2.0, 2.0  # the same of gains that are hardly chance in a 
 LOSS = 0.15  # that the fit with free links may lose at the same time
 THIN = 3  # rows of a first look at every hypothesis: one in so many
 SECOND_LOOKS = 2  # of each kind, at all rows and with the factor refined
+# gain with free links of a first look: below it neither the URDF's links nor what a drive may lack bring a fault to be believed
+HOPELESS = -1.0
 PROMISING = 0.3  # of the best gain of a first look, and this much of the log error itself
 MOST = 4  # faults that are looked for behind one another
 # squared relative errors of every joint, with the links fitted and with the URDF's, at which the positions go together with the
@@ -111,8 +113,11 @@ class _Bases:
         self.look, self.fitted, self.known = look, look.fit(), look.fit_of_known_links()
         self.near = (self.fitted, self.known) if first else (None, None)
 
-    def fitted_gain(self, hypothesis: Hypothesis) -> float:
-        return self._gained(self.fitted, self.look.fit(hypothesis.reading, self.near[0])) + hypothesis.evident
+    def free(self, hypothesis: Hypothesis) -> RigidFit:
+        return self.look.fit(hypothesis.reading, self.near[0])
+
+    def fitted_gain(self, hypothesis: Hypothesis, free: RigidFit) -> float:
+        return self._gained(self.fitted, free) + hypothesis.evident
 
     def _gained(self, before: RigidFit, after: RigidFit) -> float:
         return _errors(before) - _errors(after) + self._possible(before, after)
@@ -123,15 +128,15 @@ class _Bases:
             return 0.0
         return IMPOSSIBLE * float(before.impossible.sum() - after.impossible.sum())
 
-    def gain(self, hypothesis: Hypothesis) -> _Gain:
-        free = self.look.fit(hypothesis.reading, self.near[0])
+    def gain(self, hypothesis: Hypothesis, free: RigidFit | None = None) -> _Gain:
+        free = free or self.free(hypothesis)
         known = self.look.fit_of_known_links(hypothesis.reading, self.near[1])
         credible = bool((known.error < CREDIBLE).all())
         folds = self.fitted.scores - free.scores
         if credible and hypothesis.by_links:
             folds = folds + OF_KNOWN * (self.known.scores - known.scores)
         return _Gain(
-            self._gained(self.fitted, free) + hypothesis.evident,
+            self.fitted_gain(hypothesis, free),
             self._gained(self.known, known),
             credible,
             self._possible(self.fitted, free) + hypothesis.evident,
@@ -262,8 +267,17 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS)) or (look.with_effects and kind in RATIOS):
             continue
-        by_links = kind in BY_LINKS
-        tried = [(bases.gain(h).total if by_links else bases.fitted_gain(h), rank, h) for h in kind(bases.look)]
+        tried = []
+        for number, h in enumerate(kind(bases.look)):
+            key = rank, number, h.joints, h.factor
+            if look.with_effects and look.first_gains.get((look.reading, key), 0.0) < HOPELESS:
+                continue
+            free = bases.free(h)
+            fitted = bases.fitted_gain(h, free)
+            if not look.with_effects:
+                look.first_gains[look.reading, key] = fitted
+            if fitted > HOPELESS:
+                tried.append((bases.gain(h, free).total if kind in BY_LINKS else fitted, rank, h))
         tried.sort(key=lambda t: -t[0])
         out += [t for t in tried[:SECOND_LOOKS] if t[0] > PROMISING]
     highest = max((gain for gain, *_ in out), default=0.0)

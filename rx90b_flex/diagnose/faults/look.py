@@ -119,15 +119,19 @@ class Look:
     _columns: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
     _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
     robots: dict[tuple[object, ...], Robot] = field(default_factory=dict, repr=False)  # with edited URDFs
+    ratios: dict[Reading, tuple[list[Hypothesis], list[Hypothesis]]] = field(default_factory=dict, repr=False)
+    first_gains: dict[tuple[object, ...], float] = field(
+        default_factory=dict, repr=False
+    )  # of hypotheses beside a reading
 
     def thinned(self, factor: int) -> Look:
         """The same look at every so many-th row."""
-        return dataclasses.replace(self, sample=self.sample.thinned(factor), _columns={}, _products={})
+        return dataclasses.replace(self, sample=self.sample.thinned(factor), _columns={}, _products={}, ratios={})
 
     @cached_property
     def beside(self) -> Look:
         """The same look with fits that may have what could be missing in a joint's drive."""
-        return dataclasses.replace(self, with_effects=True, _columns={}, _products={})
+        return dataclasses.replace(self, with_effects=True, _columns={}, _products={}, ratios={})
 
     def tells(self) -> bool:
         """Whether the log has many more independent values of torques than its fits have columns."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.sample import Reading
 
@@ -15,19 +17,29 @@ STILL_FAR = 0.3**2  # squared error of its own torque, above which something els
 
 def gear_ratios(look: Look) -> Iterator[Hypothesis]:
     """A joint's angle is s times too large and its torque 1/s of the true one: power is the same on both sides of a gear."""
-    return _best_of_each(look, torque=True)
+    return iter(_best_of_each(look)[0])
 
 
 def angle_scales(look: Look) -> Iterator[Hypothesis]:
     """A joint's angle is s times too large, its torque is right."""
-    return _best_of_each(look, torque=False)
+    return iter(_best_of_each(look)[1])
 
 
-def _best_of_each(look: Look, torque: bool) -> Iterator[Hypothesis]:
-    """Of every joint with the factor that fits best: neighbours of one joint's true factor would keep out the other joints."""
-    near = look.fit()
-    for k in range(len(look.sample.joints)):
-        yield min((_of(look, k, ratio, torque) for ratio in RATIOS), key=lambda h: look.fit(h.reading, near).score)
+def _best_of_each(look: Look) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Of every joint with the factor that fits best, its torque with it and not: neighbours of one joint's true factor would keep out
+    the other joints. One motion does for both.
+    """
+    if look.reading not in look.ratios:
+        near = look.fit()
+        each = [
+            [[_of(look, k, r, torque) for torque in (True, False)] for r in RATIOS]
+            for k in range(len(look.sample.joints))
+        ]
+        scores = [[[look.fit(h.reading, near).score for h in both] for both in of_joint] for of_joint in each]
+        best = np.argmin(scores, axis=1)  # (joints, 2)
+        chosen = [[of_joint[i][t] for of_joint, i in zip(each, best[:, t], strict=True)] for t in (0, 1)]
+        look.ratios[look.reading] = chosen[0], chosen[1]
+    return look.ratios[look.reading]
 
 
 def _of(look: Look, k: int, ratio: float, torque: bool) -> Hypothesis:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
 
 from rx90b_flex.diagnose.faults.sample import FOLDS, Reading, Sample, other_effects
 from rx90b_flex.effects import Effect, Motion
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.carried import carried_parameters
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
@@ -77,32 +76,22 @@ class Products:
         torque, inside = sample.torque_of(reading)
         _, v, a, _ = sample.seen(reading)
         links, (_, n, p) = reading.links, columns.shape
-        # rows of a fold after each other, those outside the log first
-        fold = np.where(inside, sample.fold, -1)
-        order = np.argsort(fold, kind="stable")
-        ends = np.searchsorted(fold[order], np.arange(FOLDS + 1))
-        spans = [slice(int(i), int(k)) for i, k in pairwise(ends)]
-        y, counts = torque[order], sample.left_seen(reading)[order].astype(float)
-        along = counts * v[order]
+        rows, there = _by_fold(np.where(inside, sample.fold, -1))
+        y, counts = torque[rows], sample.left_seen(reading)[rows] * there[..., None]
+        along, across = counts * v[rows], y.swapaxes(1, 2)
+        in_all = np.maximum(there.sum(axis=1), 1)
         # in memory as sums over the joints need it
         gram = np.zeros((n, FOLDS, p, p)).swapaxes(0, 1)
         cross, friction = np.zeros((FOLDS, n, n, p)), np.zeros((FOLDS, n, p))
         for j in range(n):
             own = np.flatnonzero(columns[:, j].any(axis=0))
             rubs = [links + PER_JOINT * j + i for i in FRICTION]
-            some = columns[:, j, own][order]
-            resisting = columns[:, j, rubs][order] * along[:, j, None]
-            for f, span in enumerate(spans):
-                x = some[span]
-                gram[f, j][np.ix_(own, own)] = x.T @ x
-                cross[f, j][:, own] = y[span].T @ x
-                friction[f, j, rubs] = resisting[span].sum(axis=0) / max(1, len(x))
-        power, mean_sum, work = np.zeros((3, FOLDS, n, n))
-        travel, rows = np.zeros((2, FOLDS, n))
-        for f, span in enumerate(spans):
-            c, m, z = counts[span].T, along[span].T, y[span]
-            power[f], mean_sum[f], work[f] = c @ z**2, c @ z, m @ z
-            travel[f], rows[f] = m.sum(axis=1), c.sum(axis=1)
+            x = columns[:, j, own][rows] * there[..., None]
+            gram[:, j][:, own[:, None], own] = x.swapaxes(1, 2) @ x
+            cross[:, j][:, :, own] = across @ x
+            friction[:, j, rubs] = (along[:, None, :, j] @ columns[:, j, rubs][rows])[:, 0] / in_all[:, None]
+        c, m = counts.swapaxes(1, 2), along.swapaxes(1, 2)
+        power, mean_sum, work, travel = c @ y**2, c @ y, m @ y, along.sum(axis=1)
         prior = np.zeros(p)
         prior[:links] = reading.robot.link_parameters
         ridge = np.full(len(prior), RIDGE)
@@ -112,7 +101,7 @@ class Products:
             load = links + PER_JOINT * n + sum(len(e.coefficients) for e in other_effects(reading.robot))
             prior[load], ridge[load] = 1.0, KNOWN
         return Products(
-            gram, cross, power, mean_sum, work, travel, rows, friction, _inertia(sample, reading, p, links),
+            gram, cross, power, mean_sum, work, travel, counts.sum(axis=1), friction, _inertia(sample, reading, p, links),
             np.sqrt((v**2).mean(axis=0)), np.sqrt((a**2).mean(axis=0)), prior, ridge,
         )  # fmt: skip
 
@@ -143,6 +132,15 @@ class Products:
         work = self.work[:, joints, order].sum(axis=0) * scale - mean * self.travel.sum(axis=0)
         along = work / (np.sqrt(total * rows) * self.speed + 1e-300)
         return np.asarray(np.interp(-along, AGAINST, (0.0, 1.0)))
+
+
+def _by_fold(fold: Indices) -> tuple[Indices, Array]:
+    """Numbers of the rows of each fold, (folds, L), and one where there is such a row: folds differ in length."""
+    order = np.argsort(fold, kind="stable")
+    ends = np.searchsorted(fold[order], np.arange(FOLDS + 1))
+    count = np.diff(ends)
+    places = np.arange(count.max(initial=1))
+    return order[np.minimum(ends[:-1, None] + places, len(order) - 1)], (places < count[:, None]).astype(float)
 
 
 def columns_of(sample: Sample, reading: Reading) -> Array:
@@ -275,9 +273,8 @@ class RigidFit:
         """
         cross, power, total = products.read(reading)
         error = np.ones(len(total)) if near is None else near.error
-        changes = (
-            total > CHANGES * power.sum(axis=0) + 1e-250
-        )  # a torque of one value asks nothing of links that others tell
+        # a torque of one value asks nothing of links that others tell
+        changes = total > CHANGES * power.sum(axis=0) + 1e-250
         for _ in range(ROUNDS if near is None else 1):
             theta = _solved(products, cross, changes / (total * (error + FLOOR)), held_out)
             aside = theta[:, None, :]
