@@ -361,7 +361,8 @@ def _imports_set_aside() -> Iterator[None]:
 def _with_second_encoders(result: ClosedLoop) -> ClosedLoop:
     """The result with the flexibilities that second encoders show, its errors those of the robot that has them."""
     model = result.model
-    if model.links_near:  # what passes the gears is asked of the recordings alone
+    shown = any(r.link_position is not None for r in result.campaign.recordings)
+    if model.links_near and shown:  # what passes the gears is asked of the recordings alone
         model = identify(model.regression, model.effects, fit_links=True, start=model, links_near=0.0)
     gears = gear_deflections(result.source, result.campaign, model)
     if not any(g.parameters for g in gears):
