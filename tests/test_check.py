@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import sys
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -249,6 +251,24 @@ def test_a_torque_that_keeps_one_value_in_motion_is_said_not_to_be_measured(tmp_
     (fault,) = result.data_faults
     assert (fault.kind, fault.joints) == ("unrelated", JOINTS[WRIST_2:])
     assert "measured" in fault.message and not result.usable
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+def test_a_wrong_axis_is_told_though_a_third_of_every_torque_is_noise(tmp_path: Path, seed: int) -> None:
+    """A large gain at all times is no chance, whatever is left; and noise alone is no fault."""
+    rng = np.random.default_rng(seed)
+    noisy = with_torques(sound(), lambda x: x + 0.6 * x.std(axis=0) * rng.normal(size=x.shape))
+    path = ind.write_files(tmp_path, ARM, DECLARED, noisy, cutoff_hz=CUTOFF_HZ)
+    assert rf.check(path).data_faults == ()
+    file = tmp_path / "robot_declared.toml"
+    tree = ElementTree.fromstring(rf.load_robot(file).urdf)
+    axis = next(j for j in tree.iter("joint") if j.get("name") == JOINTS[LIFT]).find("axis")
+    assert axis is not None
+    axis.set("xyz", "0 0 1")
+    (tmp_path / "turned.urdf").write_bytes(ElementTree.tostring(tree))
+    file.write_text(re.sub('urdf = ".*"', 'urdf = "turned.urdf"', file.read_text()))
+    (fault,) = rf.check(path).data_faults
+    assert (fault.kind, fault.joints) == ("kinematics", (JOINTS[LIFT],))
 
 
 @pytest.mark.parametrize("low", [(LIFT, ELBOW), pytest.param(range(6), marks=pytest.mark.slow)])

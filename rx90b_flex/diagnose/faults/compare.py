@@ -42,6 +42,7 @@ GAINING = 0.9  # of its squared error before: a joint that gains
 TIE = 0.15  # within which the earlier kind is believed
 OF_KNOWN = 0.5  # weight of the gain with the URDF's links: they may be off
 CREDIBLE = 0.3**2  # squared error with the URDF's links in every joint, below which they are worth a look
+FAIR = 0.45**2  # squared error up to which a tree explains a joint for which it does far better, all the time
 GAIN_KNOWN = 2.0  # with these links, of a pose: a joint's squared error falls to a seventh
 # of a joint's log error, that what its drive lacks takes: from there on faults are looked for beside it, too
 LACKING = 1.0
@@ -292,7 +293,8 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
     if gain.fitted >= MODEST and not (gaining > SMALL).any():
         return True
     # another tree may explain a little more of torques that neither explains
-    return gain.fitted >= GAIN and not (KINDS[rank] in ON_POSES and (gaining > CREDIBLE).any())
+    fair = FAIR if gain.fitted >= LARGE and gain.steady >= STEADY else CREDIBLE
+    return gain.fitted >= GAIN and not (KINDS[rank] in ON_POSES and (gaining > fair).any())
 
 
 def _accepted_by_links(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
