@@ -33,7 +33,7 @@ from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.seldom import shown_seldom
 from rx90b_flex.diagnose.side_by_side import worth_while
-from rx90b_flex.diagnose.slow import Slow, SlowAtRest, slow_at_rest, slow_errors
+from rx90b_flex.diagnose.slow import ErrorsInTime, Slow, SlowAtRest
 from rx90b_flex.diagnose.torque import (
     MOST_A_JOINT,
     MOST_EFFECTS,
@@ -644,9 +644,11 @@ def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[E
 def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow | SlowAtRest, ...]:
     rates = [p.recording.sample_rate_hz for p in predictions]
     torque, left = [p.torque for p in predictions], [p.torque - p.after for p in predictions]
-    data = campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions]
-    at_rest = slow_at_rest(*data)
-    return (*slow_errors(*data), *([] if at_rest is None else [at_rest]))
+    errors = ErrorsInTime.of(
+        campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions]
+    )
+    at_rest = errors.at_rest()
+    return (*errors.slow(), *([] if at_rest is None else [at_rest]))
 
 
 def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:

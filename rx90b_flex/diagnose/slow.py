@@ -86,11 +86,13 @@ class SlowAtRest:
 
 
 @dataclass(frozen=True, eq=False)
-class _Left:
+class ErrorsInTime:
     """Errors (N, joints) of all held-out recordings, from when joints first moved on, what of them is slow, and rows at rest."""
 
+    joints: tuple[str, ...]
     torque: Array
     error: Array
+    all_error: Array
     smooth: Array
     mean: Array
     still: Mask
@@ -99,84 +101,69 @@ class _Left:
 
     @staticmethod
     def of(
+        joints: Sequence[str],
         rates_hz: Sequence[float],
         cutoff_hz: float | None,
         torque: Sequence[Array],
         left: Sequence[Array],
         velocity: Sequence[Array],
-    ) -> _Left:
+    ) -> ErrorsInTime:
+        """From every held-out recording.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            Of the columns.
+        rates_hz : sequence of float
+            Sample rates.
+        cutoff_hz : float or None
+            Of the low-pass that torques went through.
+        torque, left, velocity : sequence of arrays, each (N, joints)
+            Torque and its error, N m (N), and velocity, rad/s (m/s).
+        """
         hz = SLOW_HZ if cutoff_hz is None else min(SLOW_HZ, PASSED * cutoff_hz)
         rest = resting_each(velocity)
         since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
-        left = [np.where(there, error, 0.0) for there, error in zip(since, left, strict=True)]
+        told = [np.where(there, error, 0.0) for there, error in zip(since, left, strict=True)]
         smooth, mean = [], []
-        for rate, error in zip(rates_hz, left, strict=True):
+        for rate, error in zip(rates_hz, told, strict=True):
             passes = signal.butter(ORDER, min(hz, 0.45 * rate), fs=rate, output="sos")
             padding = min(len(error) - 1, int(rate / hz))
             smooth.append(signal.sosfiltfilt(passes, error, axis=0, padtype="even", padlen=padding))
             mean.append(np.broadcast_to(error.mean(axis=0), error.shape))
-        errors = np.concatenate(torque), np.concatenate(left), np.concatenate(smooth), np.concatenate(mean)
-        return _Left(*errors, np.concatenate(rest), np.concatenate(since), hz)
+        errors = [np.concatenate(x) for x in (torque, told, left, smooth, mean)]
+        rows = np.concatenate(rest), np.concatenate(since)
+        return ErrorsInTime(tuple(joints), errors[0], errors[1], errors[2], errors[3], errors[4], *rows, hz)
 
-    def share(self, part: Array, rows: Mask) -> Array:
+    def slow(self) -> tuple[Slow, ...]:
+        """Joints whose error in motion is slow and large, one entry a joint."""
+        moving = ~self.still & self.since
+        share, constant = (self._share(x, moving) for x in (self.smooth, self.mean))
+        return tuple(
+            Slow(joint, self.hz, float(share[j]), float(constant[j]))
+            for j, joint in enumerate(self.joints)
+            if self._is_slow(moving)[j]
+        )
+
+    def at_rest(self) -> SlowAtRest | None:
+        """Whether most of the error lies in rests, and is slow there."""
+        resting = self.still & self.since
+        creeps = self._is_slow(resting)
+        there = resting & creeps
+        squares, size = self.all_error**2, self.torque**2
+        share = float(squares[there].sum() / max(squares.sum(), 1e-300))
+        if share <= AT_REST:
+            return None
+        elsewhere = float(np.sqrt(squares[~there].sum() / max(size[~there].sum(), 1e-300)))
+        return SlowAtRest(tuple(j for j, slow in zip(self.joints, creeps, strict=True) if slow), share, elsewhere)
+
+    def _share(self, part: Array, rows: Mask) -> Array:
         """Of the squared error in some rows, which a part of it makes up, shape (joints,)."""
         whole, own = ((x**2 * rows).sum(axis=0) for x in (self.error, part))
         return np.asarray(np.minimum(own / np.maximum(whole, 1e-300), 1.0))
 
-    def slow(self, rows: Mask) -> Mask:
+    def _is_slow(self, rows: Mask) -> Mask:
         """Joints whose error in some rows is slow, and large, shape (joints,)."""
         rms = np.sqrt((self.error**2 * rows).sum(axis=0) / np.maximum(rows.sum(axis=0), 1))
         large = rms > LARGE * self.torque.std(axis=0)
-        return np.asarray(large & (self.share(self.smooth, rows) > MOSTLY))
-
-
-def slow_errors(
-    joints: Sequence[str],
-    rates_hz: Sequence[float],
-    cutoff_hz: float | None,
-    torque: Sequence[Array],
-    left: Sequence[Array],
-    velocity: Sequence[Array],
-) -> tuple[Slow, ...]:
-    """Joints whose error is slow and large, one entry a joint.
-
-    Parameters
-    ----------
-    joints : sequence of str
-        Of the columns.
-    rates_hz : sequence of float
-        Sample rates.
-    cutoff_hz : float or None
-        Of the low-pass that torques went through.
-    torque, left, velocity : sequence of arrays, each (N, joints)
-        Torque and its error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
-    """
-    all_left = _Left.of(rates_hz, cutoff_hz, torque, left, velocity)
-    moving = ~all_left.still & all_left.since
-    share, constant = (all_left.share(x, moving) for x in (all_left.smooth, all_left.mean))
-    return tuple(
-        Slow(joint, all_left.hz, float(share[j]), float(constant[j]))
-        for j, joint in enumerate(joints)
-        if all_left.slow(moving)[j]
-    )
-
-
-def slow_at_rest(
-    joints: Sequence[str],
-    rates_hz: Sequence[float],
-    cutoff_hz: float | None,
-    torque: Sequence[Array],
-    left: Sequence[Array],
-    velocity: Sequence[Array],
-) -> SlowAtRest | None:
-    """Whether most of the error lies in rests, and is slow there; parameters as those of `slow_errors`."""
-    all_left = _Left.of(rates_hz, cutoff_hz, torque, left, velocity)
-    resting = all_left.still & all_left.since
-    slow = all_left.slow(resting)
-    there = resting & slow
-    squares, size = np.concatenate(left) ** 2, all_left.torque**2
-    share = float(squares[there].sum() / max(squares.sum(), 1e-300))
-    if share <= AT_REST:
-        return None
-    elsewhere = float(np.sqrt(squares[~there].sum() / max(size[~there].sum(), 1e-300)))
-    return SlowAtRest(tuple(j for j, creeps in zip(joints, slow, strict=True) if creeps), share, elsewhere)
+        return np.asarray(large & (self._share(self.smooth, rows) > MOSTLY))
