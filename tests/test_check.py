@@ -238,19 +238,25 @@ def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said
     assert not fault.usable and not result.usable
 
 
-@pytest.mark.parametrize("seen", [0.0, pytest.param(0.25, marks=pytest.mark.slow)])
-def test_a_torque_that_keeps_one_value_in_motion_is_said_not_to_be_measured(tmp_path: Path, seen: float) -> None:
-    """Of two wrist joints nothing but zeros, or zeros with some noise in between, as of drives without a current sensor."""
+@pytest.mark.parametrize(
+    ("joints", "seen"), [((ELBOW,), 0.0), *(pytest.param((4, 5), x, marks=pytest.mark.slow) for x in (0.0, 0.25))]
+)
+def test_a_torque_that_is_zero_in_motion_is_said_not_to_be_measured(
+    tmp_path: Path, joints: tuple[int, ...], seen: float
+) -> None:
+    """Nothing but zeros, or zeros with some noise in between, as of drives without a current sensor."""
     rng = np.random.default_rng(0)
 
     def change(x: np.ndarray) -> np.ndarray:
-        x[:, WRIST_2:] = 0.05 * rng.normal(size=(len(x), 2)) * (rng.random((len(x), 2)) < seen)
+        size = len(x), len(joints)
+        x[:, list(joints)] = 0.05 * rng.normal(size=size) * (rng.random(size) < seen)
         return x
 
     result = checked(tmp_path, with_torques(sound(), change))
     (fault,) = result.data_faults
-    assert (fault.kind, fault.joints) == ("unrelated", JOINTS[WRIST_2:])
+    assert (fault.kind, fault.joints) == ("unrelated", tuple(JOINTS[j] for j in joints))
     assert "measured" in fault.message and not result.usable
+    assert result.torque_side.message == ""  # no size of a torque that is none
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])

@@ -23,10 +23,10 @@ from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.stuck import (
     NEVER,
     frozen,
-    hardly_changes,
     moves,
     moves_within,
     no_excitation,
+    not_measured,
     stuck,
     stuck_in_one,
 )
@@ -189,7 +189,7 @@ def _checked(
     still = no_excitation(mended)
     faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
     moving = moves(mended) > NEVER
-    constant = hardly_changes(mended)
+    constant = not_measured(mended)
     parameters: tuple[ParameterStatus, ...] = ()
     basics: tuple[str, ...] = ()
     errors: tuple[float, ...] = ()

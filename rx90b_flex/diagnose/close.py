@@ -451,7 +451,7 @@ def _closed(
             *(c.message for c in constants if c.source != "stated"),
             *scaled,
             *loop.stopped(ended.standing),
-            *_size_words(checked),
+            *filter(None, [checked.torque_side.message]),
         ),
         tell,
     )
@@ -665,11 +665,6 @@ def _event_words(
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:
     return MovingErrors.of(*zip(*((p.torque, p.before, p.after, p.velocity) for p in predictions), strict=True))
-
-
-def _size_words(checked: Checked) -> tuple[str, ...]:
-    """What is odd about the side of the gears or the size of torques that went on all the same."""
-    return (checked.torque_side.message,) if checked.torque_side.message else ()
 
 
 def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from rx90b_flex.effects.motion import Array, Mask
 SLOW_HZ = 2.0  # below which noise has little of its power
 PASSED = 0.25  # of the cutoff of a low-pass: of white noise no more than that share lies below
 MOSTLY = 0.85  # of a joint's squared error below that frequency; of first-order noise with 0.1 s of memory it is 0.65
-AT_REST = 0.5  # of the squared error of all joints in which slow rests have to be said
+RESTS = 0.5  # of the squared error of all joints in which slow rests have to be said
 LARGE = 0.05  # of the torque's standard deviation: what is smaller may be a sensor's drift
 CONSTANT = 0.7  # of the squared error that each recording's mean takes off
 ORDER = 4  # of the low-pass that parts slow from fast
@@ -131,19 +131,16 @@ class ErrorsInTime:
             padding = min(len(error) - 1, int(rate / hz))
             smooth.append(signal.sosfiltfilt(passes, error, axis=0, padtype="even", padlen=padding))
             mean.append(np.broadcast_to(error.mean(axis=0), error.shape))
-        errors = [np.concatenate(x) for x in (torque, told, left, smooth, mean)]
-        rows = np.concatenate(rest), np.concatenate(since)
-        return ErrorsInTime(tuple(joints), errors[0], errors[1], errors[2], errors[3], errors[4], *rows, hz)
+        torques, errors, all_errors = np.concatenate(torque), np.concatenate(told), np.concatenate(left)
+        slow, constant, still, moved = (np.concatenate(x) for x in (smooth, mean, rest, since))
+        return ErrorsInTime(tuple(joints), torques, errors, all_errors, slow, constant, still, moved, hz)
 
     def slow(self) -> tuple[Slow, ...]:
         """Joints whose error in motion is slow and large, one entry a joint."""
         moving = ~self.still & self.since
         share, constant = (self._share(x, moving) for x in (self.smooth, self.mean))
-        return tuple(
-            Slow(joint, self.hz, float(share[j]), float(constant[j]))
-            for j, joint in enumerate(self.joints)
-            if self._is_slow(moving)[j]
-        )
+        each = zip(self.joints, share.tolist(), constant.tolist(), self._is_slow(moving), strict=True)
+        return tuple(Slow(joint, self.hz, part, same) for joint, part, same, slow in each if slow)
 
     def at_rest(self) -> SlowAtRest | None:
         """Whether most of the error lies in rests, and is slow there."""
@@ -152,7 +149,7 @@ class ErrorsInTime:
         there = resting & creeps
         squares, size = self.all_error**2, self.torque**2
         share = float(squares[there].sum() / max(squares.sum(), 1e-300))
-        if share <= AT_REST:
+        if share <= RESTS:
             return None
         elsewhere = float(np.sqrt(squares[~there].sum() / max(size[~there].sum(), 1e-300)))
         return SlowAtRest(tuple(j for j, slow in zip(self.joints, creeps, strict=True) if slow), share, elsewhere)

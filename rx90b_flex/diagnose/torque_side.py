@@ -57,13 +57,13 @@ def torque_side(
     }
     small |= {look.sample.joints[k] for k in torque_sizes(look)[1]} - known
     if small:
-        whose = "Torques are" if len(small) == len(moving) else f"The torque of {', '.join(sorted(small))} is"
-        text = f"{whose} far too small for the links: the motors', it seems. State gear_matrix."
+        whose = "Torques are" if len(small) == len(moving) else f"Torques of {', '.join(sorted(small))} are"
+        text = f"{whose} far too small for the links: those of the motors, it seems. State gear_matrix."
         return TorqueSide(stated, "motor", text)
     if not moving.any():
         return TorqueSide(stated, None, "")
     found = "joint" if _drives_show(look, moving) else "behind_gear"
-    return TorqueSide(stated, found, _words(stated, found) or far_below(look, of_open_size))
+    return TorqueSide(stated, found, _words(stated, found) or far_below(look, known.union(of_open_size)))
 
 
 def _words(stated: str | None, found: str) -> str:

@@ -115,6 +115,7 @@ class _Bases:
         self.near = (self.fitted, self.known) if first else (None, None)
 
     def free(self, hypothesis: Hypothesis) -> RigidFit:
+        """The fit of a hypothesis with free links."""
         return self.look.fit(hypothesis.reading, self.near[0])
 
     def fitted_gain(self, hypothesis: Hypothesis, free: RigidFit) -> float:
@@ -270,13 +271,13 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
             continue
         tried = []
         for number, h in enumerate(kind(bases.look)):
-            key = rank, number, h.joints, h.factor
-            if look.with_effects and look.first_gains.get((look.reading, key), 0.0) < HOPELESS:
+            key = look.reading, rank, number, h.joints, h.factor
+            if look.with_effects and look.first_gains.get(key, 0.0) < HOPELESS:
                 continue
             free = bases.free(h)
             fitted = bases.fitted_gain(h, free)
             if not look.with_effects:
-                look.first_gains[look.reading, key] = fitted
+                look.first_gains[key] = fitted
             if fitted > HOPELESS:
                 tried.append((bases.gain(h, free).total if kind in BY_LINKS else fitted, rank, h))
         tried.sort(key=lambda t: -t[0])

@@ -120,9 +120,8 @@ class Look:
     _products: dict[tuple[object, ...], Products] = field(default_factory=dict, repr=False)
     robots: dict[tuple[object, ...], Robot] = field(default_factory=dict, repr=False)  # with edited URDFs
     ratios: dict[Reading, tuple[list[Hypothesis], list[Hypothesis]]] = field(default_factory=dict, repr=False)
-    first_gains: dict[tuple[object, ...], float] = field(
-        default_factory=dict, repr=False
-    )  # of hypotheses beside a reading
+    # what hypotheses gain at first sight beside a reading, without effects
+    first_gains: dict[tuple[object, ...], float] = field(default_factory=dict, repr=False)
 
     def thinned(self, factor: int) -> Look:
         """The same look at every so many-th row."""

@@ -9,15 +9,13 @@ import numpy as np
 from rx90b_flex.diagnose.faults.compare import CREDIBLE
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.units import outside
-from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.effects.motion import Array
 from rx90b_flex.signals.data_fault import DataFault
 
 TOO_SMALL = 0.04  # of the torque that the URDF's links alone ask for: no links are so much lighter than their CAD model
 TOO_SMALL_ALONE = 0.25  # the same for one joint, where the URDF's links fit every other joint
 TOO_LARGE = 3.0  # times the URDF's effort limit
-BEARS_MUCH = (
-    0.1  # of the largest torque that the links ask of a joint, for a joint whose torque's size is held against theirs
-)
+BEARS_MUCH = 0.1  # of the largest torque that links ask of a joint, from which a joint's own is held against it
 DEGREES = 180.0 / np.pi
 
 
@@ -47,12 +45,12 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFau
 
 def torque_sizes(look: Look) -> tuple[list[int], list[int]]:
     """Numbers of the joints whose torque is too large for the URDF's limits, and too small for its links."""
-    expected, torque = _of_links(look), look.sample.torque_seen(look.reading)
-    effort = look.reading.robot.tree.effortLimit[_places(look)]
+    expected, torque, size, part = _held_against_links(look)
+    at = np.array([look.reading.robot.layout.index(j) for j in look.sample.joints])
+    effort = look.reading.robot.tree.effortLimit[at]
     largest = np.abs(torque).max(axis=0)
     # a limit below what the links ask for is a placeholder
     stated = np.isfinite(effort) & (effort > np.abs(expected).max(axis=0))
-    size, part = _parts(look)
     heavy = size > 1e-3 * size.max()
     # one joint's links cannot be far lighter than the file says while those that carry them are not
     unfit = np.minimum(look.fit_of_known_links().error, look.beside.fit_of_known_links().error) >= CREDIBLE
@@ -67,32 +65,25 @@ def far_below(look: Look, but: Collection[str] = ()) -> str:
 
     That may be so on a sound robot: links may be lighter than the file says, or a spring may carry them.
     """
-    size, part = _parts(look)
+    joints, (_, _, size, part) = look.sample.joints, _held_against_links(look)
     few = np.flatnonzero((size > BEARS_MUCH * size.max()) & (part < TOO_SMALL_ALONE)).tolist()
-    found = [k for k in few if look.sample.joints[k] not in but]
+    found = {joints[k]: f"{1 / part[k]:.2g}" for k in few if joints[k] not in but}
     if not found:
         return ""
-    names, times = (
-        ", ".join(x) for x in ([look.sample.joints[k] for k in found], [f"{1 / part[k]:.2g}" for k in found])
-    )
+    names, times = ", ".join(found), ", ".join(found.values())
     return (
         f"What the URDF's links alone ask of {names} is {times} times the measured torque: amperes, another torque constant, a "
         "spring that carries them, or links that are lighter than the file says?"
     )
 
 
-def _places(look: Look) -> Indices:
-    return np.array([look.reading.robot.layout.index(j) for j in look.sample.joints])
-
-
-def _of_links(look: Look) -> Array:
-    """Torque (N, joints) that the URDF's links ask for."""
+def _held_against_links(look: Look) -> tuple[Array, Array, Array, Array]:
+    """Torque that the URDF's links ask for and the measured one, each (R, joints), N m; the root mean square of the first, and which
+    part of it the second's is, each (joints,).
+    """
     reading = look.reading
-    every = reading.robot.link_torque(look.sample.motion(reading))
-    return np.asarray(every[:, _places(look)] @ reading.torques_to_motors.T)
-
-
-def _parts(look: Look) -> tuple[Array, Array]:
-    """Root mean square of that, and which part of it the measured torque's is, each of shape (joints,)."""
-    size, torque = (np.sqrt((x**2).mean(axis=0)) for x in (_of_links(look), look.sample.torque_seen(look.reading)))
-    return size, torque / np.maximum(size, 1e-300)
+    at = np.array([reading.robot.layout.index(j) for j in look.sample.joints])
+    expected = reading.robot.link_torque(look.sample.motion(reading))[:, at] @ reading.torques_to_motors.T
+    torque = look.sample.torque_seen(reading)
+    size, measured = (np.sqrt((x**2).mean(axis=0)) for x in (expected, torque))
+    return expected, torque, size, measured / np.maximum(size, 1e-300)

@@ -16,7 +16,7 @@ HARDLY = 0.02  # rad or m: too little for a parameter to stand out of friction
 FROZEN_S = 0.3  # the same number for so long
 FEWEST = 12  # samples
 MOVING = 0.05  # of a joint's largest step from sample to sample, with which it moves
-ONE_VALUE = 0.6  # of the samples in which a joint moves: friction alone has two
+NOTHING = 0.6  # of the samples in which a joint moves: a torque that is zero in more of them is none that was measured
 JUMP = 8.0  # times the usual step at the end of such a segment
 SWINGS = 0.2  # of the same torque's standard deviation in other recordings: more than noise
 UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not at rest
@@ -32,14 +32,13 @@ def range_of(signals: Sequence[Array]) -> Array:
     return np.max([x.max(axis=0) for x in signals], axis=0) - np.min([x.min(axis=0) for x in signals], axis=0)
 
 
-def hardly_changes(recordings: Sequence[Recording]) -> Mask:
-    """Joints whose torque keeps one value for most of their motion, shape (joints,): friction alone has two."""
+def not_measured(recordings: Sequence[Recording]) -> Mask:
+    """Joints whose torque is one value throughout, or zero in most of their motion, shape (joints,): friction alone is not."""
     step = [np.abs(np.diff(r.position, axis=0)) for r in recordings]
     least = MOVING * np.max([x.max(axis=0) for x in step], axis=0)
-    moved, torque = np.concatenate([x > least for x in step]), np.concatenate([r.torque[1:] for r in recordings])
-    usual = [np.median(x[m]) if m.any() else np.nan for x, m in zip(torque.T, moved.T, strict=True)]
-    share = (moved & (torque == usual)).sum(axis=0) / np.maximum(moved.sum(axis=0), 1)
-    return np.asarray((share > ONE_VALUE) | (range_of([r.torque for r in recordings]) == 0.0))
+    moved, torque = np.concatenate([x > least for x in step]), [r.torque for r in recordings]
+    nothing = moved & (np.concatenate([x[1:] for x in torque]) == 0.0)
+    return np.asarray((nothing.sum(axis=0) > NOTHING * moved.sum(axis=0)) | (range_of(torque) == 0.0))
 
 
 def moves_within(recordings: Sequence[Recording]) -> Array:

@@ -21,13 +21,14 @@ def unrelated(joints: Sequence[str], error: Array, seen: Array, moving: Mask, co
     seen : array, shape (joints,)
         The same of a fit to these very rows.
     moving, constant : array of bool, shape (joints,)
-        Joints that move; joints whose torque keeps one value.
+        Joints that move; joints whose torque was not measured (`not_measured`).
     """
     strange = (error > NOTHING) & (seen > NOTHING_SEEN) & ~constant
     found = (
         (
             constant,
-            "keeps one value for most of the motion: was it measured? Without such joints in `joints` the others can be used.",
+            "is zero in most of the motion, or one value throughout: was it measured? Without such joints in `joints` the others "
+            "can be used.",
         ),
         (
             strange,
