@@ -94,6 +94,11 @@ def test_joint_4_has_a_ripple_of_about_30_cycles_a_turn(result):
     assert amplitude > 5 * std
 
 
+def test_joint_5_s_friction_repeats_with_its_motor_which_the_search_did_not_know(result):
+    (text,) = result.motor_turns
+    assert text.startswith("joint_5.position_friction repeats once a turn of joint_5's motor (44.9 ")
+
+
 def test_every_effect_is_significant_after_correction_for_all_that_was_tried(result):
     assert all(e.p_value < 1e-3 for e in result.effects)
     # one law on several joints is one hypothesis, which blocks are asked about as a whole

@@ -126,6 +126,8 @@ def print_result(result: Any) -> None:
         if first.since_moved and last.since_moved:
             since = f" (since joints first move {first.told.relative_error:.4f} -> {last.told.relative_error:.4f})"
         say(f"Relative torque error, {role}{held}: {first.relative_error:.4f} -> {last.relative_error:.4f}{since}")
+    for text in result.motor_turns:
+        say(text)
     if result.noise_floor is not None:
         rms = ", ".join(f"{x:.3g}" for x in result.noise_floor)
         say(f"Noise floor: {rms} {result.source.force_unit(result.joints)} a joint")

@@ -25,6 +25,7 @@ from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
+from rx90b_flex.diagnose.motor_turns import turns_of_motor, turns_words
 from rx90b_flex.diagnose.moving import MovingErrors, held_at_first
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
@@ -260,6 +261,14 @@ class ClosedLoop(OfCampaign):
     fitted: FittedErrors | None = None
     cautions: tuple[str, ...] = ()
     deflection: tuple[GearDeflection, ...] = ()
+
+    @property
+    def motor_turns(self) -> tuple[str, ...]:
+        """Sentences that effects found repeat with the turns of a motor, where the campaign states the gears."""
+        ratios = {j: turns_of_motor(self.campaign.gear_matrix, self.joints, j) for j in self.joints}
+        each = ((e, ratios[e.joint], p) for e in self.effects if e.joint in ratios for p in e.parameters)
+        said = (turns_words(e.effect.label, str(e.joint), p, r) for e, r, p in each if r and p.name == "order")
+        return tuple(text for text in said if text)
 
     def plot_residual(self, joint: str, over: str = "velocity") -> Axes:
         """A joint's torque error on the validation recordings before and after.
