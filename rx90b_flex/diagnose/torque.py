@@ -312,8 +312,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         back = [e for e in less.effects if e.place == named.place and (type(e), e.place) not in gone]
         columns = self.data.regression.columns
         torque = columns(named) @ named.known_coefficients()
-        apart = torque - sum(columns(e) @ e.known_coefficients() for e in back)
-        return bool(back) and bool(np.linalg.norm(apart) < ALIKE * np.linalg.norm(torque))
+        return bool(back) and _alike(torque, sum((columns(e) @ e.known_coefficients() for e in back), np.zeros_like(torque)))
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""
@@ -353,8 +352,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return after > WORSE * before or self._at_rest_alone(new, old)
 
     def hopeful(self, trials: Sequence[TorqueTrial]) -> list[TorqueTrial]:
-        """Where a lawful effect explains much, what keeps it from being sure is no noise."""
-        return [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
+        """Where a lawful effect explains much, what keeps it from being sure is no noise; of several with one torque the first."""
+        some = [t for t in self._new(trials) if t.lawful and t.share > MUCH][:PAIRS]
+        torques = [self.data.regression.columns(t.effect) @ t.effect.known_coefficients() for t in some]
+        return [t for i, t in enumerate(some) if not any(_alike(torques[i], other) for other in torques[:i])]
 
     def apart(
         self,
@@ -644,6 +645,11 @@ def _leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:
     """Whether another effect in its place is one that only stands beside it."""
     others = [e for e in effects if e.place == effect.place and e is not effect]
     return any(as_beside(e, others) is None and as_beside(e, [*others, effect]) is not None for e in others)
+
+
+def _alike(torque: Array, other: Array) -> bool:
+    """Whether another torque differs little from one."""
+    return bool(np.linalg.norm(torque - other) < ALIKE * np.linalg.norm(torque))
 
 
 def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:
