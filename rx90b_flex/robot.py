@@ -391,9 +391,7 @@ class Robot:
         ValueError
             A wrong shape; a flexible drive without inertia; load friction that no acceleration agrees with.
         """
-        if self.weightless_drives:
-            names = ", ".join(self.weightless_drives)
-            raise ValueError(f"{self.name}: a flexible drive needs a drive_inertia to move; none at {names}")
+        self.check_drives()
         torque = np.asarray(drive_torque, dtype=float)
         if torque.shape != (len(self.joints),):
             raise ValueError(f"drive_torque has shape {torque.shape}; expected ({len(self.joints)},) for {self.name}")
@@ -423,6 +421,12 @@ class Robot:
         mass = np.diag(transform.T @ self.mass_matrix(np.zeros(self.model.nv)) @ transform)
         twisting = [j for j in self.joints if self.layout.index(j, "torsion") is not None]
         return tuple(j for j in twisting if mass[self.layout.names.index(f"{j}:drive")] <= 1e-12 * mass.max())
+
+    def check_drives(self) -> None:
+        """Raise a ValueError where a drive that turns apart from its link has no inertia to be moved."""
+        if self.weightless_drives:
+            names = ", ".join(self.weightless_drives)
+            raise ValueError(f"{self.name}: a flexible drive needs a drive_inertia to move; none at {names}")
 
     def _compiled_forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
         q, v = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(v, dtype=float)

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pinocchio as pin
 
 from rx90b_flex.effects import close_match
+from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
+
+
+def jacobian_at(model: pin.Model, data: pin.Data, q: Array, frame: int) -> Array:
+    """A frame's velocity and rate of turning, base axes at its origin, by each coordinate; shape (6, n), also of one coordinate,
+    where Pinocchio gives a vector.
+    """
+    return np.reshape(pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED), (6, model.nv))
 
 
 def with_tip(robot: Robot, frame: str) -> Robot:

@@ -312,7 +312,9 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         back = [e for e in less.effects if e.place == named.place and (type(e), e.place) not in gone]
         columns = self.data.regression.columns
         torque = columns(named) @ named.known_coefficients()
-        return bool(back) and _alike(torque, sum((columns(e) @ e.known_coefficients() for e in back), np.zeros_like(torque)))
+        return bool(back) and _alike(
+            torque, sum((columns(e) @ e.known_coefficients() for e in back), np.zeros_like(torque))
+        )
 
     def _plainer(self, model: TorqueModel, trial: TorqueTrial) -> TorqueTrial | None:
         """A trial with those shapes held at what is usual that ran into an end of their range; None where there are none to hold."""

@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.export import save_robot
@@ -39,6 +38,7 @@ from rx90b_flex.identify.static_stiffness import ROUNDING, StaticStiffness, fit_
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.static_test import StaticTest, read_static_table
+from rx90b_flex.tip import jacobian_at
 
 KEYS = ("robot", "skip", "confidence", "test")
 TEST_KEYS = (
@@ -171,7 +171,7 @@ def _lever(table: TomlTable, robot: Robot | None) -> float:
         raise table.problem("angles_deg", f"lists {len(angles)} values, at most {len(robot.joints)} are expected")
     q = robot.input_matrix @ np.deg2rad(np.pad(angles, (0, len(robot.joints) - len(angles))))
     data, frame = robot.model.createData(), robot.model.getFrameId(name)
-    jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    jacobian = jacobian_at(robot.model, data, q, frame)
     lever = float(jacobian[:3, place] @ pull / np.linalg.norm(pull))
     if abs(lever) < SHORTEST_LEVER:
         coordinate = robot.coordinates[place]

@@ -214,6 +214,8 @@ class PathCheck(Showing):
     wrong_model : tuple of (str, Deviation)
         The corrected path on a robot whose parameters of one kind are lower by `MODEL_ERROR`.
     seconds : dict of stage and its time, s
+    correction_ended : str or None
+        Why the robot did not follow the next step of the correction, which ended it; None where it did.
     """
 
     plan: PathPlan
@@ -228,6 +230,7 @@ class PathCheck(Showing):
     seconds: dict[str, float]
     sticking: tuple[Sticking, ...] = ()
     runs: tuple[Simulation, ...] = ()
+    correction_ended: str | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -252,9 +255,10 @@ class PathCheck(Showing):
         if self.verdict == "corrected_within_tolerance":
             return f"Pass when corrected: {strays}, on the corrected path by {after.max_across:.3g} mm, within {tolerance}."
         bad = int((~after.within(self.options.tolerance_mm)).sum())
+        ended = f" The next step would end early: {self.correction_ended}." if self.correction_ended else ""
         return (
             f"Fail: {strays}; correction in {len(self.iterations) - 1} steps brings it to {after.max_across:.3g} mm, and {bad} of "
-            f"{len(after.by_mm)} millimetres stay over {tolerance}.{self.sticking_words}"
+            f"{len(after.by_mm)} millimetres stay over {tolerance}.{ended}{self.sticking_words}"
         )
 
     @property
@@ -306,8 +310,9 @@ def check_path(
     after: Deviation | None = None
     correction: Array | None = None
     iterations: tuple[Iteration, ...] = (Iteration(before.max_across, before.rms_across),)
+    ended: str | None = None
     if options.correct and before.ended is None:
-        after, correction, iterations, corrected = _correct(planned, controller, run, options, tell)
+        after, correction, iterations, corrected, ended = _correct(planned, controller, run, options, tell)
         runs = (run, corrected) if np.any(correction) else runs
         lap("correction")
     wrong: tuple[tuple[str, Deviation], ...] = ()
@@ -322,7 +327,7 @@ def check_path(
         lap("contributions")
     return PathCheck(
         planned, options, before, after, correction, iterations, contributions, left_over, wrong, seconds,
-        sticking(planned, run), runs,
+        sticking(planned, run), runs, ended,
     )  # fmt: skip
 
 
@@ -365,13 +370,15 @@ def sticking(planned: PathPlan, run: Simulation) -> tuple[Sticking, ...]:
 
 def _correct(
     planned: PathPlan, controller: CS8, run: Simulation, options: PathOptions, tell: Tell
-) -> tuple[Deviation, Array, tuple[Iteration, ...], Simulation]:
-    """The best correction that was found: its deviation, the displacement of the reference, the steps to it, and its run."""
+) -> tuple[Deviation, Array, tuple[Iteration, ...], Simulation, str | None]:
+    """The best correction that was found: its deviation, the displacement of the reference, the steps to it, its run, and why the
+    next step's ended early.
+    """
     correction = np.zeros_like(planned.point)
     best, kept, best_run = deviation(planned, run), correction, run
     steps = [Iteration(best.max_across, best.rms_across)]
     if best.max_across <= ENOUGH * options.tolerance_mm:
-        return best, kept, tuple(steps), best_run
+        return best, kept, tuple(steps), best_run, None
     learner = Learner(planned, controller)
     idle = 0
     for k in range(options.iterations):
@@ -387,7 +394,7 @@ def _correct(
             best, kept, best_run = found, correction, run
         if best.max_across <= ENOUGH * options.tolerance_mm or idle == PATIENCE:
             break
-    return best, kept, tuple(steps), best_run
+    return best, kept, tuple(steps), best_run, run.ended
 
 
 def _at_plan(planned: PathPlan, run: Simulation) -> Array:

@@ -9,13 +9,13 @@ linear T lacks (friction at reversal, poses in between).
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.planning import HOLD_S, PathPlan, rates
 from rx90b_flex.simulate.closed_loop import static_start
 from rx90b_flex.simulate.cs8 import CS8, drive_places
+from rx90b_flex.tip import jacobian_at
 
 ComplexArray = NDArray[np.complex128]
 
@@ -106,5 +106,5 @@ def tip_response(plan: PathPlan, controller: CS8, sample: int, velocity: Array, 
     torque = np.linalg.solve(np.eye(len(own.joints)) + gain * drives, gain * plan.pull[sample])
     data = robot.model.createData()
     tip = robot.model.getFrameId(robot.tip_frame)
-    jacobian = pin.computeFrameJacobian(robot.model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)[:3]
+    jacobian = jacobian_at(robot.model, data, q, tip)[:3]
     return np.asarray(jacobian @ moved @ torque)

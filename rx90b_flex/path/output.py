@@ -68,6 +68,7 @@ def as_json(result: PathCheck) -> dict[str, Any]:
         "notes": plan.seam.notes(),
         "before": _deviation(result.before, tolerance),
         "after": None if result.after is None else _deviation(result.after, tolerance),
+        "correction_ended": result.correction_ended,
         "iterations": [_in_mm(i, "max_across", "rms_across") for i in result.iterations],
         "contributions": [
             {"name": c.name, "part": c.part}
@@ -115,7 +116,8 @@ def write_seam(result: PathCheck, file: Path) -> None:
 
 def write_corrected(result: PathCheck, folder: Path) -> None:
     """The corrected reference: `corrected_path.csv`, the tip's place that the rigid robot would have (m), its displacement from the
-    path (mm) and the joint angles (rad); `corrected_joints.csv`, the angles alone, as `rx90b-flex simulate --trajectory` takes them.
+    path (mm) and the joint angles (rad; a joint called x, y or z as `joint_x`); `corrected_joints.csv`, the angles alone, as
+    `rx90b-flex simulate --trajectory` takes them.
     """
     plan = result.plan
     trajectory = plan.trajectory(result.correction)
@@ -124,7 +126,8 @@ def write_corrected(result: PathCheck, folder: Path) -> None:
     columns |= {axis: place[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"correction_{axis}_mm": 1e3 * (place - plan.point)[:, i] for i, axis in enumerate("xyz")}
     joints = dict(zip(trajectory.joints, trajectory.position.T, strict=True))
-    write_columns(folder / "corrected_path.csv", columns | joints, digits=10)
+    beside = {f"joint_{j}" if j in columns else j: angles for j, angles in joints.items()}
+    write_columns(folder / "corrected_path.csv", columns | beside, digits=10)
     write_columns(folder / "corrected_joints.csv", {"time": plan.time, **joints}, digits=10)
 
 

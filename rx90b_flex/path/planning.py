@@ -18,6 +18,7 @@ from rx90b_flex.path.seam import Seam
 from rx90b_flex.robot import Robot
 from rx90b_flex.simulate.cs8 import CS8
 from rx90b_flex.simulate.trajectories import Trajectory
+from rx90b_flex.tip import jacobian_at
 
 HOLD_S = 0.5  # choice: at rest before and after the path, so that a correction can begin and a vibration end
 REACHED = 1e-10  # m, or rad times the arm's length
@@ -28,7 +29,8 @@ SINGULAR = 0.02
 JUMP = 0.2  # rad; between two samples: another way to reach the point
 GUESSES = (-0.6, -0.2, 0.2, 0.6)  # of half a joint's range; first guesses of the first three joints
 COARSE = 2e-3  # m along the path, between the samples at which ways to go are compared
-TRIED = 6  # ways to reach the start that are followed
+TRIED = 6  # ways to reach the start that are followed,
+SETS = 4  # each by so many sets of three joints
 LONGEST_RANGE = np.pi  # rad either side; of a first guess
 
 
@@ -130,8 +132,9 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> PathPlan:
     if not starts:
         raise ValueError(f"{seam.name}: {arm.out_of_reach(0.0, point[0])}")
 
-    def follow(start: Array, rows: slice) -> PathPlan | Problem:
-        arm.choose_joints(start)
+    def follow(way: _Way, rows: slice) -> PathPlan | Problem:
+        start, joints = way
+        arm.carry_by(joints)
         wanted = np.tile(arm.frame(start), (len(point), 1, 1)) if seam.orientation == "keep" else frames
         followed = arm.follow(start, distance[rows], point[rows], None if wanted is None else wanted[rows])
         if isinstance(followed, Problem):
@@ -145,25 +148,33 @@ def plan(seam: Seam, robot: Robot, controller: CS8) -> PathPlan:
 
     # coarsely, which of several ways it can go, or which fails last: in kind, then in distance
     stride = max(1, int(COARSE / (seam.speed / controller.reference_rate_hz)))
-    best, fails = starts[0], (-1, -1.0)
-    for start in starts[:TRIED] if len(starts) > 1 else ():
-        found = follow(start, slice(None, None, stride))
+    ways = arm.ways(starts[:TRIED])
+    best, fails = ways[0], (-1, -1.0)
+    for way in ways if len(ways) > 1 else ():
+        found = follow(way, slice(None, None, stride))
         if isinstance(found, PathPlan):
-            best = start
+            best = way
             break
         if (KINDS.index(found.kind), found.begin) > fails:
-            best, fails = start, (KINDS.index(found.kind), found.begin)
+            best, fails = way, (KINDS.index(found.kind), found.begin)
     found = follow(best, slice(None))
     if isinstance(found, Problem):
-        raise ValueError(f"{seam.name}: {found}")
+        raise ValueError(f"{seam.name}: {found}{arm.who_carries()}")
     return found
+
+
+class _Way(NamedTuple):
+    """Angles at the start, and the joints that carry the tip from there."""
+
+    start: Array
+    joints: tuple[int, ...]
 
 
 class _Arm:
     """Inverse kinematics of the rigid robot's tip by Newton's method.
 
-    Where the orientation is free, the three joints that move the tip best at the start do it, and the others stand still: asked for a
-    little motion, they would stick. With an orientation, all turn, redundant ones as little as they can.
+    Where the orientation is free, the three joints that move the tip best at the start do it, or where these cannot others, and the
+    rest stand still: asked for a little motion, they would stick. With an orientation, all turn, redundant ones as little as they can.
     """
 
     def __init__(self, robot: Robot, seam: Seam) -> None:
@@ -178,12 +189,27 @@ class _Arm:
                 f"{seam.name}: an orientation needs 6 joints or more, {robot.name} has {self.model.nv}; expected orientation 'free'"
             )
 
-    def choose_joints(self, q: Array) -> None:
-        """Choose the joints that carry the tip, at a start."""
-        jacobian = pin.computeFrameJacobian(self.model, self.data, q, self.tip, pin.LOCAL_WORLD_ALIGNED)[:3]
-        sets = itertools.combinations(range(self.model.nv), min(3, self.model.nv))
-        best = max(sets, key=lambda joints: float(np.linalg.svd(jacobian[:, list(joints)], compute_uv=False)[-1]))
-        self.carries = np.isin(np.arange(self.model.nv), best).astype(float)
+    def ways(self, starts: Sequence[Array]) -> list[_Way]:
+        """From each start with the joints that move the tip best there, then with those next to them."""
+        sets = list(itertools.combinations(range(self.model.nv), min(3, self.model.nv)))
+        by_start = []
+        for start in starts:
+            jacobian = jacobian_at(self.model, self.data, start, self.tip)[:3]
+            least = [float(np.linalg.svd(jacobian[:, list(joints)], compute_uv=False)[-1]) for joints in sets]
+            order = sorted(range(len(sets)), key=lambda i: -least[i])[: SETS if self.seam.orientation == "free" else 1]
+            by_start.append([_Way(start, sets[i]) for i in order])
+        return [way for same in itertools.zip_longest(*by_start) for way in same if way is not None]
+
+    def who_carries(self) -> str:
+        """Of a problem, which joints alone were to move; empty where all were."""
+        if self.used.all():
+            return ""
+        joints = [j for j, used in zip(self.robot.joints, self.used, strict=True) if used]
+        return f" (by {', '.join(joints[:-1])} and {joints[-1]} alone, as no others that were tried get farther)"
+
+    def carry_by(self, joints: tuple[int, ...]) -> None:
+        """Choose the joints that carry the tip."""
+        self.carries = np.isin(np.arange(self.model.nv), joints).astype(float)
         if self.seam.orientation == "free":
             self.used = self.carries
 
@@ -194,7 +220,7 @@ class _Arm:
 
     def task(self, q: Array, point: Array, frame: Array | None) -> tuple[Array, Array]:
         """What is missing, and its Jacobian; turns are counted in metres at the end of the arm."""
-        jacobian = pin.computeFrameJacobian(self.model, self.data, q, self.tip, pin.LOCAL_WORLD_ALIGNED) * self.used
+        jacobian = jacobian_at(self.model, self.data, q, self.tip) * self.used
         pin.updateFramePlacement(self.model, self.data, self.tip)
         at = self.data.oMf[self.tip]
         missing = point - at.translation
@@ -203,16 +229,21 @@ class _Arm:
         turn = self.size * pin.log3(frame @ at.rotation.T)
         return np.concatenate([missing, turn]), np.concatenate([jacobian[:3], self.size * jacobian[3:]])
 
-    def solve(self, q: Array, point: Array, frame: Array | None) -> tuple[Array, Array] | None:
-        """Angles near `q` that reach a place, and the Jacobian there."""
+    def solve(
+        self, q: Array, point: Array, frame: Array | None, within_limits: bool = False
+    ) -> tuple[Array, Array] | None:
+        """Angles near `q` that reach a place, and the Jacobian there; if asked for, with no joint beyond its limits on the way."""
         for _ in range(STEPS):
             missing, jacobian = self.task(q, point, frame)
             if np.abs(missing).max() < REACHED:
                 return q, jacobian
-            # damped by what is missing, so that it neither runs away out of reach nor slows down at the end
-            square = jacobian @ jacobian.T + min(1e-3, float(missing @ missing)) * np.eye(len(missing))
-            step = jacobian.T @ np.linalg.solve(square, missing)
+            step = _step(jacobian, missing)
+            if within_limits:
+                ends = ((q <= self.lower) & (step < 0.0)) | ((q >= self.upper) & (step > 0.0))
+                step = _step(jacobian * ~ends, missing)
             q = q + step * min(1.0, TURN / max(float(np.abs(step).max()), 1e-12))
+            if within_limits:
+                q = np.clip(q, self.lower, self.upper)
         return None
 
     def starts(self, point: Array, frame: Array | None) -> list[Array]:
@@ -236,12 +267,16 @@ class _Arm:
             if solved is not None:
                 # a turn more or less is the same place
                 turns = np.round((solved[0] - 0.5 * (low + high)) / (2.0 * np.pi))
-                angle = solved[0] - 2.0 * np.pi * np.where(
-                    (solved[0] < self.lower) | (solved[0] > self.upper), turns, 0.0
-                )
+                angle = solved[0] - 2.0 * np.pi * np.where(self._beyond(solved[0]), turns, 0.0)
+                if self._beyond(angle).any():
+                    inside = self.solve(np.clip(q, self.lower, self.upper), point, frame, within_limits=True)
+                    angle = angle if inside is None else inside[0]
                 if not any(np.abs(angle - other).max() < 1e-3 for other in found):
                     found.append(angle)
         return sorted(found, key=lambda angle: -float(np.min(np.minimum(angle - low, high - angle) / (high - low))))
+
+    def _beyond(self, q: Array) -> NDArray[np.bool_]:
+        return np.asarray((q < self.lower) | (q > self.upper))
 
     def out_of_reach(self, distance: float, point: Array) -> Problem:
         """A point that no angles reach."""
@@ -289,6 +324,12 @@ class _Arm:
             f"another (limit {1.0 / SINGULAR:.0f}), worst at {1e3 * distance[worst]:.1f} mm with joints at {places}"
         )
         return Problem("singularity", float(distance[where[0]]), float(distance[where[1]]), why)
+
+
+def _step(jacobian: Array, missing: Array) -> Array:
+    """Newton's, damped by what is missing, so that it neither runs away out of reach nor slows down at the end."""
+    square = jacobian @ jacobian.T + min(1e-3, float(missing @ missing)) * np.eye(len(missing))
+    return np.asarray(jacobian.T @ np.linalg.solve(square, missing))
 
 
 def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:

@@ -50,6 +50,10 @@ CHUNK_S = 0.256  # inputs and logs at the controller's rate are kept for so long
 TOLERANCE = 3e-8  # rad; a step along which the effects' laws bend more is taken in eight parts
 # A step of a static start's Newton iteration that is this much smaller than the last keeps its stiffness.
 SHRINKS = 1e-2
+TURNS_ON, SLIDES_ON = (
+    1e-3,
+    1e-4,
+)  # rad, m; choice: a drive at rest at its limit gives way by less, and a run goes on there
 SPEED_MARGIN = 1.5  # choice: over the URDF's speed limit by this, the controller's supervision stops the robot
 
 
@@ -254,7 +258,7 @@ def simulate_lanes(
     Raises
     ------
     ValueError
-        Trajectories that do not fit the robot, the controller or each other.
+        Trajectories that do not fit the robot, the controller or each other; a flexible drive without inertia.
     """
     _refuse(robot, controller, trajectories, noise, rng, substeps)
     robot, between = _as_simulated(robot)
@@ -277,6 +281,7 @@ def _refuse(
         raise ValueError("no trajectory to simulate")
     if noise is not None and rng is None:
         raise ValueError("noise needs a numpy.random.Generator: pass rng")
+    robot.check_drives()
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; expected 1 or more")
     first = trajectories[0]
@@ -344,6 +349,7 @@ class _Jump(NamedTuple):
     sample: int
     joint: int
     speed: float
+    lasts: bool  # the samples before and after it are as fast, or nearly: no jump, that is
 
 
 def _reference_jump(trajectory: Trajectory, speed: Array) -> _Jump | None:
@@ -353,7 +359,8 @@ def _reference_jump(trajectory: Trajectory, speed: Array) -> _Jump | None:
     if len(over) == 0:
         return None
     sample, joint = int(over[0, 0]), int(over[0, 1])
-    return _Jump(sample, joint, float(rates[sample, joint]))
+    around = rates[max(sample - 1, 0) : sample + 2, joint]
+    return _Jump(sample, joint, float(rates[sample, joint]), bool(around.min() > 0.5 * rates[sample, joint]))
 
 
 def hermite(position: Array, velocity: Array, rows: Indices, part: Array, rate_hz: float) -> tuple[Array, Array, Array]:
@@ -681,16 +688,17 @@ class _Runner:
         if status == JUMP:
             jump = self.jumps[lane]
             assert jump is not None
-            return (
-                f"{at} the reference of {name} jumps: {jump.speed:.3g} {unit.speed}, over {self.loop.speed[joint]:.3g}"
-            )
+            fast = "is too fast" if jump.lasts else "jumps"
+            limit = self.loop.speed[joint]
+            return f"{at} the reference of {name} {fast}: {jump.speed:.3g} {unit.speed}, over {limit:.3g}"
         if status == OVERLOAD:
             held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
             return f"{at} the {unit.effort} of {name} has been at its limit of {limit:g} {unit.force} for {held:g} ms"
         if status == OVERSPEED:
             speed_now = self.lanes.v[lane, place]
             return f"{at} {name} {unit.move}s at {speed_now:.3g} {unit.speed}, over {self.loop.speed[joint]:.3g}"
-        limits = f"{self.loop.lower[joint]:.4g} to {self.loop.upper[joint]:.4g} {unit.position}"
+        lower, upper = (getattr(self.job.robot.tree, f"{end}PositionLimit")[joint] for end in ("lower", "upper"))
+        limits = f"{lower:.4g} to {upper:.4g} {unit.position}"
         return f"{at} {name} is at {self.lanes.q[lane, place]:.4g} {unit.position}, outside its limits {limits}"
 
 
@@ -704,6 +712,7 @@ def _lanes_last(signals: Sequence[Array]) -> Array:
 def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:
     """The controller in numbers for the compiled loop."""
     tree, (speed, torque) = robot.tree, controller.sections
+    give = np.array([SLIDES_ON if unit.slides else TURNS_ON for unit in robot.units])
     by_speed = controller.column("filtered_speed_gain") * controller.period
     return Loop(
         drive=drive_places(robot),
@@ -721,7 +730,7 @@ def _loop(robot: Robot, controller: CS8, substeps: int) -> Loop:
         current_left=controller.current_loop[1],
         filters=Filters(speed, torque, by_speed) if speed.size or torque.size else None,
         overload_samples=max(1, round(controller.overload_time_s * controller.controller_rate_hz)),
-        lower=np.array(tree.lowerPositionLimit, dtype=float),
-        upper=np.array(tree.upperPositionLimit, dtype=float),
+        lower=np.array(tree.lowerPositionLimit) - give,
+        upper=np.array(tree.upperPositionLimit) + give,
         speed=SPEED_MARGIN * np.array(tree.upperVelocityLimit, dtype=float),
     )

@@ -231,14 +231,16 @@ def degrees_hint(trajectory: Trajectory, robot: Robot) -> str:
     """What to add where a trajectory is far beyond the robot's limits, and would be within them if it were in degrees."""
     turning = [j for j, unit in enumerate(robot.units) if not unit.slides]
     low, high = (np.array(x)[turning] for x in (robot.tree.lowerPositionLimit, robot.tree.upperPositionLimit))
-    place = np.abs(trajectory.position[:, turning]).max(axis=0) / np.clip(np.maximum(-low, high), 1e-6, 2.0 * np.pi)
-    speed = np.abs(trajectory.velocity[:, turning]).max(axis=0) / np.array(robot.tree.upperVelocityLimit)[turning]
+    angle = np.abs(trajectory.position[:, turning]).max(axis=0)
+    place = angle / np.clip(np.maximum(-low, high), 1e-6, 2.0 * np.pi)
+    # a speed says something where it lasts, which that of a jump does not, and of angles that are no few degrees anyhow
+    usual = np.quantile(np.abs(trajectory.velocity[:, turning]), 0.99, axis=0)
+    speed = np.where(angle > 1.0, usual / np.array(robot.tree.upperVelocityLimit)[turning], 0.0)
     beyond = np.maximum(place, speed)
     if not 2.0 < beyond.max(initial=0.0) < np.rad2deg(1.0):
         return ""
-    worst = turning[int(beyond.argmax())]
-    largest = np.abs(trajectory.position[:, worst]).max()
-    return f"; its angles look like degrees ({robot.joints[worst]} goes to {largest:.4g}); expected rad"
+    worst = int(beyond.argmax())
+    return f"; its angles look like degrees ({robot.joints[turning[worst]]} goes to {angle[worst]:.4g}); expected rad"
 
 
 def summary(result: Simulation, from_file: bool = False) -> list[str]:

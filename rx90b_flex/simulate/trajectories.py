@@ -14,6 +14,7 @@ from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.excitation import harmonic_motion, multisine, smoothed_square
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
+from rx90b_flex.tip import jacobian_at
 
 RATE_HZ = 250.0
 PERIOD_S = 4.096  # of the experiments of sections 4.2.2 and 6.6.2
@@ -193,7 +194,7 @@ def inverse_kinematics(robot: Robot, points: Array, rates: Array, guess: Sequenc
     position, velocity = np.zeros((len(points), model.nv)), np.zeros((len(points), model.nv))
     for k, (point, rate) in enumerate(zip(points, rates, strict=True)):
         for _ in range(50):
-            jacobian = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)[:3, :moving]
+            jacobian = jacobian_at(model, data, q, tip)[:3, :moving]
             pin.updateFramePlacements(model, data)
             missing = point - data.oMf[tip].translation
             if np.abs(missing).max() < 1e-12:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from rx90b_flex.effects import close_match
+from rx90b_flex.flexify import read_xml
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.single import check_file, write_file
 from rx90b_flex.simulators.held import Lost, held_by
@@ -41,6 +42,15 @@ def lost_followers(robot: Robot) -> tuple[Lost, ...]:
     return tuple(
         Lost(joint, f"follows {leader} where it is from; here it is fixed") for joint, leader in robot.followers
     )
+
+
+def lost_dynamics(robot: Robot) -> tuple[Lost, ...]:
+    """Damping and friction that the URDF states of joints for which the robot has none: a robot's own are its effects."""
+    rubbing = {j for e in robot.effects if e.traits.is_friction for j in e.joints}
+    stated = ((j, j.dynamics) for j in read_xml(robot.urdf).robot.joints if j.dynamics and j.name in robot.joints)
+    why = "its URDF's damping of {:g} and friction of {:g} are no effects of this robot: declare viscous_friction, coulomb_friction"
+    each = ((j.name, float(d.damping or 0.0), float(d.friction or 0.0)) for j, d in stated if j.name not in rubbing)
+    return tuple(Lost(name, why.format(d, f)) for name, d, f in each if d or f)
 
 
 def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[str], format: FormatName) -> Exported:
@@ -77,4 +87,4 @@ def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[
     held = held_by(robot, how)
     text, more = text_of(held)
     write_file(path, text)
-    return Exported(path, format, (*lost_followers(robot), *held.lost, *more))
+    return Exported(path, format, (*lost_followers(robot), *lost_dynamics(robot), *held.lost, *more))

@@ -34,9 +34,7 @@ def mjcf_text(held: Held) -> tuple[str, tuple[Lost, ...]]:
         A flexible drive without inertia; a link that no body is.
     """
     robot = held.robot
-    if robot.weightless_drives:
-        names = ", ".join(robot.weightless_drives)
-        raise ValueError(f"{robot.name}: a flexible drive needs a drive_inertia to move; none at {names}")
+    robot.check_drives()
     root = etree.Element("mujoco", model=robot.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     step = f"{_time_step(held):.3g}"

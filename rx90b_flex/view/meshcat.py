@@ -34,6 +34,7 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.signals.recording import Recording
 from rx90b_flex.signals.single import write_file
 from rx90b_flex.simulate.closed_loop import Simulation, tip_poses
+from rx90b_flex.tip import jacobian_at
 from rx90b_flex.view import scene
 from rx90b_flex.view.page import template
 from rx90b_flex.view.server import start_server
@@ -539,7 +540,7 @@ def _amplitude(robot: Robot, q0: Array, shape: ComplexArray) -> float:
     """What to multiply a mode shape by, so that it can be seen and is not torn apart."""
     data = robot.model.createData()
     tip = robot.model.getFrameId(robot.tip_frame)
-    jacobian = pin.computeFrameJacobian(robot.model, data, q0, tip, pin.LOCAL_WORLD_ALIGNED)[:3]
+    jacobian = jacobian_at(robot.model, data, q0, tip)[:3]
     moved = float(np.linalg.norm(jacobian @ shape))
     return min(MODE_TIP / max(moved, 1e-9), MODE_ANGLE / float(np.abs(shape).max()))
 
