@@ -129,9 +129,11 @@ class TomlTable:
             raise self.problem(key, f"has {len(value)} rows of {found} numbers, {expected}")
         return np.array([[self.finite(key, item) for item in row] for row in value])
 
-    def rows(self, key: str, width: int) -> Array:
-        """Rows of so many finite numbers."""
+    def rows(self, key: str, width: int, one: bool = False) -> Array:
+        """Rows of so many finite numbers; if `one` will do, it may stand alone."""
         value = self._get(key)
+        if one and isinstance(value, list) and len(value) == width and not any(isinstance(x, list) for x in value):
+            value = [value]
         if not isinstance(value, list) or not value or not all(isinstance(x, list) and len(x) == width for x in value):
             raise self.problem(key, f"found {shown(value)}, a list of rows of {width} numbers is expected")
         return np.array([[self.finite(key, item) for item in row] for row in value])

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral, Real
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -61,11 +62,11 @@ class PathOptions:
     jobs: int = 1
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.tolerance_mm) and self.tolerance_mm > 0.0):
-            raise ValueError(f"tolerance_mm is {self.tolerance_mm:g}; expected more than 0")
+        if not (isinstance(self.tolerance_mm, Real) and 0.0 < self.tolerance_mm < np.inf):
+            raise ValueError(f"tolerance_mm is {self.tolerance_mm!r}; expected a number, more than 0")
         for name, value in (("iterations", self.iterations), ("jobs", self.jobs)):
-            if value < 1:
-                raise ValueError(f"{name} is {value}; expected 1 or more")
+            if not (isinstance(value, Integral) and value >= 1):
+                raise ValueError(f"{name} is {value!r}; expected a whole number, 1 or more")
 
 
 @dataclass(frozen=True, eq=False)

@@ -174,7 +174,7 @@ class _Arm:
     """Inverse kinematics of the rigid robot's tip by Newton's method.
 
     Where the orientation is free, the three joints that move the tip best at the start do it, or where these cannot others, and the
-    rest stand still: asked for a little motion, they would stick. With an orientation, all turn, redundant ones as little as they can.
+    rest stand still: asked for a little motion, they would stick. With an orientation, all turn, redundant ones as little as need be.
     """
 
     def __init__(self, robot: Robot, seam: Seam) -> None:

@@ -398,7 +398,7 @@ def _points(table: TomlTable, path: Path) -> tuple[Array, Array | None]:
     for key, width in (("rpy_deg", 3), ("quaternion_xyzw", 4)):
         if not table.has(key):
             continue
-        rows = table.rows(key, width)
+        rows = table.rows(key, width, one=True)
         if len(rows) not in (1, len(points)):
             raise table.problem(key, f"has {len(rows)} rows; expected 1 or {len(points)}, one a point")
         rotations = _rotations(np.broadcast_to(rows, (len(points), width)), f"{path}: {key}")
