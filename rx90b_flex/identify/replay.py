@@ -365,7 +365,8 @@ def grey_box_by_replay(
         fitted = _with_friction(grey.robot, joints, friction)
         shifts = at.shifts(grey)
         together = at.simulated([fitted])[0]
-        simulated = [(s - d) * x for s, d, x in zip(together, at.by_steps(fitted), shifts, strict=True)]
+        steps = [d * x for d, x in zip(at.by_steps(fitted), shifts, strict=True)]
+        simulated = [s * x - d for s, d, x in zip(together, steps, shifts, strict=True)]
         if fit_friction and len(friction):
             if by_friction is None:  # changes little from round to round
                 by_friction = at.friction_derivatives(fitted, friction, together)
@@ -376,7 +377,7 @@ def grey_box_by_replay(
         if _settled(last, grey):
             break
     estimates = _friction_estimates(robot, declared, friction, std)
-    grey = _with_what_is_left(grey, less, fit)
+    grey = _with_what_is_left(grey, less, steps, fit)
     own = {f"{joint}.drive_" for joint in sticking(robot, joints)}
     grey = grey.undetermined([e.name for e in grey.estimates if e.name.startswith(tuple(own))])
     return _refined(grey, at, less, estimates, number + 1)
@@ -532,12 +533,17 @@ def _known_friction(declared: Sequence[Effect]) -> Array:
     return values
 
 
-def _with_what_is_left(grey: GreyBox, less: Sequence[Less], fit: Callable[..., GreyBox]) -> GreyBox:
-    """With the distortion that a replay is not trusted with in its intervals.
+def _with_what_is_left(
+    grey: GreyBox, less: Sequence[Less], steps: Sequence[ComplexArray], fit: Callable[..., GreyBox]
+) -> GreyBox:
+    """With the distortion that a replay is not trusted with in its intervals, and what a simulation's `steps` show.
 
     As errors of friction's slopes that no residual shows, for inertias take them up; and as what each joint's distortion moves the
     fit by, for itself: the mean square over two halves of the realisations, which holds how far these differ. The values stay those
     of the fit whose errors its residual shows.
+
+    What torques and angles do between samples no log says. A real robot's are as a linear model has them, a simulated one's as its
+    steps have them: both are possible.
     """
     left = float(np.sqrt(np.mean([x.left**2 for x in less])))
     friction_error = max(grey.friction_error, min(left, FRICTION_ERROR))
@@ -552,7 +558,8 @@ def _with_what_is_left(grey: GreyBox, less: Sequence[Less], fit: Callable[..., G
         for first in (0, 1):
             moved = shifts_between(base, again([x.with_distortion_of(joint, slice(first, None, 2)) for x in less]))
             out = out.doubted({name: shift / math.sqrt(2.0) for name, shift in moved.items()})
-    return out
+    responses = [dataclasses.replace(x.response, value=x.response.value - d) for x, d in zip(less, steps, strict=True)]
+    return out.doubted(shifts_between(base, again(responses)))
 
 
 def shifts_between(before: GreyBox, after: GreyBox) -> dict[str, float]:
