@@ -40,6 +40,8 @@ class JointUnits:
         """The unit that a parameter has on such a joint, from the one that it has where a joint turns."""
         if not self.slides:
             return unit
+        if unit == "1/turn":
+            return "rad/m"  # of the wave along the joint
         return unit.replace("kg m^2", "kg").replace("(N m)", "N").replace("N m", "N").replace("rad", "m")
 
 

@@ -96,7 +96,7 @@ def test_joint_4_has_a_ripple_of_about_30_cycles_a_turn(result):
 
 def test_joint_5_s_friction_repeats_with_its_motor_which_the_search_did_not_know(result):
     (text,) = result.motor_turns
-    assert text.startswith("joint_5.position_friction repeats once a turn of joint_5's motor (44.9 ")
+    assert text.startswith("joint_5.position_friction repeats once a turn of joint_5's motor (order 44.9 ")
 
 
 def test_every_effect_is_significant_after_correction_for_all_that_was_tried(result):

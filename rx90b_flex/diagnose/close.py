@@ -23,6 +23,7 @@ from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not
 from rx90b_flex.diagnose.events import Events, events
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
+from rx90b_flex.diagnose.kinds import sites_of
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
 from rx90b_flex.diagnose.motor_turns import turns_of_motor, turns_words
@@ -48,7 +49,7 @@ from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.early import check_jobs
-from rx90b_flex.effects import Effect, Sites
+from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
@@ -447,7 +448,7 @@ def _closed(
     if not (checked.usable or despite_faults):
         return RefusedLoop(checked, declared, campaign)
     tell("identifying the declared model", 0.05)
-    sites = Sites(declared.rigid().restricted(campaign.joints).joints, declared.tip_frame)
+    sites = sites_of(declared, campaign.joints)
     gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" and f.usable for j in f.joints)
     fitted = declared.inertial_parameters == "fitted"
     residual = TorqueResidual(data, campaign, sites, fitted, gains, worth_while(jobs, data.regression.torque.size))

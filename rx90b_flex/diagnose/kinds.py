@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rx90b_flex.effects import Effect
+from rx90b_flex.effects import Effect, Sites
+from rx90b_flex.robot import Robot
 
 MOST_REPEATED = 2  # of one type in one place, until a curve of no known law had its turn
+
+
+def sites_of(robot: Robot, joints: Sequence[str]) -> Sites:
+    """Where a search may try effects: those of a campaign's joints that the robot has, and its tip."""
+    rigid = robot.rigid().restricted(tuple(joints))
+    sliding = (j for j, unit in zip(rigid.joints, rigid.units, strict=True) if unit.slides)
+    return Sites(rigid.joints, robot.tip_frame, sliding=tuple(sliding))
 
 
 def laws(kind: type[Effect]) -> bool:

@@ -32,6 +32,6 @@ def turns_words(label: str, joint: str, order: Estimate, ratio: float) -> str:
         return ""
     often = {1: "once", 2: "twice"}.get(times, f"{times} times")
     return (
-        f"{label} repeats {often} a turn of {joint}'s motor ({order.value:.4g} ± {order.std:.2g} a joint turn, "
-        f"the gear's ratio {ratio:.4g}): most likely what turns with the motor makes it, not the joint's side of the gear."
+        f"{label} repeats {often} a turn of {joint}'s motor (order {order.value:.4g} ± {order.std:.2g}, "
+        f"gear {ratio:.4g}): most likely what turns with the motor makes it, not the joint's side of the gear."
     )

@@ -113,7 +113,8 @@ class GravitySpring(LawEffect, behind_gear=True, part="spring"):
 
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
-        return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in sites.joints]
+        turning = [j for j in sites.joints if j not in sites.sliding]
+        return [own(joint=j) for own in (_SineSpring, _SearchedSpring) for j in turning]
 
 
 class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True, of_make=False):

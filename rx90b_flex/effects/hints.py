@@ -29,11 +29,14 @@ class Sites:
     tip_frame : str
     motions : tuple of Motion
         On which it is tried, a recording each, where they are known: they suggest the geometry that a curve needs.
+    sliding : tuple of str
+        Those joints that slide and do not turn.
     """
 
     joints: tuple[str, ...]
     tip_frame: str
     motions: tuple[Motion, ...] = ()
+    sliding: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

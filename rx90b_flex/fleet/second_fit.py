@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.diagnose.base import DETERMINED, Base
+from rx90b_flex.diagnose.kinds import sites_of
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.torque import reweighted
 from rx90b_flex.diagnose.trial import added
@@ -158,7 +159,7 @@ def second_fit(
         How many are asked whether they changed, for whose number p-values of changes are corrected.
     """
     campaign, _ = resolved(campaign, declared)
-    sites = Sites(declared.rigid().restricted(campaign.joints).joints, declared.tip_frame)
+    sites = sites_of(declared, campaign.joints)
     common, others = ([e for e in effects if set(e.joints) <= set(sites.joints)] for effects in (common, others))
 
     def fit(recordings: Sequence[Recording]) -> SecondFit:
