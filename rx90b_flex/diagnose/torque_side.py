@@ -51,7 +51,7 @@ def torque_side(
     of_open_size : collection of str
         Joints whose torque is a current, its constant to be identified.
     """
-    known = {j for f in faults if f.kind == "unrelated" for j in f.joints}
+    known = {j for f in faults if f.kind == "unrelated" for j in f.joints}.union(of_open_size)
     small = {
         j for f in faults if f.kind == "unit" and f.signal == "torque" and (f.factor or 1.0) < 1.0 for j in f.joints
     }
@@ -63,7 +63,7 @@ def torque_side(
     if not moving.any():
         return TorqueSide(stated, None, "")
     found = "joint" if _drives_show(look, moving) else "behind_gear"
-    return TorqueSide(stated, found, _words(stated, found) or far_below(look, known.union(of_open_size)))
+    return TorqueSide(stated, found, _words(stated, found) or far_below(look, known))
 
 
 def _words(stated: str | None, found: str) -> str:
