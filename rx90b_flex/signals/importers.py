@@ -549,9 +549,14 @@ class _Import:
         if offset and len(offset) != count:
             raise ValueError(f"--offset lists {len(offset)} numbers; expected one for each of {', '.join(joints)}")
         for signal, array in values.items():
-            if signal in ("link_position", "motor_current"):
+            if signal == "link_position":
                 continue
-            if "torque" in signal:
+            if signal == "motor_current":
+                # torque constants are the joints': a motor that turns the other way pulls the other way
+                values[signal] = array * np.where(np.diag(gear) < 0.0, -1.0, 1.0)
+                if np.count_nonzero(gear) > count:
+                    self.found.add("currents of coupled motors are taken as those of their own joints alone", "likely")
+            elif "torque" in signal:
                 values[signal] = array @ gear
             else:
                 at_zero = np.array(offset or 0.0) if "position" in signal else 0.0
