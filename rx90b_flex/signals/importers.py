@@ -56,6 +56,7 @@ _POSITION = {"q", "pos", "jpos", "aipos", "position", "positions", "ang", "angle
              "istposition", "winkel"}
 _VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
 _TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "jtrq", "moment", "ff", "feedforward", "drehmoment"}
+_FORCE = {"force", "forces", "kraft", "thrust"}  # of joints that slide: elsewhere they are a sensor's at the tool
 _FORWARD = {"ff", "feedforward"}
 _REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
 _LINK = {"link", "load", "output", "secondary"}
@@ -361,10 +362,16 @@ class _Import:
             if column is not None and column.signal in REQUIRED and column.signal not in stated:
                 self._refuse_words(name, f"{column.signal} of {column.joint}")
         joints = self.options.joints or self.axes.joints
+        first = next(iter(stated), None)
         for signal, names in stated.items():
-            if len(names) > len(joints):
+            most = "" if self.options.joints else "at most "
+            if len(names) > len(joints) or (self.options.joints and len(names) < len(joints)):
                 raise ValueError(
-                    f"--columns {signal} lists {len(names)} columns; expected at most {len(joints)}, one a joint"
+                    f"--columns {signal} lists {len(names)} columns; expected {most}{len(joints)}, one a joint"
+                )
+            if first and len(names) != len(stated[first]):
+                raise ValueError(
+                    f"--columns {signal} lists {len(names)} columns, {first} {len(stated[first])}; expected one each a joint"
                 )
             read[signal] = [
                 _Column(name, signal, joint, "stated", self._unit(name, signal), 0)
@@ -394,6 +401,8 @@ class _Import:
                 return None
             joint, sure = named or among[index], number is None or named is not None
             rest = [w for w in words if not w.isdigit()]
+        if self.axes.prismatic and self.axes.prismatic[joints.index(joint)]:
+            rest = ["torque" if w in _FORCE else w for w in rest]
         signal, left = _signal_of(rest)
         if signal is None:
             return None
@@ -470,6 +479,12 @@ class _Import:
                 "no torques, but currents: torque constants are identified; [motor] torque_constant states them"
             )
         without = [j for j in wanted if j not in joints]
+        for signal in required:
+            half = [j for j in without if j not in by_joint[signal] and any(j in by_joint[s] for s in required)]
+            without = [j for j in without if j not in half]
+            if half:
+                why = f"no column can be their {signal}; choose with --columns {signal}=..."
+                self.found.add(f"held at zero though there are columns of them: {', '.join(half)}: {why}", "likely")
         if without:
             self.found.add(f"held at zero, for they have no columns: {', '.join(without)}")
         return joints, signals

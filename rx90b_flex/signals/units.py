@@ -12,13 +12,13 @@ DEGREE = np.pi / 180.0
 ANGLE_UNITS = {"deg": DEGREE, "degs": DEGREE, "degree": DEGREE, "degrees": DEGREE, "dps": DEGREE, "mrad": 1e-3,
                "rpm": 2 * np.pi / 60, "rev": 2 * np.pi, "revs": 2 * np.pi, "turns": 2 * np.pi,
                "mm": 1e-3, "cm": 1e-2}  # of joints that slide
-TORQUE_UNITS = {"nmm": 1e-3, "ncm": 1e-2, "mnm": 1e-3, "knm": 1e3}
+TORQUE_UNITS = {"nmm": 1e-3, "ncm": 1e-2, "mnm": 1e-3, "knm": 1e3, "kn": 1e3}
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6,
               "ns": 1e-9, "nsec": 1e-9}
 # fmt: on
 _ROW = {
     "motor": {**ANGLE_UNITS, "rad": 1.0, "rads": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2},
-    "torque": {**TORQUE_UNITS, "nm": 1.0, "n": 1.0, "kn": 1e3},
+    "torque": {**TORQUE_UNITS, "nm": 1.0, "n": 1.0},
 }
 # of columns that are not read, and of rates
 _OTHERS = {"a", "ma", "v", "mv", "w", "k", "c", "degc", "hz", "bar", "kg", "counts", "inc", "ticks", "g"}
