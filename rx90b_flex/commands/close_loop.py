@@ -135,12 +135,29 @@ def print_result(result: Any) -> None:
         say(f"Taken out again: {gone.label}, for {gone.refusal}")
     for d in result.unexplained.where[:3]:
         say(f"Left: the residual of {d.joint} depends on {d.signal} ({100 * d.score:.0f} % of its power)")
+    if text := _more_to_explain(result):
+        say(text)
     for gear in result.deflection:
         say(gear.message)
     for caution in result.cautions:
         say(f"Beware: {caution}")
     for text in (*(f.message for f in result.data_faults), *basics_words(result)):
         say(text)
+
+
+def _more_to_explain(result: Any) -> str:
+    """Of which joints a free form leaves less; empty where all is explained, or a free form leaves as much."""
+    from rx90b_flex.diagnose.verdict import NEAR_FREE
+
+    known = result.explainable
+    if known is None or result.verdict in ("explained", "nothing_missing"):
+        return ""
+    free, after = known.validation.told, result.after.told.validation
+    pairs = zip(result.joints, free.torque_rms, after.torque_rms, strict=True)
+    joints = [joint for joint, least, left in pairs if left > NEAR_FREE * least]
+    if not joints:
+        return ""
+    return f"Left: a free form of the motion, which names nothing, leaves less of {', '.join(joints)} ({free.relative_error:.4f} in all)"
 
 
 def _values(parameters: Sequence[Any]) -> Iterator[str]:

@@ -83,13 +83,18 @@ class Remains:
         if self.events or self.slow or any(d.score > STRONG for d in self.where) or self._mostly_left:
             return True  # whatever a free form makes of it
         if self.explainable is not None:
-            return self._share(self.explainable) < ENOUGH or bool(self._above_free_form(self.explainable).any())
+            return self._short_of(self.explainable) or bool(self._above_free_form(self.explainable).any())
         return True  # neither measure is known, so nobody can say that nothing is left
 
-    def _share(self, explainable: Explainable) -> float:
-        """Of what can be explained; of all rows that are reported, too, where effects are said to do so."""
-        share = explainable.told.of(self.before.told.validation, self.after.told.validation).share
-        return min(share, explainable.share) if self.found else share
+    def _short_of(self, explainable: Explainable) -> bool:
+        """Whether too small a part of what can be explained is, of all rows that are reported, too, where effects are said to do so;
+        where none are and a free form leaves hardly less, there is no part to be had: closed again, what was explained is.
+        """
+        before, after = (e.told.validation for e in (self.before, self.after))
+        share = explainable.told.of(before, after).share
+        if self.found:
+            return min(share, explainable.share) < ENOUGH
+        return share < ENOUGH and after.relative_error > NEAR_FREE * explainable.validation.told.relative_error
 
     @property
     def _mostly_left(self) -> bool:
