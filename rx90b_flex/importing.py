@@ -7,6 +7,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from rx90b_flex.export import save_robot
 from rx90b_flex.files.keys import whole_names
 from rx90b_flex.robot import Robot, load_robot
@@ -14,7 +16,7 @@ from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
 from rx90b_flex.signals.importers import Axes, Finding, Imported, ReadingOptions, import_logs
-from rx90b_flex.signals.recording import load_campaign, write_campaign
+from rx90b_flex.signals.recording import LARGEST_ANGLE, Recording, load_campaign, write_campaign
 
 FILTERS = 4  # times the length of the low-pass that a recording must have
 FORMATS = ("parquet", "csv", "csv.gz")
@@ -94,7 +96,9 @@ def import_into(
     options = dataclasses.replace(options, joints=whole_names(options.joints, loaded.joints))
     lower, upper = (tuple(map(float, x)) for x in (loaded.tree.lowerPositionLimit, loaded.tree.upperPositionLimit))
     axes = Axes(loaded.joints, lower, upper, tuple(unit.slides for unit in loaded.units))
-    imported = _with_facts(import_logs(files, axes, options))
+    imported = import_logs(files, axes, options)
+    _refuse_far(imported.recordings, axes)
+    imported = _with_facts(imported)
     imported, cutoff = _with_low_pass(imported)
     if not basics:
         imported = _with_offer(imported, loaded)
@@ -124,6 +128,20 @@ def import_into(
 
     fill_folder(folder, fill, CAMPAIGN, overwrite)
     return imported
+
+
+def _refuse_far(recordings: Sequence[Recording], axes: Axes) -> None:
+    """Refuse positions that no joint has, in terms of what an import can be told."""
+    for r in recordings:
+        largest = np.abs(r.position).max(axis=0)
+        worst = int(largest.argmax())
+        if largest[worst] > LARGEST_ANGLE:
+            turns = axes.turns(r.joints[worst])
+            unit, cure = ("rad", "--degrees") if turns else ("m", "a unit in the column's name, as in [mm]")
+            raise ValueError(
+                f"{r.source}: motor_position of {r.joints[worst]} reaches {largest[worst]:.4g} {unit}, below {LARGEST_ANGLE:g} is "
+                f"expected; motor side (--gear)? another unit ({cure})? another joint (--columns)?"
+            )
 
 
 def _with_facts(imported: Imported) -> Imported:

@@ -157,7 +157,8 @@ def _more_to_explain(result: Any) -> str:
     joints = [joint for joint, least, left in pairs if left > NEAR_FREE * least]
     if not joints:
         return ""
-    return f"Left: a free form of the motion, which names nothing, leaves less of {', '.join(joints)} ({free.relative_error:.4f} in all)"
+    in_all = f"{free.relative_error:.4f} in all"
+    return f"Left: a free form of the motion, which names nothing, leaves less of {', '.join(joints)} ({in_all})"
 
 
 def _values(parameters: Sequence[Any]) -> Iterator[str]:

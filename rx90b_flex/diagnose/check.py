@@ -128,7 +128,9 @@ class Checked(Showing):
         """In a sentence."""
         bad = [f for f in self.data_faults if not f.usable]
         if bad:
-            return f"The data cannot be used as they are: {len(bad)} fault(s) found."
+            more = len(self.data_faults) - len(bad)
+            also = f", and {more} thing(s) to know about them" if more else ""
+            return f"The data cannot be used as they are: {len(bad)} fault(s) found{also}."
         if self.data_faults:
             return f"The data can be used; {len(self.data_faults)} thing(s) to know about them."
         return "No fault was found in the data."

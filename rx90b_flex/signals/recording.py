@@ -61,7 +61,7 @@ SIGNALS = (
 )
 REQUIRED = ("motor_position", "torque")  # in a campaign file motor_current may stand in for the torque
 # No robot joint turns further in a recording; degrees and motor angles do.
-_LARGEST_ANGLE = 100.0
+LARGEST_ANGLE = 100.0
 # Nor is there a torque, a speed or a current of this size; sums of squares stay finite below it.
 _LARGEST_DEGREES = 360.0  # beyond it, motor turns are as likely
 _OTHER_UNIT = re.compile(
@@ -620,16 +620,16 @@ def _check_sizes(file: Path, names: Sequence[str], values: Array, item: Signal, 
     joints, largest = layout.stated.joints, np.max(np.abs(values), axis=0)
     worst = int(np.argmax(largest))
     found = f"{file}: column {names[worst]!r}: {item.key} of {joints[worst]!r} reaches {largest[worst]:.4g}"
-    if item.kind == "angle" and largest[worst] > _LARGEST_ANGLE:
+    if item.kind == "angle" and largest[worst] > LARGEST_ANGLE:
         cause = (
-            "probably degrees, or motor side without a [motor] gear_matrix"
+            "probably degrees, or motor side without a [motor] gear_matrix (where it slides: mm)"
             if layout.gear_matrix is None or item.always_joint_side
             else "probably degrees, or joint side although [motor] gives a gear_matrix, or a wrong gear_matrix"
         )
         degrees = layout.gear_matrix is None and largest[worst] <= _LARGEST_DEGREES
         # what stays within a turn in rad may well be in rad
-        beyond = tuple(n for n, x in zip(joints, largest, strict=True) if x > (math.tau if degrees else _LARGEST_ANGLE))
-        message = f"{found} rad on the joint side, below {_LARGEST_ANGLE:g} is expected: {cause}"
+        beyond = tuple(n for n, x in zip(joints, largest, strict=True) if x > (math.tau if degrees else LARGEST_ANGLE))
+        message = f"{found} rad on the joint side, below {LARGEST_ANGLE:g} is expected: {cause}"
         factor = 180.0 / math.pi if degrees else None
         raise DataFaultError(DataFault("unit", item.key, beyond, message, factor=factor))
     if largest[worst] > tables.LARGEST:
