@@ -286,7 +286,8 @@ class _Import:
         time, time_name = self._time()
         joints, signals = self._complete(self._places(time_name))
         names = [c.name for columns in signals.values() for c in columns]
-        rows, time = self._usable(names, time)
+        rows, used = self._usable(names, time)
+        begin = used[0] - time[0]  # what drifts with time counts it from where the log began
         values = {
             signal: np.stack([log.column(c.name)[rows] for c in columns], axis=1) for signal, columns in signals.items()
         }
@@ -295,10 +296,10 @@ class _Import:
             values["torque"] = values["motor_current"]
         if options.gear:
             self._to_joint_side(joints, values)
-        rate, time = self._uniform(time, values)
+        rate, grid = self._uniform(used - used[0], values)
         fields: dict[str, Any] = {FIELDS[signal]: array for signal, array in values.items()}
         self.recording = Recording(
-            name=stem_of(log.path), role="identification", time=time, sample_rate_hz=rate, joints=joints, source=log.path,
+            name=stem_of(log.path), role="identification", time=begin + grid, sample_rate_hz=rate, joints=joints, source=log.path,
             **fields,
         )  # fmt: skip
 
@@ -616,7 +617,7 @@ class _Import:
                 f"{len(ends) - 2} interruptions: only the longest part is used, {time[0]:.4g} to {time[-1]:.4g} s"
             )
             self._check_number(len(rows), "between interruptions")
-        return rows, time - time[0]
+        return rows, time
 
     def _check_number(self, rows: int, which: str) -> None:
         if rows < SHORTEST:
@@ -773,7 +774,7 @@ def _at_rate(part: Recording, rate: float) -> Recording:
         changed = {field: resample(array, part.sample_rate_hz, rate) for field, array in _arrays(part).items()}
     except ValueError as error:
         raise ValueError(f"{part.source}: --rate {rate:g}: {error}") from None
-    time = np.arange(len(changed["position"])) / rate
+    time = part.time[0] + np.arange(len(changed["position"])) / rate
     return dataclasses.replace(part, time=time, sample_rate_hz=rate, **changed)  # type: ignore[arg-type]
 
 
