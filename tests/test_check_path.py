@@ -142,6 +142,63 @@ def wrong_path(points: list[list[float]], **more: object) -> str:
     return text
 
 
+def slides(folder: Path, *joints: tuple[str, str, float, float]) -> Robot:
+    """Slides one on the other: name, axis, limits; of 10 kg each, with drives that give way."""
+    text, below = "", "base"
+    for name, axis, lower, upper in joints:
+        limits = f'lower="{lower}" upper="{upper}" effort="2000" velocity="2"'
+        text += f"""<link name="on_{name}"><inertial><mass value="10"/>
+          <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="{name}" type="prismatic"><parent link="{below}"/><child link="on_{name}"/><axis xyz="{axis}"/>
+          <limit {limits}/></joint>"""
+        below = f"on_{name}"
+    (folder / "slides.urdf").write_text(f'<robot name="slides"><link name="base"/>{text}</robot>')
+    drives = [
+        e
+        for j, *_ in joints
+        for e in (DriveInertia(joint=j, inertia=5.0), DriveFlexibility(joint=j, stiffness=1e6, damping=200.0))
+    ]
+    return rf.load_robot(folder / "slides.urdf").with_effects(drives)
+
+
+def test_slides_called_x_y_and_z_leave_the_tip_its_columns(tmp_path: Path) -> None:
+    machine = slides(tmp_path, ("x", "1 0 0", -1.0, 1.0), ("y", "0 1 0", -1.0, 1.0), ("z", "0 0 1", -1.0, 1.0))
+    # the tip is where the slides are, but for the offset of the path's own start
+    seam = Seam("cut", np.array([[0.3, 0.2, 0.1], [0.4, 0.2, 0.1]]), speed=0.1)
+    result = check_path(seam, machine, controller_of(machine, None), PathOptions(contributions=False))
+    write_check(result, tmp_path / "out")
+    table = pd.read_csv(tmp_path / "out" / "corrected_path.csv")
+    np.testing.assert_allclose(table[["x", "y", "z"]].iloc[[0, -1]], seam.points, atol=2e-4)
+    np.testing.assert_allclose(table[["joint_x", "joint_y", "joint_z"]], table[["x", "y", "z"]], atol=1e-9)
+    angles = pd.read_csv(tmp_path / "out" / "corrected_joints.csv")
+    assert list(angles) == ["time", "x", "y", "z"]
+
+
+def test_where_the_best_joints_end_others_carry_the_tip(tmp_path: Path) -> None:
+    machine = slides(
+        tmp_path,
+        ("x", "1 0 0", -1.0, 1.0),
+        ("y", "0 1 0", -1.0, 1.0),
+        ("z", "0 0 1", 0.0, 0.05),
+        ("lift", "0 0 1", -1.0, 1.0),
+    )
+    seam = Seam("rise", np.array([[0.3, 0.2, 0.2], [0.3, 0.25, 0.5]]), speed=0.1)
+    position = planned(seam, machine).position
+    assert (position[:, 2] >= 0.0).all() and (position[:, 2] <= 0.05).all() and np.ptp(position[:, 3]) > 0.29
+    narrow = slides(
+        tmp_path,
+        ("x", "1 0 0", -1.0, 1.0),
+        ("y", "0 1 0", -1.0, 1.0),
+        ("z", "0 0 1", 0.0, 0.05),
+        ("lift", "0 0 1", 0.0, 0.3),
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"outside its limits .* \(by x, y and (z|lift) alone, as no others that were tried get farther",
+    ):
+        planned(seam, narrow)
+
+
 def test_a_path_out_of_reach_says_from_where() -> None:
     text = wrong_path([[0.6, 0.0, 0.4], [1.3, 0.0, 0.4]])
     assert "cannot reach" in text
@@ -364,6 +421,12 @@ def test_a_square_with_a_fixed_orientation_is_corrected_where_its_speed_has_the_
     assert check.verdict == "corrected_within_tolerance"
 
 
+def test_a_correction_that_the_robot_could_not_follow_is_said(checked: PathCheck) -> None:
+    why = "at t = 0.1 s joint_2 is at 2.4 rad, outside its limits -2.2 to 2.2 rad"
+    ended = dataclasses.replace(checked, options=PathOptions(tolerance_mm=1e-6), correction_ended=why)
+    assert ended.sentence.startswith("Fail") and f"The next step would end early: {why}." in ended.sentence
+
+
 def test_a_correction_that_does_not_reach_the_tolerance_says_so() -> None:
     options = PathOptions(tolerance_mm=1e-4, contributions=False, iterations=1)
     check = check_path(SHORT, robot(), controller_of(robot(), None), options)
@@ -436,6 +499,12 @@ def test_tables_of_points_and_path_files_in_either_unit_say_the_same(tmp_path: P
         "unit = 'mm'\npoints = [[500, 0, 350], [600, 10, 350]]\nspeed_mm_s = 20\nrpy_deg = [[180, 0, 0], [180, 0, 90]]"
     )
     (tmp_path / "b.toml").write_text("points_file = 'm.csv'\nspeed_mm_s = 20")
+    same = "points = [[0.5, 0, 0.35], [0.6, 0, 0.35]]\nspeed_mm_s = 20\nrpy_deg = "
+    for name, given in (("one", "[180, 0, 90]"), ("row", "[[180, 0, 90]]")):
+        (tmp_path / f"{name}.toml").write_text(same + given)
+    one, row = (load_seam(tmp_path / f"{name}.toml").rotations for name in ("one", "row"))
+    assert one is not None and row is not None
+    np.testing.assert_array_equal(one, row)
     seams = [load_seam(tmp_path / f"{n}.csv", 20.0) for n in ("mm", "m")] + [
         load_seam(tmp_path / f"{n}.toml") for n in "ab"
     ]

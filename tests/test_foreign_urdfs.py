@@ -11,7 +11,9 @@ import pytest
 
 from rx90b_flex import cli
 from rx90b_flex.commands.shared import show_table
+from rx90b_flex.diagnose.kinds import sites_of
 from rx90b_flex.effects import effect_from_table
+from rx90b_flex.effects.gravity_spring import GravitySpring
 from rx90b_flex.files.keys import whole_names
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
@@ -44,7 +46,14 @@ def test_what_slides_has_kilograms_newtons_and_metres(tmp_path: Path) -> None:
     )
     assert [(name, unit) for name, unit, _ in robot.values_of(ripple)][1:] == [("amplitude", "N"), ("phase", "rad")]
     per_turning = ("kg m^2", "N m/rad", "N m s/rad", "1/(N m)^2", "rad/s", "Hz")
+    assert [unit for name, unit, _ in robot.values_of(ripple) if name == "order"] == ["rad/m"]  # no turns along a slide
     assert [sliding.of(unit) for unit in per_turning] == ["kg", "N/m", "N s/m", "1/N^2", "m/s", "Hz"]
+
+
+def test_a_spring_between_two_levers_is_looked_for_where_joints_turn(tmp_path: Path) -> None:
+    robot = load_robot(urdf(tmp_path, RAIL))
+    tried = GravitySpring.everywhere(sites_of(robot, robot.joints))
+    assert {e.joints for e in tried} == {("shoulder",)}
 
 
 def test_a_view_of_what_slides_is_given_and_says_metres(
@@ -117,6 +126,56 @@ def test_a_negative_mass_is_told_with_its_link(tmp_path: Path) -> None:
         load_robot(file)
 
 
+# ---- limits, drives and frictions -------------------------------------------------------------------------------
+
+
+def test_a_joint_that_rests_at_its_limit_is_simulated_and_one_that_leaves_it_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # the upper link hangs on the lower one's axis: its drive gives way at rest
+    robot, out = (
+        urdf(
+            tmp_path,
+            ind.TWO_JOINTS.replace(
+                'lower="-3" upper="3" velocity="5" effort="50"', 'lower="0" upper="3" velocity="5" effort="50"'
+            ),
+        ),
+        tmp_path / "out",
+    )
+    turn = 0.005 * (1.0 - np.cos(2.0 * np.pi * np.arange(250) / 250.0))
+    for least, ends in ((0.0, False), (-0.02, True)):
+        rows = "".join(f"{k / 250},{x},{least}\n" for k, x in enumerate(turn))
+        (tmp_path / "path.csv").write_text(f"time,shoulder,elbow\n{rows}")
+        status = run(monkeypatch, "simulate", robot, "--trajectory", tmp_path / "path.csv", "--out", out, "--overwrite")
+        said = capsys.readouterr()
+        assert ("outside its limits 0 to 3 rad" in said.out + said.err) == ends
+        assert status == (2 if ends else 0)
+
+
+def test_a_drive_that_twists_needs_an_inertia_wherever_it_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urdf(tmp_path, ind.TWO_JOINTS)
+    table = '[[effects]]\ntype = "drive_flexibility"\njoint = "elbow"\nstiffness = 1e4\ndamping = 1.0\n'
+    (tmp_path / "robot.toml").write_text(f'urdf = "foreign.urdf"\ntip_frame = "lower"\n{table}')
+    assert run(monkeypatch, "simulate", tmp_path / "robot.toml", "--harmonics", "--out", tmp_path / "out") == 2
+    assert "a flexible drive needs a drive_inertia to move; none at elbow" in capsys.readouterr().err
+
+
+def test_friction_that_the_urdf_states_and_the_robot_has_not_is_told_of_on_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limit = '<limit lower="-3" upper="3" velocity="5" effort="50"/>'
+    urdf(tmp_path, ind.TWO_JOINTS.replace(limit, f'{limit}<dynamics damping="12" friction="5"/>'))
+    table = '[[effects]]\ntype = "coulomb_friction"\njoint = "elbow"\ntorque = 1.0\n'
+    for name, effects, told in (("bare", "", True), ("own", table, False)):
+        (tmp_path / f"{name}.toml").write_text(f'urdf = "foreign.urdf"\ntip_frame = "lower"\n{effects}')
+        file = tmp_path / f"{name}.urdf"
+        assert run(monkeypatch, "export", tmp_path / f"{name}.toml", "--format", "urdf", "--out", file) == 0
+        text = "Not held: elbow: its URDF's damping of 12 and friction of 5 are no effects of this robot"
+        assert (text in " ".join(capsys.readouterr().out.split())) == told
+
+
 # ---- motions ----------------------------------------------------------------------------------------------------
 
 
@@ -128,6 +187,27 @@ def test_a_run_without_a_motion_says_whose_line_it_took_and_what_suits_any_robot
     line = "--line (taken where no motion is chosen) is made for the RX90B; --harmonics suits any robot"
     assert f"cannot reach the point (0.350, -0.850, 0.350) m with 'lower': {line}" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_robot_of_one_joint_is_told_so_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = ind.TWO_JOINTS.replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')
+    assert run(monkeypatch, "simulate", urdf(tmp_path, text), "--line", "--out", tmp_path / "out") == 2
+    assert "cannot reach the point (0.350, -0.850, 0.350) m" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("jump", "told"), [(0.1, "jumps"), (0.0, "is too fast")])
+def test_what_is_too_fast_is_no_jump_and_neither_is_in_degrees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jump: float, told: str
+) -> None:
+    robot, time = urdf(tmp_path, ind.TWO_JOINTS), np.arange(500) / 250.0
+    turn = np.where(time > 1.0, jump, 0.0) if jump else 1.0 - np.cos(3.0 * np.pi * time)
+    rows = "".join(f"{t},0,{x}\n" for t, x in zip(time, turn, strict=True))
+    (tmp_path / "path.csv").write_text(f"time,shoulder,elbow\n{rows}")
+    assert run(monkeypatch, "simulate", robot, "--trajectory", tmp_path / "path.csv", "--out", tmp_path / "out") == 0
+    said = capsys.readouterr().out
+    assert f"the reference of elbow {told}: " in said and "degrees" not in said
 
 
 @pytest.mark.parametrize("amplitude", [30.0, 4.0])  # degrees: beyond its limits of 3 rad; within, and too fast

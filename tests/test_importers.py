@@ -422,6 +422,46 @@ def test_repeated_times_and_interruptions_are_left_out(tmp_path: Path) -> None:
     imported = import_logs([path], AXES)
     np.testing.assert_allclose(whole(imported, "position"), Q[200:], atol=1e-14)
     assert "1 rows with the time of the row before left out" in said(imported) and "1 interruptions" in said(imported)
+    begin = imported.recordings[0].time[0]  # what warms up did so since the log began
+    assert begin == pytest.approx(TIME[200], abs=1e-12)
+
+
+SLIDING = replace(AXES, prismatic=(True, False, False))
+
+
+@pytest.mark.parametrize("unit", ["N", "kN"])
+def test_the_force_of_a_joint_that_slides_is_its_torque_and_a_tool_s_is_none(tmp_path: Path, unit: str) -> None:
+    path = tmp_path / "run.csv"
+    sized = TAU * np.array([1e-3 if unit == "kN" else 1.0, 1.0, 1.0])
+    names = ["time", *numbered("q"), f"force1 [{unit}]", "torque2", "torque3", "force2", "force3"]
+    table(names, TIME, Q, sized, TAU[:, 1:] + 7.0).to_csv(path, index=False)
+    np.testing.assert_allclose(whole(import_logs([path], SLIDING), "torque"), TAU, rtol=1e-12)
+    turning = import_logs([path], AXES)
+    assert turning.recordings[0].joints == JOINTS[1:]
+    text = "held at zero though there are columns of them: joint_1: no column can be their torque"
+    assert f"{text}; choose with --columns torque=..." in said(turning)
+
+
+def test_a_current_turns_with_its_motor(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    gears = np.array([50.0, -60.0, 70.0])
+    table(["time", *numbered("q"), *numbered("current")], TIME, Q * gears, TAU).to_csv(path, index=False)
+    imported = import_logs([path], AXES, ReadingOptions(gear=((50.0, -60.0, 70.0),)))
+    np.testing.assert_allclose(whole(imported, "position"), Q, atol=1e-12)
+    np.testing.assert_allclose(whole(imported, "motor_current"), TAU * np.sign(gears), atol=1e-12)
+    assert "coupled" not in said(imported)
+
+
+def test_columns_are_one_a_joint_of_those_that_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table(["time", "a", "b", "c", "u", "v", "w"], TIME, Q, TAU).to_csv(path, index=False)
+    some = {"motor_position": ("a", "c"), "torque": ("u", "v", "w")}
+    with pytest.raises(ValueError, match="--columns motor_position lists 2 columns; expected 3, one a joint"):
+        import_logs([path], AXES, ReadingOptions(columns=some, joints=JOINTS))
+    with pytest.raises(
+        ValueError, match="--columns torque lists 3 columns, motor_position 2; expected one each a joint"
+    ):
+        import_logs([path], AXES, ReadingOptions(columns=some))
 
 
 def test_of_several_files_the_last_validates(tmp_path: Path) -> None:
@@ -592,6 +632,10 @@ def test_columns_rate_and_joints_can_be_said(
         (("FILE", "--robot", ROBOT, "--gear", "1,0,0;0,1,0;1,0,0"), "--gear: singular"),
         (("FILE", "--robot", ROBOT, "--offset", "1,2,3"), "--offset is of motor angles"),
         (("FILE", "--robot", ROBOT, "--rate", "-5"), "--rate -5"),
+        (
+            ("FILE", "--robot", ROBOT, "--gear", "1,1,1e-4"),
+            "of joint_3 reaches 8000 rad, below 100 is expected; motor side",
+        ),
         (("FILE", "--robot", ROBOT, "--topic", "/x"), "only bags have topics"),
         (("FILE", "--robot", ROBOT, "--format", "xls"), "--format xls"),
     ],

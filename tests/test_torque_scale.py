@@ -157,6 +157,18 @@ def test_torques_by_ratios_fit_one_tree_as_well_as_torques_in_newton_metres(tmp_
     assert (errors[0] > 2.0 * errors[1]).sum() >= 2
 
 
+def test_currents_of_which_nothing_tells_the_size_are_no_fault(tmp_path: Path) -> None:
+    path = logged(tmp_path, payload=False)
+    for file in tmp_path.glob("log_*.csv"):  # of motors with 80 N m/A at the joint
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+        table[:, 3:5] /= 80.0
+        np.savetxt(file, table, fmt="%.17g", delimiter=",", header=file.read_text().splitlines()[0], comments="")
+    assert rf.check(path).usable
+    result = rf.close_loop(path)
+    assert isinstance(result, rf.ClosedLoop) and result.verdict == "nothing_missing"
+    assert sum("is not determined" in c for c in result.cautions) == 2
+
+
 def test_closing_the_loop_on_currents_goes_by_the_constants_that_it_finds(tmp_path: Path) -> None:
     result = rf.close_loop(logged(tmp_path, payload=True))
     assert max(result.after.validation.torque_rms) < 0.2  # N m, of torques of several

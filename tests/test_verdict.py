@@ -68,6 +68,14 @@ def verdict(
     return Remains(JOINTS, found, roles(*before), roles(*after), noise, known, where, doubtful, sized).verdict
 
 
+def test_closed_again_what_was_explained_is_not_unexplained():
+    near, far = (1.05, 1.05), (0.8, 0.8)
+    assert verdict(near, before=(4.0, 4.0), free=(1.0, 1.0)) == "explained"
+    assert verdict(near, before=near, found=False, free=(1.0, 1.0)) == "nothing_missing"
+    assert verdict(near, before=near, found=False, free=(1.0, 1.0), where=(NAMED,)) == "unexplained"
+    assert verdict(near, before=near, found=False, free=far) == "unexplained"
+
+
 def test_at_the_noise_floor_all_is_explained_whatever_a_free_form_says():
     assert verdict((1.0, 1.0), floor=(1.0, 1.0)) == "explained"
     assert verdict((1.0, 1.0), floor=(1.0, 1.0), free=(0.1, 0.1)) == "explained"
