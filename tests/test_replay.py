@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from scipy.signal import resample
 
+import rx90b_flex as rf
+from rx90b_flex.effects.drive import DriveInertia
+from rx90b_flex.effects.flexibility import DriveFlexibility
 from rx90b_flex.effects.friction import ViscousFriction
 from rx90b_flex.identify.frequency_response import FrequencyResponse
 from rx90b_flex.identify.frf import MeasuredResponse, estimate_frequency_response
@@ -386,3 +389,27 @@ def test_a_fixed_frequency_in_the_torque_signal_costs_its_line_and_no_more(recor
     seen = before.in_band(before.resonances_hz)
     shift = np.abs(after.resonances_hz - before.resonances_hz)[seen]
     assert (shift < np.maximum(before.resonances_std_hz(), after.resonances_std_hz())[seen]).all()
+
+
+ONE_JOINT = """<robot name="one"><link name="base"/>
+  <link name="arm"><inertial><origin xyz="0.5 0 0"/><mass value="10"/>
+    <inertia ixx="0.1" iyy="0.8" izz="0.8" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-2" upper="2" effort="500" velocity="2"/></joint></robot>"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_intervals_hold_where_neither_noise_nor_friction_hides_the_simulation_s_steps(
+    tmp_path: Path, seed: int
+) -> None:
+    (tmp_path / "one.urdf").write_text(ONE_JOINT)
+    robot = load_robot(tmp_path / "one.urdf").with_effects(
+        [DriveInertia(joint="turn", inertia=2.0), DriveFlexibility(joint="turn", stiffness=5e4, damping=5.0)]
+    )
+    rf.excite(robot, tmp_path / "runs", poses_deg=[[0.0]], periods=4, simulate=True, seed=seed)
+    found = rf.frf(tmp_path / "runs" / "campaign.toml")
+    estimates = {e.name: e for e in found.replayed.grey.estimates if e.determined}
+    for name, true in (("turn.drive_inertia", 2.0), ("turn.drive_stiffness", 5e4), ("turn.drive_damping", 5.0)):
+        assert estimates[name].low <= true <= estimates[name].high
+        assert estimates[name].std < 0.01 * true

@@ -413,9 +413,9 @@ def _read_layout(root: TomlTable, path: Path) -> _CampaignLayout:
         names = signals.texts(item.key)
         if len(names) != count:
             raise signals.problem(item.key, f"lists {len(names)} columns, joints lists {count}")
-        for name in names:
+        for name, joint in zip(names, joints, strict=True):
             unit = _OTHER_UNIT.search(name)
-            if unit:
+            if unit and not joint.lower().endswith(unit[1].lower()):  # a joint may be called turn
                 raise signals.problem(
                     item.key, f"column {name!r} seems to be in {unit[1]}; SI units (rad, rad/s, N m) are expected"
                 )
