@@ -408,7 +408,9 @@ class _Fit:
     @cached_property
     def target(self) -> Array:
         """Torque that the columns are to explain. Gains are linear about their values so far, whose part is added."""
-        torque = self.regression.torque
+        torque, carried = self.regression.torque, self.regression.carried_torque
+        if carried is not None:  # of which the log has the gain, too
+            torque = torque + (1.0 - self.factors) * carried
         if self.by_links is not None and self.about is not None:
             torque = torque + self.factors * (self.by_links @ self.about)
         links = self.regression.robot.link_parameters

@@ -220,6 +220,8 @@ def gains_again(model: Identification) -> Array:
         if effect.traits.multiplies:
             at = motors.joints.index(effect.joints[0])
             said, torque = seen.columns(effect)[:, at, 0], seen.torque[:, at]
+            if seen.carried_torque is not None:
+                torque = torque + seen.carried_torque[:, at]
             if said @ torque > 0:
                 theta[model.first_column(i)] = said @ torque / (said @ said) - 1.0
     return theta

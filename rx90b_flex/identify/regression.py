@@ -125,10 +125,19 @@ class Regression:
     def torque(self) -> Array:
         """Measured torque less what known payloads take, shape (N, rows), N m."""
         torque = np.concatenate([np.hstack([s.torque, self._sensed(s)]) for s in self.segments])
+        counted = self._counted(torque[:, :, None], np.arange(len(self.rows)))[:, :, 0]
+        return counted if self.carried_torque is None else counted - self.carried_torque
+
+    @cached_property
+    def carried_torque(self) -> Array | None:
+        """What known payloads take, shape (N, rows), N m; None where there are none."""
+        if all(s.carried is None for s in self.segments):
+            return None
+        torque = np.zeros((len(self), len(self.rows), 1))
         for span, segment in zip(self.spans, self.segments, strict=True):
             if segment.carried is not None:
-                torque[span] -= self._untouched_links[span] @ segment.carried
-        return self._counted(torque[:, :, None], np.arange(len(self.rows)))[:, :, 0]
+                torque[span, :, 0] = self._untouched_links[span] @ segment.carried
+        return self._counted(torque, np.arange(len(self.rows)))[:, :, 0]
 
     def _counted(self, columns: Array, rows: Indices) -> Array:
         """Columns (N, rows, k) with the factors of their rows, those of sensors less their means."""
