@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Callable, Sequence
@@ -36,6 +37,7 @@ from rx90b_flex.diagnose.residual import noise_between_periods
 from rx90b_flex.diagnose.torque_side import NOT_LOOKED_AT, TorqueSide, torque_side
 from rx90b_flex.effects.motion import Mask
 from rx90b_flex.files.toml import named_in
+from rx90b_flex.identify.torque_scale import of_open_size, resolved
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
@@ -186,6 +188,10 @@ def _checked(
     robot = _robot(campaign, robot)
     with named_in(campaign.path, "joints"):
         rigid = robot.rigid().restricted(campaign.joints)
+    if not isinstance(source, Campaign) and None in (campaign.torque_constants or ()):
+        # one that is handed in has its torques as its owner wants them; what is wrong with others may keep them from being told
+        with contextlib.suppress(ValueError, np.linalg.LinAlgError):
+            campaign = of_open_size(*resolved(campaign, robot))
     tell("looking at the signals", 0.1)
     faults, mended = glitches(campaign.recordings)
     still = no_excitation(mended)

@@ -7,7 +7,7 @@ import gc
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,7 +55,7 @@ from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import USUAL
-from rx90b_flex.identify.torque_scale import TorqueConstant, resolved
+from rx90b_flex.identify.torque_scale import of_open_size, resolved
 from rx90b_flex.identify.torque_sensors import calibrated
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
@@ -444,7 +444,7 @@ def _closed(
             f"{FEWEST_BLOCKS} s or more are needed, for parts of them are held out"
         )
     tell("looking at the data", 0.02)
-    checked = check(_of_open_size(campaign, constants), robot=declared)
+    checked = check(of_open_size(campaign, constants), robot=declared)
     if not (checked.usable or despite_faults):
         return RefusedLoop(checked, declared, campaign)
     tell("identifying the declared model", 0.05)
@@ -631,15 +631,6 @@ class _Ended:
                 )
             )
         return tuple(out)
-
-
-def _of_open_size(campaign: Campaign, constants: Sequence[TorqueConstant]) -> Campaign:
-    """With those torque constants left out that nothing fixed: the size of such torques says nothing of the data."""
-    if campaign.torque_constants is None:
-        return campaign
-    told = {c.joint for c in constants if c.value is not None}
-    stated = zip(campaign.joints, campaign.torque_constants, strict=True)
-    return replace(campaign, torque_constants=tuple(x if j in told else None for j, x in stated))
 
 
 def _check_torques(campaign: Campaign) -> None:

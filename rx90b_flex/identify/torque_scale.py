@@ -92,6 +92,15 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
     return done, tuple(found[j] for j in campaign.joints)
 
 
+def of_open_size(campaign: Campaign, constants: Sequence[TorqueConstant]) -> Campaign:
+    """What `resolved` gives, with those constants left out that nothing fixed: the size of such torques says nothing of the data."""
+    if campaign.torque_constants is None:
+        return campaign
+    told = {c.joint for c in constants if c.value is not None}
+    stated = zip(campaign.joints, campaign.torque_constants, strict=True)
+    return dataclasses.replace(campaign, torque_constants=tuple(x if j in told else None for j, x in stated))
+
+
 def _scaled(campaign: Campaign, factors: dict[str, float]) -> Campaign:
     """With the torques of some joints multiplied."""
     by = np.array([factors.get(j, 1.0) for j in campaign.joints])

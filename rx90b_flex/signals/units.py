@@ -29,7 +29,9 @@ _SQUARED = re.compile(r"\^?2|²|/s/s")
 def words_of(name: str) -> list[str]:
     """`jointPos_1 [deg]` gives joint, pos, 1, deg; the degree sign is a word, too."""
     joined = re.sub(
-        r"(?<![A-Za-z])([mk])N(?=m|(?![A-Za-z]))", r"\1n", name.replace("°", " deg ").replace("µ", "u").replace("μ", "u")
+        r"(?<![A-Za-z])([mk])N(?=m|(?![A-Za-z]))",
+        r"\1n",
+        name.replace("°", " deg ").replace("µ", "u").replace("μ", "u"),
     )
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", joined)
     return re.findall(r"[a-z]+|\d+", spaced.lower())
