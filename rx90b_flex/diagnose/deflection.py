@@ -243,13 +243,16 @@ def _errors(data: gears.GearData, learned: gears.GearFit) -> GearErrors:
 
 
 def _parameters(fit: gears.GearFit) -> tuple[Estimate, ...]:
-    """Stiffness and damping; one that does not stand out is the usual one, with the uncertainty that it has here."""
+    """Stiffness and damping; one that does not stand out is the usual one, of which that it may be none is the uncertainty."""
     c = fit.compliance
     rate = gears.with_more(fit, "rate", gears.rate_of_torque)
     damping, spread = rate.value("rate") / c**2, rate.std("rate") / c**2
+    if damping <= SURE * spread:
+        damping = DAMPING_TIME / c
+        spread = float(np.hypot(spread, damping))
     return (
         Estimate("stiffness", 1.0 / c, fit.std("torque") / c**2, "N m/rad"),
-        Estimate("damping", damping if damping > SURE * spread else DAMPING_TIME / c, spread, "N m s/rad"),
+        Estimate("damping", damping, spread, "N m s/rad"),
     )
 
 

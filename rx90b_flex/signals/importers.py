@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.pieces import Array
+from rx90b_flex.signals.column_names import FORCE, find_words, is_time, signal_of, time_words, unnumbered
 from rx90b_flex.signals.logs import TIME, read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
 from rx90b_flex.signals.recording import REQUIRED, SIGNALS, Recording, Role
 from rx90b_flex.signals.tables import LARGEST
 from rx90b_flex.signals.times import printed_resolution, seconds_and_nanoseconds
 from rx90b_flex.signals.units import (
-    ANGLE_UNITS,
     DEGREE,
     TIME_UNITS,
-    TORQUE_UNITS,
     is_time_unit,
     time_unit_in_row,
     unit_in_name,
@@ -49,23 +48,6 @@ FEWEST_S = 4.0  # s of identification, of which close-loop holds parts out
 FEWEST_SAMPLES = 64  # below which there is no spectrum to tell noise from motion
 MIXED = 8.0  # times the motion of another file, in the numbers of both: they are in different units
 SLOWEST_HZ, FASTEST_HZ = 0.1, 1e6  # rates that a log may have
-
-# words in names, in lower case
-# fmt: off
-_POSITION = {"q", "pos", "jpos", "aipos", "position", "positions", "ang", "angle", "angles", "theta", "enc", "encoder",
-             "istposition", "winkel"}
-_VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
-_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "jtrq", "moment", "ff", "feedforward", "drehmoment"}
-_FORCE = {"force", "forces", "kraft", "thrust"}  # of joints that slide: elsewhere they are a sensor's at the tool
-_FORWARD = {"ff", "feedforward"}
-_REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
-_LINK = {"link", "load", "output", "secondary"}
-_CURRENT = {"current", "currents", "amp", "amps", "macur"}
-_OTHER = {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage"}
-_NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
-          "drive", "achse", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
-_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "datetime"}
-# fmt: on
 
 
 @dataclass(frozen=True)
@@ -316,7 +298,7 @@ class _Import:
             seconds, rest = (log.column(name) for name in stamp)
             self.found.add(f"time: columns {stamp[0]!r} and {stamp[1]!r}, in s and ns")
             return seconds - seconds[0] + 1e-9 * (rest - rest[0]), stamp[0]
-        candidates = [name for name in log.names if _is_time(name)]
+        candidates = [name for name in log.names if is_time(name)]
         exact = [name for name in candidates if name.lower() == TIME]
         if not candidates and options.rate_hz is None:  # the only one that is in seconds, as dates with times are
             in_seconds = [name for name in log.names if is_time_unit(log.units.get(name, ""))]
@@ -325,7 +307,7 @@ class _Import:
             name = (exact or candidates)[0]
             time = log.column(name) - log.column(name)[0]
             below = self._in_row(name, time_unit_in_row)
-            stated = [TIME_UNITS[w] for w in _time_words(name)[1:] if w in TIME_UNITS] if below is None else [below]
+            stated = [TIME_UNITS[w] for w in time_words(name)[1:] if w in TIME_UNITS] if below is None else [below]
             step = float(np.nanmedian(np.abs(np.diff(time))))
             # the unit in which the rate is one that robots are logged at
             scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
@@ -335,7 +317,7 @@ class _Import:
             return time * scale, name
         if options.rate_hz is None:
             for name in log.words:
-                if _is_time(name):
+                if is_time(name):
                     self._refuse_words(name, "time")
             raise self._problem("no time column; expected one named time, or --rate with the sample rate in Hz")
         self.found.add(f"time: {options.rate_hz:g} Hz", "stated")
@@ -352,14 +334,14 @@ class _Import:
                 raise self._problem(f"no column {name!r}{suggestion(name, log.names)}")
         read: dict[str, list[_Column]] = {}
         numbered = [n for n in log.names if n not in taken and n != time_name]
-        # the joints count from 0 where a column says so
-        from_zero = any(self._number_in(n) == 0 and _signal_of(words_of(n))[0] for n in numbered)
+        # columns that are called alike count from 0 where one of them says so
+        zeros = {unnumbered(n) for n in numbered if self._number_in(n) == 0}
         for name in numbered:
-            column = self._column(name, from_zero)
+            column = self._column(name, unnumbered(name) in zeros)
             if column is not None and column.signal not in stated:
                 read.setdefault(column.signal, []).append(column)
         for name in log.words:
-            column = self._column(name, from_zero)
+            column = self._column(name, unnumbered(name) in zeros)
             if column is not None and column.signal in REQUIRED and column.signal not in stated:
                 self._refuse_words(name, f"{column.signal} of {column.joint}")
         joints = self.options.joints or self.axes.joints
@@ -390,7 +372,7 @@ class _Import:
             role, joint = self.log.roles[name]
             return _Column(name, role, joint, "sure", 1.0, 0) if joint in joints else None
         for joint in sorted(joints, key=len, reverse=True):  # shoulder_pan before shoulder
-            place = _find(words_of(joint), words)
+            place = find_words(words_of(joint), words)
             if place is not None:
                 rest = words[: place[0]] + words[place[1] :]
                 break
@@ -403,8 +385,8 @@ class _Import:
             joint, sure = named or among[index], number is None or named is not None
             rest = [w for w in words if not w.isdigit()]
         if self.axes.prismatic and self.axes.prismatic[joints.index(joint)]:
-            rest = ["torque" if w in _FORCE else w for w in rest]
-        signal, left = _signal_of(rest)
+            rest = ["torque" if w in FORCE else w for w in rest]
+        signal, left = signal_of(rest)
         if signal is None:
             return None
         return _Column(name, signal, joint, "sure" if sure else "likely", self._unit(name, signal), len(left))
@@ -436,7 +418,7 @@ class _Import:
     def _number_in(self, name: str) -> int | None:
         """The number of a joint in a name: its last one, where no joint's own name is in it."""
         words = words_of(name)
-        if any(_find(words_of(joint), words) for joint in self.axes.joints):
+        if any(find_words(words_of(joint), words) for joint in self.axes.joints):
             return None
         numbers = [int(w) for w in words if w.isdigit()]
         return numbers[-1] if numbers else None
@@ -508,7 +490,8 @@ class _Import:
         """Bring values to SI, in place; what the first joint's angles were multiplied with."""
         degrees = self.options.degrees
         position = signals["motor_position"]
-        if degrees is None and all(c.scale is None for c in position) and not self.options.gear:
+        unsaid = all(c.scale is None for c in position if self.axes.turns(c.joint))
+        if degrees is None and unsaid and not self.options.gear:
             degrees = self._looks_like_degrees(joints, position, values["motor_position"])
             unit = "degrees, for in rad they would leave the robot's limits" if degrees else "rad"
             self.found.add(f"angles: in {unit}", "likely")
@@ -681,52 +664,6 @@ def _lost_rows(steps: Array, printed: float) -> int:
     typical = float(np.median(steps))
     off = np.abs(steps - typical) > 0.5 * typical + min(printed, 0.25 * typical)
     return max(0, int(np.sum(np.round(steps[off] / typical) - 1.0)))
-
-
-def _time_words(name: str) -> list[str]:
-    """`log.time_ms` gives time, ms."""
-    return [w for w in words_of(name) if w in _TIMES or w in TIME_UNITS or w not in _NOISE]
-
-
-def _is_time(name: str) -> bool:
-    words = _time_words(name)
-    return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in TIME_UNITS for w in words)
-
-
-def _find(part: Sequence[str], words: Sequence[str]) -> tuple[int, int] | None:
-    for start in range(len(words) - len(part) + 1):
-        if list(words[start : start + len(part)]) == list(part):
-            return start, start + len(part)
-    return None
-
-
-def _signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
-    """The signal that words stand for, and the words that say nothing known."""
-    kinds = set(words)
-    if kinds & _OTHER:
-        return None, []
-    if kinds & _CURRENT:
-        return ("motor_current" if not kinds & (_REFERENCE | _FORWARD) else None), [
-            w for w in words if w not in _CURRENT | _NOISE and not w.isdigit()
-        ]
-    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(ANGLE_UNITS) | set(TORQUE_UNITS)
-    left = [w for w in words if w not in known and not w.isdigit()]
-    wanted = bool(kinds & _REFERENCE)
-    if kinds & _TORQUE:
-        if wanted and not kinds & _FORWARD:
-            return None, left  # what the controller asked of the motors is neither measured nor fed forward
-        return ("feedforward_torque" if kinds & _FORWARD else "torque"), left
-    if kinds & _VELOCITY or (kinds & _POSITION and "dot" in kinds):
-        if kinds & _LINK:
-            return None, left
-        return ("reference_velocity" if wanted else "motor_velocity"), left
-    if kinds & _LINK and not wanted:
-        return "link_position", left
-    if wanted:
-        return "reference_position", left
-    # such as AxisAct.A1 [deg]
-    by_unit = kinds & {"deg", "degree", "degrees", "rad"} and not kinds & {"s", "per", "dot"} and set(left) <= {"a"}
-    return ("motor_position" if kinds & _POSITION or by_unit else None), left
 
 
 def _round_rate(rate: float, slack: float = 0.0) -> float:

@@ -1,0 +1,76 @@
+"""What the name of a column says: words that stand for a signal, for time, or for nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rx90b_flex.signals.units import ANGLE_UNITS, TIME_UNITS, TORQUE_UNITS, words_of
+
+# words in names, in lower case
+# fmt: off
+_POSITION = {"q", "pos", "jpos", "aipos", "position", "positions", "ang", "angle", "angles", "theta", "enc", "encoder",
+             "istposition", "winkel"}
+_VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "jtrq", "moment", "ff", "feedforward", "drehmoment"}
+FORCE = {"force", "forces", "kraft", "thrust"}  # of joints that slide: elsewhere they are a sensor's at the tool
+_FORWARD = {"ff", "feedforward"}
+_REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
+_LINK = {"link", "load", "output", "secondary"}
+_CURRENT = {"current", "currents", "amp", "amps", "macur"}
+_OTHER = {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage",
+          # what controllers log beside the measured signals
+          "limit", "limits", "error", "err", "friction", "external", "ext", "control"}
+_NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
+          "drive", "achse", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
+_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "datetime"}
+# fmt: on
+
+
+def time_words(name: str) -> list[str]:
+    """`log.time_ms` gives time, ms."""
+    return [w for w in words_of(name) if w in _TIMES or w in TIME_UNITS or w not in _NOISE]
+
+
+def is_time(name: str) -> bool:
+    words = time_words(name)
+    return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in TIME_UNITS for w in words)
+
+
+def find_words(part: Sequence[str], words: Sequence[str]) -> tuple[int, int] | None:
+    for start in range(len(words) - len(part) + 1):
+        if list(words[start : start + len(part)]) == list(part):
+            return start, start + len(part)
+    return None
+
+
+def signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
+    """The signal that words stand for, and the words that say nothing known."""
+    kinds = set(words)
+    if kinds & _OTHER:
+        return None, []
+    if kinds & _CURRENT:
+        return ("motor_current" if not kinds & (_REFERENCE | _FORWARD) else None), [
+            w for w in words if w not in _CURRENT | _NOISE and not w.isdigit()
+        ]
+    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(ANGLE_UNITS) | set(TORQUE_UNITS)
+    left = [w for w in words if w not in known and not w.isdigit()]
+    wanted = bool(kinds & _REFERENCE)
+    if kinds & _TORQUE:
+        if wanted and not kinds & _FORWARD:
+            return None, left  # what the controller asked of the motors is neither measured nor fed forward
+        return ("feedforward_torque" if kinds & _FORWARD else "torque"), left
+    if kinds & _VELOCITY or (kinds & _POSITION and "dot" in kinds):
+        if kinds & _LINK:
+            return None, left
+        return ("reference_velocity" if wanted else "motor_velocity"), left
+    if kinds & _LINK and not wanted:
+        return ("link_position" if kinds & _POSITION or not kinds & {"load", "output"} else None), left
+    if wanted:
+        return "reference_position", left
+    # such as AxisAct.A1 [deg]
+    by_unit = kinds & {"deg", "degree", "degrees", "rad"} and not kinds & {"s", "per", "dot"} and set(left) <= {"a"}
+    return ("motor_position" if kinds & _POSITION or by_unit else None), left
+
+
+def unnumbered(name: str) -> tuple[str, ...]:
+    return tuple(w for w in words_of(name) if not w.isdigit())
