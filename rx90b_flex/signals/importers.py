@@ -27,6 +27,7 @@ from rx90b_flex.signals.times import printed_resolution, seconds_and_nanoseconds
 from rx90b_flex.signals.units import (
     DEGREE,
     TIME_UNITS,
+    foreign_unit,
     is_time_unit,
     time_unit_in_row,
     unit_in_name,
@@ -41,6 +42,7 @@ FIELDS = {s.key: s.field for s in SIGNALS if s.key != "joint_torque"}
 SPLIT = 0.7  # of a single file: the part that is fitted
 NEAR_RATE = 0.01  # that a rate may lie beside the median one and be the same
 JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
+TICKS = 0.7  # of rows with a time of their own, below which a clock is coarse and rows are not written twice
 GAP = 10.0  # sample periods without a sample: the log was interrupted
 SHORTEST = 10  # samples
 SHORT_S = 10.0  # s of identification below which intervals are wide
@@ -389,6 +391,9 @@ class _Import:
         signal, left = signal_of(rest)
         if signal is None:
             return None
+        if foreign := foreign_unit(name):
+            self.found.add(f"column {name!r}: left out, for it is in {foreign}")
+            return None
         return _Column(name, signal, joint, "sure" if sure else "likely", self._unit(name, signal), len(left))
 
     @cached_property
@@ -405,6 +410,8 @@ class _Import:
         """What brings a column to SI, by its name, else by the unit below that; None where neither says one."""
         if signal == "motor_current":
             return 1e-3 if "ma" in words_of(f"{name} {self.log.units.get(name, '')}") else 1.0
+        if foreign := foreign_unit(name):
+            raise self._problem(f"column {name!r} is in {foreign}, which import does not bring to SI")
         scale = unit_in_name(signal, words_of(name))
         return self._in_row(name, lambda text: unit_in_row(signal, text)) if scale is None else scale
 
@@ -586,6 +593,12 @@ class _Import:
             raise self._problem(f"row {rows[back[0] + 1] + 1}: time runs backwards, from {time[back[0]]:.9g} s "
                                 f"to {time[back[0] + 1]:.9g} s after the start")  # fmt: skip
         fresh = np.r_[True, np.diff(time) > 0.0]
+        if fresh.mean() < TICKS and (even := _between_ticks(time)) is not None:
+            tick = float(np.median(np.diff(time[fresh])))
+            self.found.add(
+                f"times in ticks of {1e3 * tick:.3g} ms, of several rows each: rows taken as evenly spaced", "likely"
+            )
+            time, fresh = even, np.ones(len(time), dtype=bool)
         if not fresh.all():
             self.found.add(f"{np.count_nonzero(~fresh)} rows with the time of the row before left out")
             rows, time = rows[fresh], time[fresh]
@@ -657,6 +670,15 @@ class _Import:
         if abs(mean - median) < near and _round_rate(mean) == float(f"{mean:.3g}"):
             return "mean", _round_rate(mean)
         return "median", _round_rate(median)
+
+
+def _between_ticks(time: Array) -> Array | None:
+    """Evenly spaced times (N,), s, of rows whose clock ticks less often than they come; None where they do not keep step with it."""
+    rows = np.arange(len(time))
+    slope, begin = np.polyfit(rows, time, 1)
+    even = time[0] + slope * rows
+    tick = float(np.diff(np.unique(time)).max(initial=0.0))
+    return even if slope > 0.0 and np.abs(begin + slope * rows - time).max() <= tick else None
 
 
 def _lost_rows(steps: Array, printed: float) -> int:

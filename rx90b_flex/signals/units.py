@@ -22,19 +22,42 @@ _ROW = {
 }
 # of columns that are not read, and of rates
 _OTHERS = {"a", "ma", "v", "mv", "w", "k", "c", "degc", "hz", "bar", "kg", "counts", "inc", "ticks", "g"}
+_FOREIGN = {
+    "%",
+    "pct",
+    "percent",
+    "pu",
+    "gon",
+    "grad",
+    "danm",
+    "kgfcm",
+    "kgfm",
+    "kgcm",
+    "kgm",
+    "lbft",
+    "ftlb",
+    "lbin",
+    "inlb",
+    "ozin",
+}
 _NONE = {"", "-", "1", "none", "n/a"}
 _SQUARED = re.compile(r"\^?2|²|/s/s")
 
 
 def words_of(name: str) -> list[str]:
     """`jointPos_1 [deg]` gives joint, pos, 1, deg; the degree sign is a word, too."""
-    joined = re.sub(
-        r"(?<![A-Za-z])([mk])N(?=m|(?![A-Za-z]))",
-        r"\1n",
-        name.replace("°", " deg ").replace("µ", "u").replace("μ", "u"),
-    )
+    plain = name.replace("°", " deg ").replace("µ", "u").replace("μ", "u")
+    # a newton and a metre, with whatever stands between them, are one word
+    metres = re.sub(r"(?<![A-Za-z])([mk]?)N[ ·⋅*.]?([cm]?m)(?![A-Za-z])", r"\1n\2", plain)
+    joined = re.sub(r"(?<![A-Za-z])([mk])N(?=m|(?![A-Za-z]))", r"\1n", metres)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", joined)
     return re.findall(r"[a-z]+|\d+", spaced.lower())
+
+
+def foreign_unit(name: str) -> str | None:
+    """The unit in brackets at the end of a name that cannot be brought to SI, or not without knowing the robot; None: none."""
+    found = re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)
+    return found[1] if found and re.sub(r"[\s·⋅*._/-]", "", found[1].lower()) in _FOREIGN else None
 
 
 def unit_in_name(signal: str, words: Sequence[str]) -> float | None:
